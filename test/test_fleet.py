@@ -22,6 +22,8 @@ from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
+BACKLASH = {"joints.elbow.gear.backlash": 1e-3}
+TWO_THREADS = {"threads": 2, "integrator.scheme": "implicit"}
 NAMES = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")
 
 
@@ -72,23 +74,23 @@ def assert_state_of(fleet: Fleet, arm: int, plant: Plant, atol: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "scheme"),
+    ("seed", "scheme", "events"),
     some(
         [
-            (6, "paper"),
-            (16, "extrapolated"),
-            (21, "rosenbrock"),
-            (10, "rosenbrock"),
-            (19, "implicit"),
-            (5, "extrapolated"),
+            (6, "paper", "step"),
+            (16, "extrapolated", "located"),
+            (21, "rosenbrock", "step"),
+            (10, "rosenbrock", "located"),
+            (19, "implicit", "step"),
+            (5, "extrapolated", "step"),
         ],
-        1,
+        2,
     ),
 )
-def test_each_arm_moves_as_alone(seed: int, scheme: str, tmp_path: Path) -> None:
+def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: Path) -> None:
     """Random machines that stick and meet limits; numbers, states and voltages of their own."""
     rng = np.random.default_rng(seed)
-    scene = mixture(tmp_path, seed, scheme)
+    scene = mixture(tmp_path, seed, scheme, **{"integrator.events": events})
     count, N = 11, len(scene.joints)  # more than one group, and none that is full
     values = drawn(scene, rng, count)
     q, v = rng.uniform(-1.0, 1.0, (count, N)), rng.uniform(-0.5, 0.5, (count, N))
@@ -218,11 +220,11 @@ def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
     kept.advance(rows[0], STEPS)  # the fleet lives as long as one of its arms is held
 
 
-@pytest.mark.parametrize("keys", some([{"integrator.events": "located"}, {"threads": 2}], 1))
-def test_scenes_that_have_no_lanes_move_as_well(keys: dict[str, Any], tmp_path: Path) -> None:
-    """Located events and two threads: one arm after the other, to the last bit as alone."""
+@pytest.mark.parametrize("keys", some([BACKLASH, TWO_THREADS], 1))
+def test_scenes_that_have_no_lanes_move_as_well(keys: dict[str, Any]) -> None:
+    """Two threads, and drives without a usual mode: one arm after the other, to the last bit."""
     rng = np.random.default_rng(11)
-    scene = mixture(tmp_path, 23, **keys)
+    scene = load_scene("three_axis", overrides=keys)
     rows = rng.uniform(-20.0, 20.0, (10, 3, len(scene.joints)))
     fleet = Fleet(scene, 3)
     assert fleet.lanes == 1, "lanes"

@@ -18,7 +18,7 @@ from arm_emulator.base.given import as_flag
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
-from arm_emulator.build.c_header import CData, pointer
+from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,
     PIECE,
@@ -29,10 +29,12 @@ from arm_emulator.machine.call_arguments import (
     refusal_of,
 )
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.chosen_arms import chosen_arms
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.fleet_frame import FleetFrame
 from arm_emulator.machine.inputs import further_rows
 from arm_emulator.machine.measured import Measured, MeasuredPlace
@@ -70,7 +72,8 @@ class Fleet(Turns):
 
     Attributes:
         scene: of all arms.
-        lanes: arms that advance together; 1 for scenes with two threads or located events.
+        lanes: arms that advance together; 1 for scenes with two threads, or with a drive that is
+            never in its usual modes (play, dry friction of a rotor behind an elastic gear).
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
 
     Args:
@@ -199,7 +202,7 @@ class Fleet(Turns):
             Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
                 arms are as before.
         """
-        where, mask = "Fleet.reset", self._mask(arms, "Fleet.reset")
+        where, mask = "Fleet.reset", chosen_arms("Fleet.reset", arms, self._count)
         of_q, of_v = start_bounds(self.scene)
         at = self._rows(self.scene.start if q is None else q, mask, where, of_q)
         speed = self._rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
@@ -284,22 +287,97 @@ class Fleet(Turns):
         where = "Fleet.step"
         rows = self._as_commands(command, where)
         periods = check_count(where, "periods", periods, 0, 10**9)
-        out = self.frame() if out is None else out
-        if not isinstance(out, FleetFrame) or out.of != (self.scene, self._count):
-            raise Refusal(where, "out", "be a frame of this fleet", out)
+        out = self._frame(where, out)
         self._commands["value"] = rows
         step, fleet, given = self.core.arm_fleet_step, self._fleet, self._held
         places = out.measurement, out.truth
-        longest = max(1, PIECE * self.lanes // self._worth(1))  # after which Ctrl-C is heard
-        for done in range(0, periods or 1, longest):
-            some = min(longest, periods - done)
+        for _, some in self._pieces(periods):
             self._shares.do(
                 self._worth(some), lambda *share, n=some: step(fleet, *share, given, n, *places)
             )
         return out
 
+    @in_turn
+    def follow(
+        self,
+        control: FleetControl,
+        periods: int,
+        out: FleetFrame | None = None,
+        *,
+        links: Array | None = None,
+    ) -> FleetFrame:
+        """Go through servo periods under commands of control code in C, without Python in between.
+
+        In each the control code sees what every arm measures, and commands the period to come. An
+        arm that diverges stays at its last sound state, and the others go on.
+
+        Args:
+            control: as `arm_emulator.runs.servo_fleet.ServoFleet`, or a function of yours.
+            periods: servo periods, 0 to 1e9.
+            out: of `frame`, to be filled after the last of them; None: a new one.
+            links: filled with the links' positions after each period (periods, count, N) [rad or
+                m]; None: nothing.
+
+        Returns:
+            `out`.
+
+        Raises:
+            Refusal: wrong arrays, no such count, control code that cannot command this fleet, and
+                nothing has changed; or a command that is not finite, and the arms of that group
+                are where it came.
+        """
+        where = "Fleet.follow"
+        if not isinstance(control, FleetControl):
+            raise Refusal(where, "control", "be a FleetControl", control)
+        periods = check_count(where, "periods", periods, 0, 10**9)
+        out = self._frame(where, out)
+        if links is not None:
+            shape = periods, self._count, self._N
+            fits = isinstance(links, np.ndarray) and links.shape == shape
+            if not fits or links.dtype != np.float64 or not links.flags.carray:
+                rule = f"be a contiguous array {shape} of float64"
+                raise Refusal(where, "links", rule, getattr(links, "shape", links))
+        control.begin(self, periods)
+        given = FLEET.new(
+            "arm_fleet_control",
+            step=control.step,
+            joint=self._commands,
+            **{"with": control.with_},
+        )
+        places = out.measurement, out.truth
+        follow, fleet, refused = self.core.arm_fleet_follow, self._fleet, []
+
+        def go(first: int, arms: int, begins: int, some: int) -> None:
+            rows = NULL if links is None else pointer(links[begins:])
+            if follow(fleet, first, arms, given, some, rows, *places) == REFUSED:
+                refused.append(first)
+
+        for done, some in self._pieces(periods):
+            self._shares.do(
+                self._worth(some), lambda *share, at=done, n=some: go(*share, at, n)
+            )
+            if refused:
+                arm = self.core.arm_fleet_refused(fleet)
+                machine = self.core.arm_fleet_machine(fleet, arm)
+                why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", "")
+                self.core.arm_fleet_give_back(fleet, arm)
+                raise why
+        return out
+
+    def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
+        """Yield where pieces begin and how long they are, after which Ctrl-C is heard."""
+        longest = max(1, PIECE * self.lanes // self._worth(1))
+        for done in range(0, periods or 1, longest):
+            yield done, min(longest, periods - done)
+
+    def _frame(self, where: str, out: FleetFrame | None) -> FleetFrame:
+        out = self.frame() if out is None else out
+        if not isinstance(out, FleetFrame) or out.of != (self.scene, self._count):
+            raise Refusal(where, "out", "be a frame of this fleet", out)
+        return out
+
     def frame(self) -> FleetFrame:
-        """Return arrays for `step` to fill."""
+        """Return arrays for `step` and `follow` to fill."""
         return FleetFrame(self.scene, self._count)
 
     def _worth(self, periods: int) -> int:
@@ -388,7 +466,7 @@ class Fleet(Turns):
                 nothing has changed.
         """
         where = "Fleet.set_parameter"
-        mask = self._mask(arms, where)
+        mask = chosen_arms(where, arms, self._count)
         self._set_parameter(name, self._column(where, name, values, mask), mask)
 
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
@@ -411,7 +489,7 @@ class Fleet(Turns):
             Refusal: see there; nothing has changed.
         """
         where = "Fleet.set_external_wrench"
-        mask = self._mask(arms, where)
+        mask = chosen_arms(where, arms, self._count)
         joint, moved = on_moving_link(self.scene, where, link, wrench, self._count)
         rows = ARM.rows("arm_wrench", self._count)
         rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
@@ -440,7 +518,7 @@ class Fleet(Turns):
             Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
                 nothing has changed.
         """
-        where, mask = "Fleet.restore", self._mask(arms, "Fleet.restore")
+        where, mask = "Fleet.restore", chosen_arms("Fleet.restore", arms, self._count)
         size = self._count * self.core.arm_saved_size()
         if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
             raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
@@ -501,24 +579,6 @@ class Fleet(Turns):
         run = self.core.arm_fleet_run
         worth = rows[..., 0].size * steps
         self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
-
-    def _mask(self, arms: ArrayLike | None, where: str) -> NDArray[np.bool_]:
-        """Return which arms are chosen (count,)."""
-        if arms is None:
-            return np.ones(self._count, bool)
-        try:
-            chosen = np.asarray(arms)
-        except Exception:  # whatever an object does that is asked for its numbers, it has none
-            chosen = np.asarray(None)
-        if chosen.dtype == np.bool_ and chosen.shape == (self._count,):
-            return chosen
-        mask = np.zeros(self._count, bool)
-        whole = chosen.dtype.kind in "iu" or chosen.size == 0
-        if not whole or chosen.ndim > 1 or (np.abs(chosen + 0.5) > self._count).any():
-            rule = f"be a mask of {self._count}, or indices of {self._count} arms"
-            raise Refusal(where, "arms", rule, arms)
-        mask[chosen.astype(np.int64)] = True
-        return mask
 
     def _column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
         """Return the values of a varied number (count,), checked for those of the mask."""

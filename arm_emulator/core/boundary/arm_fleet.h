@@ -105,6 +105,30 @@ int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out);
 int arm_fleet_step(arm_fleet* fleet, int32_t first, int32_t arms, const arm_command* command,
                    int64_t periods, arm_fleet_measurement* measurement, arm_fleet_truth* truth);
 
+/* Control code in the loop with arms. `step` is called once in every servo period of a group of
+ * arms, with what all arrays of the fleet have in their rows of `joint` and `powered`, and writes
+ * the commands of these arms, which hold what was written there last. Calls for different arms may
+ * come from several threads at a time; whatever it keeps of an arm is its own. */
+typedef void (*arm_fleet_step_of_control)(void* with, int32_t first, int32_t arms,
+                                          const arm_joint_measurement* joint,
+                                          const uint8_t* powered, arm_joint_command* command);
+typedef struct arm_fleet_control {
+  uint32_t size;
+  uint32_t reserved;
+  arm_fleet_step_of_control step;
+  void* with;
+  arm_joint_command* joint; /* an entry per joint of each arm */
+} arm_fleet_control;
+
+/* `periods` servo periods of `arms` arms from `first` on, as `arm_fleet_exchange`, under commands
+ * that control code gives in every one; `links` has a row of all arms for the links' positions
+ * after each, or is null. Then as `arm_fleet_step`; `joint` and `powered` of the measurement must
+ * be there. A command that is refused ends it for its group of arms: ARM_REFUSED, and
+ * `arm_fleet_refused` knows an arm of those. */
+int arm_fleet_follow(arm_fleet* fleet, int32_t first, int32_t arms,
+                     const arm_fleet_control* control, int64_t periods, double* links,
+                     arm_fleet_measurement* measurement, arm_fleet_truth* truth);
+
 #ifdef __cplusplus
 }
 #endif

@@ -1,6 +1,8 @@
 // The functions of arm.h and arm_fleet.h for one scene. Included last in a scene's unit.
 #pragma once
 
+#include <atomic>
+
 #include "arm_fleet.h"
 #include "boundary.hpp"
 #include "machine/side_by_side.hpp"
@@ -115,6 +117,30 @@ struct arm_fleet {
       settle(k);
       machine[k]->take_commands(joint, further, tick);
     }
+  }
+
+  // The same for `periods`, under commands of control code; false if one was refused.
+  bool follow_control(int g, const arm_fleet_control& control, std::int64_t periods, double* links,
+                      const arm_fleet_measurement& measured) {
+    const int first = g * lanes, end = end_of(g);
+    for (; periods > 0; --periods) {
+      for (int k = first; k < end; ++k) measure(k, measured);
+      control.step(control.with, first, end - first, measured.joint, measured.powered,
+                   control.joint);
+      for (int k = first; k < end; ++k)
+        if (machine[k]->check_commands(control.joint + k * N, nullptr)) {
+          refused = k;
+          return false;
+        }
+      exchange(g, control.joint, nullptr, -1);
+      for (int k = first; links && k < end; ++k) {
+        arm_fleet_truth where = {};
+        where.q = links;
+        get_truth(k, where);
+      }
+      if (links) links += std::int64_t{arms} * N;
+    }
+    return true;
   }
 
   // Have an arm be in its machine, for whoever looks at it or changes it there.
@@ -237,7 +263,7 @@ struct arm_fleet {
   std::int32_t* lent;  // how often an arm is used by itself: then it settles after every call
   Group** group = nullptr;
   bool sound = true;
-  mutable std::int32_t refused = -1;
+  mutable std::atomic<std::int32_t> refused = -1;
 };
 
 #pragma GCC visibility push(default)
@@ -286,7 +312,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   return result;
 }
 
-std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused : -1; }
+std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused.load() : -1; }
 
 int arm_fleet_reset(arm_fleet* fleet, const std::uint8_t* mask, const double* q, const double* v) {
   constexpr int N = arm_fleet::N;
@@ -401,6 +427,27 @@ int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
   for (std::int32_t k = first; k < first + arms; ++k) {
     if (measurement) fleet->measure(k, *measurement);
     if (truth) fleet->get_truth(k, *truth);
+  }
+  return result;
+}
+
+int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
+                     const arm_fleet_control* control, std::int64_t periods, double* links,
+                     arm_fleet_measurement* measurement, arm_fleet_truth* truth) {
+  constexpr int lanes = arm_fleet::lanes;
+  if (!fleet || !fleet->has(first, arms) || periods < 0 || !control ||
+      control->size < sizeof *control || !control->step || !control->joint || !measurement ||
+      measurement->size < sizeof *measurement || !measurement->joint || !measurement->powered ||
+      (truth && truth->size < sizeof *truth))
+    return ARM_REFUSED;
+  int result = ARM_OK;
+  for (std::int32_t k = first; k < first + arms; k += lanes)
+    if (!fleet->follow_control(k / lanes, *control, periods, links, *measurement))
+      result = ARM_REFUSED;
+  for (std::int32_t k = first; k < first + arms; ++k) {
+    fleet->measure(k, *measurement);
+    if (truth) fleet->get_truth(k, *truth);
+    if (result == ARM_OK) result = fleet->machine[k]->result();
   }
   return result;
 }

@@ -1,0 +1,27 @@
+/* Our servo in the loop with the arms of a fleet: control code of arm_fleet.h. C99. */
+#ifndef SERVO_FLEET_H
+#define SERVO_FLEET_H
+
+#include "arm_fleet.h"
+#include "servo.h"
+
+typedef struct servo_fleet {
+  uint32_t size;
+  int32_t joints;
+  servo* arm;           /* one of each arm */
+  int64_t* tick;        /* of each arm: servo periods since its reset */
+  const int32_t* place; /* of each of a servo's joints among the machine's */
+  int64_t period;       /* ns */
+  /* Rows of targets, in the servo's order of joints: `row_stride` numbers from one to the next, and
+   * `arm_stride` from an arm to the next. The last row stays. `v` and `tau` may be null. */
+  int64_t rows, periods_per_row, row_stride, arm_stride;
+  const double *q, *v, *tau;
+} servo_fleet;
+
+/* Have the servos of a mask with a byte for each arm forget everything; targets begin anew. */
+void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask);
+/* A period of some arms; `with` is a servo_fleet. */
+void servo_fleet_step(void* with, int32_t first, int32_t arms, const arm_joint_measurement* joint,
+                      const uint8_t* powered, arm_joint_command* command);
+
+#endif

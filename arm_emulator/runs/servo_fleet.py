@@ -1,0 +1,175 @@
+"""Our servo on every arm of a fleet, in C: servo_fleet.c."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.base.count import check_count
+from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit, library
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.chosen_arms import chosen_arms
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.fleet_control import FleetControl
+from arm_emulator.runs.gains import check_servo
+from arm_emulator.servo.c import FOLDER
+from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+
+HERE = Path(__file__).resolve().parent
+SERVOS = Header(HERE / "servo_fleet.h", (BOUNDARY, FOLDER))
+_MOST_PERIODS = 10**9
+
+
+@cache
+def _calls() -> Library:
+    return library(servo_fleet_unit())
+
+
+def servo_fleet_unit() -> Unit:
+    """Return servo and loop as what is compiled."""
+    source = '#include "servo.c"\n#include "servo_fleet.c"\n'
+    about = "the servos of a fleet"
+    folders = (FOLDER, BOUNDARY, HERE)
+    return Unit("servo_fleet", source, C_FLAGS, folders, (SERVOS,), "servo", about, "servo.c")
+
+
+class ServoFleet(FleetControl):
+    """A servo under its watchdog on every arm of a fleet, for `Fleet.follow`.
+
+    Each does what `Drives` does alone, to the last bit: measure, aim, command. Without targets the
+    arms are held where they stand.
+
+    Args:
+        fleet: of arms.
+        config: data-sheet values, gains and limits, or the file that has them; or a sequence with
+            one for each arm.
+
+    Raises:
+        Refusal: a config that does not fit the scene, or not one for each arm.
+    """
+
+    def __init__(
+        self, fleet: Fleet, config: ServoConfig | str | Path | Sequence[ServoConfig]
+    ) -> None:
+        scene, self._count = fleet.scene, len(fleet)
+        configs = [config] if isinstance(config, ServoConfig | str | Path) else list(config)
+        if len(configs) not in (1, self._count):
+            rule = f"be one, or one for each of {self._count} arms"
+            raise Refusal("ServoFleet", "config", rule, len(configs))
+        read = [load_servo_config(one) if isinstance(one, str | Path) else one for one in configs]
+        for one in read:
+            check_servo(scene, one)
+        if len({one.joint_names for one in read}) > 1:
+            raise Refusal("ServoFleet", "config", "have the joints in one order", "several")
+        self._scene, self._N = scene, len(scene.joints)
+        self._period, self._hold_after = scene.servo_period, min(one.hold_after for one in read)
+        self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
+        drives = [Drives(one) for one in read]
+        self._drives = drives  # they own the numbers
+        N, count = self._N, self._count
+        self._states = np.tile(drives[0].servo.state, count).reshape(count, N)
+        self._arms = SERVOS.ffi.new("servo[]", count)
+        for k in range(count):
+            servo = drives[k % len(drives)].servo
+            self._arms[k] = servo.arm[0]
+            self._arms[k].state = SERVOS.pointer("servo_state", self._states[k])
+        self._tick = np.zeros(count, np.int64)
+        self._rows: tuple[Array | None, ...] = ()
+        self.struct: CData = SERVOS.new(
+            "servo_fleet",
+            joints=N,
+            arm=self._arms,
+            tick=self._tick,
+            place=self._place,
+            period=round(self._period * 1e9),
+            periods_per_row=1,
+        )
+        step = int(SERVOS.ffi.cast("uintptr_t", _calls().servo_fleet_step))
+        super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)))
+
+    def aim(
+        self,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        tau: ArrayLike | None = None,
+        *,
+        every: int = 1,
+    ) -> None:
+        """Set rows of joint targets that the servos follow from their reset on.
+
+        Each holds for `every` servo periods, and goes on with its speed meanwhile. The last one
+        stays.
+
+        Args:
+            q: link angles, (K, N) for all arms or (K, count, N) [rad or m], in the scene's order
+                of joints.
+            v: link speeds with which they go on, alike [rad/s or m/s]; None: 0.
+            tau: link torques known beforehand, alike [N m or N]; None: 0.
+            every: servo periods of a row.
+
+        Raises:
+            Refusal: wrong shapes, not finite, too large, or rows so seldom that the servos would
+                take their targets for late; nothing has changed.
+        """
+        where = "ServoFleet.aim"
+        every = check_count(where, "every", every, 1, _MOST_PERIODS)
+        if every * self._period > self._hold_after:
+            rule = f"be at most {int(self._hold_after / self._period)}: hold_after of the servo"
+            raise Refusal(where, "every", rule, every)
+        rows = [self._targets(where, POSITION.named("q"), q)]
+        for bound, given in ((VELOCITY.named("v"), v), (EFFORT.named("tau"), tau)):
+            one = None if given is None else self._targets(where, bound, given)
+            if one is not None and one.shape != rows[0].shape:
+                raise Refusal(where, bound.name, f"have the shape of q, {rows[0].shape}", one.shape)
+            rows.append(one)  # type: ignore[arg-type]
+        self._rows = tuple(rows)
+        of_arms = rows[0].ndim == 3
+        places = [NULL if one is None else pointer(one) for one in rows]
+        SERVOS.fill(
+            self.struct,
+            rows=len(rows[0]),
+            periods_per_row=every,
+            row_stride=self._N * (self._count if of_arms else 1),
+            arm_stride=self._N if of_arms else 0,
+            **dict(zip(("q", "v", "tau"), places, strict=True)),
+        )
+        for k in range(self._count):
+            self._arms[k].motion_period = every * round(self._period * 1e9)
+
+    def _targets(self, where: str, bound: Number, values: ArrayLike) -> Array:
+        given = bound.numbers(where, values)
+        shapes = (self._N,), (self._count, self._N)
+        if given.ndim not in (2, 3) or given.shape[1:] not in shapes or not len(given):
+            rule = f"have shape (K, {self._N}) or (K, {self._count}, {self._N})"
+            raise Refusal(where, bound.name, rule, given.shape)
+        bound.check(where, given)
+        return np.ascontiguousarray(given[..., self._place])
+
+    def reset(self, arms: ArrayLike | None = None) -> None:
+        """Forget what was measured; targets begin with their first row again.
+
+        Args:
+            arms: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: no such arms.
+        """
+        mask = chosen_arms("ServoFleet.reset", arms, self._count)
+        _calls().servo_fleet_reset(self.struct, self._count, pointer(mask.view(np.uint8)))
+
+    def begin(self, fleet: Fleet, periods: int) -> None:
+        """Refuse a fleet of another scene or count, see `FleetControl.begin`."""
+        if fleet.scene is not self._scene or len(fleet) != self._count:
+            rule = f"be {self._count} arms of the same scene"
+            raise Refusal("ServoFleet", "fleet", rule, repr(fleet))
