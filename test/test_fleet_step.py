@@ -21,7 +21,13 @@ BRAKED: dict[str, Any] = {
     "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
     "external_wrench": True,
 }
-SCENES = {"braked": BRAKED, "sensed": SENSED}
+LOCATED: dict[str, Any] = {
+    **BRAKED,
+    "integrator.events": "located",
+    "joints.*.friction.coulomb": 2.0,
+    "joints.*.motor.current_limit": 4.0,
+}
+SCENES = {"located": LOCATED, "sensed": SENSED, "braked": BRAKED}
 
 
 @pytest.fixture(scope="module", params=some(list(SCENES), 2))

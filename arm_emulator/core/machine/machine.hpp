@@ -39,6 +39,7 @@ class Machine {
   // One step by itself, of a machine that is in a lane beside others.
   ARM_APART void step_alone(State<S>& x, const double (&u)[Stepper::row],
                             typename Threads::Memory& past) {
+    renew();
     threads_.restore(past);
     threads_.step(x, u);
     past = threads_.memory();
@@ -104,7 +105,7 @@ class Machine {
     change([&] {
       numbers_.set(k, value);
       ++edition_;
-      threads_.renew();
+      stale_ = true;
     });
     balance_.reset(numbers_, x_);
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
@@ -188,6 +189,7 @@ class Machine {
   using Course = arm::Course<S, double, Stepper::row>;
   int follow(Course& course, std::int64_t count) {
     if (fault_ >= 0) return fault_;
+    renew();
     threads_.begin(count, x_);
     while (count > 0) {
       const int due = steps_to_check(steps_taken_);
@@ -210,6 +212,7 @@ class Machine {
         if (to_brakes > chunk) continue;
         threads_.end();
         follow_brakes();
+        renew();
         threads_.begin(count, x_);
       }
     }
@@ -344,6 +347,12 @@ class Machine {
   double energy() const { return energy_of<S>(numbers_, x_).total(); }
 
  private:
+  // Have the scheme know the numbers. A machine in a lane needs no tables of its own.
+  void renew() {
+    if (stale_) threads_.renew();
+    stale_ = false;
+  }
+
   void set_brake(int k, bool closed) {
     if (brake_closed(k) != closed) set_parameter(S::parameters + k, closed ? 1.0 : 0.0);
   }
@@ -464,6 +473,7 @@ class Machine {
   double power_ = 0.0;
   std::int64_t steps_taken_ = 0;
   std::int64_t edition_ = 0;
+  bool stale_ = false;  // the scheme does not know the numbers of this edition yet
   int fault_ = -1;  // the joint that went out of bounds
   Instant checked_ = {};
 };

@@ -126,15 +126,13 @@ class SideBySide {
   }
 
   void take_numbers() {
-    bool renewed = false;
     for (int lane = 0; lane < used_; ++lane) {
       const std::int64_t edition = machine_[lane]->numbers_edition();
       if (edition == editions_[lane]) continue;
       editions_[lane] = edition;
       numbers_.set(lane, machine_[lane]->numbers_now());
-      renewed = true;
+      threads_.renew(lane);
     }
-    if (renewed) threads_.renew();
     if constexpr (S::external_wrench) {
       for (int lane = 0; lane < width; ++lane)
         numbers_.set_external_wrenches(lane, numbers_of(lane));

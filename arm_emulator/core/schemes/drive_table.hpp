@@ -328,7 +328,11 @@ class DriveTables {
   }),
                 "a part of a drive calls linear what is not, and the schemes would leave it out");
 
-  // The numbers have changed.
+  // The numbers of a lane have changed.
+  void renew(int lane) {
+    if constexpr (own) fill_lane(lane);
+  }
+  // All numbers have changed.
   void fill() {
     for (int lane = 0; lane < (own ? width : 1); ++lane) fill_lane(lane);
   }

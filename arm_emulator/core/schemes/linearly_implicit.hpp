@@ -62,7 +62,8 @@ class LinearlyImplicit {
   LinearlyImplicit(const LinearlyImplicit&) = delete;
   LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;
 
-  // The numbers have changed.
+  // The numbers of a lane have changed, or all.
+  void renew(int lane) { tables_.renew(lane); }
   void renew() {
     tables_.fill();
     usual_ = true;

@@ -19,7 +19,8 @@ class OneThread {
       : n_(numbers), stepper_(step, numbers) {}
   bool join_schedule() { return true; }
   void begin_thread() {}
-  // The numbers have changed.
+  // The numbers of a lane have changed, or all.
+  void renew(int lane) { stepper_.renew(lane); }
   void renew() { stepper_.renew(); }
   void reset(const State<S, X>& x) { stepper_.reset(x); }
   Memory memory() const { return stepper_.memory(); }

@@ -24,7 +24,8 @@ class PaperScheme {
       : h_(step), n_(numbers), tables_(numbers, {step}), coulomb_(numbers) {}
   PaperScheme(const PaperScheme&) = delete;
 
-  // The numbers have changed.
+  // The numbers of a lane have changed, or all.
+  void renew(int lane) { tables_.renew(lane); }
   void renew() { tables_.fill(); }
 
   // It takes nothing from the past.

@@ -34,9 +34,9 @@ class SmoothTogether {
     machine_[lane] = machine;
     there_[lane] = machine ? -1 : 0;
   }
-  void renew() {
+  void renew(int lane) {
     forget_links();
-    method_.renew();
+    method_.renew(lane);
   }
   // What acts on the links has changed.
   void forget_links() { memo_.forget(); }

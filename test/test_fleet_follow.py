@@ -1,0 +1,188 @@
+"""Closed loops of a fleet in C: each arm does what machine and servo do alone."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.cxx import run_compiler
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.fleet_control import FleetControl
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.servo_fleet import ServoFleet
+from arm_emulator.servo.drives import Drives, Target
+
+COUNT = 11  # more than one group, and none that is full
+STICKING: dict[str, Any] = {
+    "integrator.events": "located",
+    "integrator.scheme": "extrapolated",
+    "integrator.dt": 5e-4,
+    "varied": ["joints.*.friction.coulomb"],
+    "joints.*.friction.coulomb": 2.0,
+    "joints.*.motor.current_limit": 6.0,
+    "joints.elbow.brake": {"torque": 0.5, "close_delay": 0.004, "release_delay": 0.006},
+}
+SCENES: dict[str, tuple[str, dict[str, Any]]] = {
+    "three_axis": ("three_axis", STICKING),
+    "ur5": ("ur5", {}),
+    "panda": ("panda", {}),
+}
+# Lanes round otherwise, by some 1e-16 a step; where a joint stops or breaks away the time is known
+# to 1e-11 of a step, and the servo's counts are the same.
+TOLERANCE = 1e-12  # rad
+
+
+@pytest.fixture(scope="module", params=some(SCENES, 1))
+def scene(request: pytest.FixtureRequest) -> Scene:
+    name, overrides = SCENES[request.param]
+    return load_scene(name, overrides)
+
+
+def targets(scene: Scene, rng: np.random.Generator, periods: int) -> tuple[np.ndarray, np.ndarray]:
+    """Swings of every joint that reverse, rest for a while, and are too quick for some motors."""
+    shape = 1, COUNT, len(scene.joints)
+    size, rate = rng.uniform(-0.4, 0.4, shape), rng.uniform(5.0, 40.0, shape)
+    t = scene.servo_period * np.arange(periods)[:, None, None]
+    t = np.where(np.arange(COUNT)[None, :, None] % 3 == 0, np.minimum(t, 0.05), t)
+    moves = np.gradient(t, scene.servo_period, axis=0)
+    return scene.start + size * (1 - np.cos(rate * t)), size * rate * np.sin(rate * t) * moves
+
+
+def coulomb(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    return {one.name: rng.uniform(0.5, 4.0, COUNT) for one in scene.varied}
+
+
+def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
+    rng = np.random.default_rng(7)
+    periods = 240
+    q, v = targets(scene, rng, periods)
+    varied, servo = coulomb(scene, rng), load_gains(scene.where.removesuffix(".yaml")).servo
+    fleet = Fleet(scene, COUNT, varied=varied, workers=2)
+    assert fleet.lanes > 1, "lanes"
+    servos = ServoFleet(fleet, servo)
+    servos.aim(q[::2], v[::2], every=2)
+    links = np.zeros((periods, COUNT, len(scene.joints)))
+    off = np.arange(COUNT) % 4 == 1
+    fleet.follow(servos, 100, links=links[:100])
+    fleet.powered = ~off
+    fleet.follow(servos, 60, links=links[100:160])
+    fleet.powered = True
+    frame = fleet.follow(servos, 80, links=links[160:])
+    assert np.array_equal(frame.q, links[-1]) and (frame.faults == -1).all()
+    assert np.array_equal(frame.measured.encoder_counts, fleet.measured.encoder_counts)
+    rested = 0
+    for arm in range(COUNT):
+        plant, drives = Plant(scene), Drives(servo)
+        for name, values in varied.items():
+            plant.set_parameter(name, float(values[arm]))
+        plant.reset()
+        drives.servo.arm.motion_period = 2 * round(scene.servo_period * 1e9)
+        for tick in range(periods):
+            if tick in (100, 160):
+                plant.powered = not (off[arm] and tick == 100)
+            seen = plant.measured
+            counts, now = seen.encoder_counts, round(tick * scene.servo_period * 1e9)
+            drives.measure(now, counts, seen.current, seen.applied)
+            if tick % 2 == 0:
+                drives.aim(Target(q[tick, arm], v[tick, arm]))
+            plant.exchange(drives.command(plant.powered))
+            rested += int((plant.state.v == 0.0).sum())
+            np.testing.assert_allclose(
+                links[tick, arm], plant.state.q, rtol=0.0, atol=TOLERANCE, err_msg=f"{arm} {tick}"
+            )
+    assert rested > 100, f"joints rest in {rested} periods: the test relies on that"
+
+
+def test_an_arm_moves_as_with_other_neighbours_and_pieces(scene: Scene) -> None:
+    """To the last bit: resets of some, periods in pieces, other arms beside it."""
+    q, v = targets(scene, np.random.default_rng(8), 120)
+    servo = load_gains(scene.where.removesuffix(".yaml")).servo
+    fleet = Fleet(scene, COUNT, workers=1)
+    servos = ServoFleet(fleet, servo)
+    servos.aim(q, v)
+    whole = fleet.follow(servos, 120).q.copy()
+    some_arms = np.arange(COUNT) % 2 == 0
+    fleet.reset()
+    servos.reset()
+    fleet.follow(servos, 57)
+    fleet.reset(some_arms)
+    servos.reset(some_arms)
+    for _ in range(63):
+        frame = fleet.follow(servos, 1)
+    assert np.array_equal(frame.q[~some_arms], whole[~some_arms])
+    fleet.follow(servos, 57, out=frame)
+    assert np.array_equal(frame.q[some_arms], whole[some_arms])
+
+
+MINE = """
+#include "arm_fleet.h"
+/* Twice the counts above 100 as a command, and no number from a tick on. */
+typedef struct mine { int32_t joints, tick[16], spoiled; } mine;
+void mine_step(void* with, int32_t first, int32_t arms, const arm_joint_measurement* joint,
+               const uint8_t* powered, arm_joint_command* command) {
+  mine* one = with;
+  for (int32_t k = first; k < first + arms; ++k) {
+    const int32_t tick = one->tick[k]++;
+    for (int32_t j = k * one->joints; j < (k + 1) * one->joints; ++j)
+      command[j].value = tick == 20 && k == one->spoiled ? 0.0 / 0.0
+                         : powered[k] ? 0.01 * (joint[j].encoder - 100 * k) : 0.0;
+  }
+}
+"""
+
+
+def test_code_of_users_commands_arm_by_arm(tmp_path: Path) -> None:
+    source, built = tmp_path / "mine.c", tmp_path / "mine.so"
+    source.write_text(MINE)
+    command = ["cc", "-shared", "-fPIC", f"-I{BOUNDARY}", str(source), "-o", str(built)]
+    run_compiler(command, tmp_path, "mine", "mine.c")
+    scene = load_scene("three_axis")
+    step = ctypes.cast(ctypes.CDLL(str(built)).mine_step, ctypes.c_void_p).value
+    keeps = np.array([len(scene.joints), *[0] * 16, -1], np.int32)
+    fleet, other = Fleet(scene, COUNT, workers=2), Fleet(scene, COUNT)
+    control = FleetControl(int(step or 0), keeps.ctypes.data)
+    frame, beside = fleet.frame(), other.step(np.zeros(3), 0)
+    fleet.follow(control, 20, out=frame)
+    for _ in range(20):
+        counts = beside.measured.encoder_counts
+        other.step(0.01 * (counts - 100 * np.arange(COUNT)[:, None]), out=beside)
+    assert np.array_equal(frame.q, beside.q) and (keeps[1 : COUNT + 1] == 20).all()
+    keeps[17] = 9
+    with pytest.raises(Refusal, match=r"Fleet\.follow: arm 9: .* must be finite, got nan"):
+        fleet.follow(control, 5)
+    assert fleet.state.t[9] == pytest.approx(0.020) and fleet.state.t[0] == pytest.approx(0.025)
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    scene = load_scene("three_axis")
+    fleet, servo = Fleet(scene, 2), load_gains("three_axis").servo
+    servos = ServoFleet(fleet, servo)
+    nan = np.full((4, 3), np.nan)
+    attempts: list[tuple[Any, str]] = [
+        (lambda: fleet.follow(7, 1), "control must be a FleetControl"),  # type: ignore[arg-type]
+        (lambda: fleet.follow(servos, -1), "periods must be"),
+        (lambda: fleet.follow(servos, 2, links=np.zeros((2, 2, 2))), "links must be a contiguous"),
+        (lambda: fleet.follow(servos, 2, out=Fleet(scene, 3).frame()), "out must be a frame"),
+        (lambda: Fleet(scene, 3).follow(servos, 2), "fleet must be 2 arms of the same scene"),
+        (lambda: ServoFleet(fleet, [servo] * 3), "config must be one, or one for each of 2"),
+        (lambda: ServoFleet(fleet, load_gains("ur5").servo), "name every moving joint"),
+        (lambda: servos.aim(np.zeros((4, 2))), r"q must have shape \(K, 3\)"),
+        (lambda: servos.aim(nan), "q must be numbers within"),
+        (lambda: servos.aim(np.zeros((4, 3)), np.zeros((4, 2, 3))), "v must have the shape of q"),
+        (lambda: servos.aim(np.zeros((4, 3)), every=1000), "every must be at most 200"),
+        (lambda: servos.reset([2]), "arms must be a mask of 2"),
+        (lambda: FleetControl(0), "step must be"),
+    ]
+    for attempt, words in attempts:
+        with pytest.raises(Refusal, match=words):
+            attempt()
+    assert np.array_equal(fleet.follow(servos, 0).t, [0.0, 0.0])
