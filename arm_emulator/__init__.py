@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
     from arm_emulator.machine.fleet import FleetState as FleetState
+    from arm_emulator.machine.fleet_control import FleetControl as FleetControl
     from arm_emulator.machine.fleet_frame import FleetFrame as FleetFrame
     from arm_emulator.machine.measured import Measured as Measured
     from arm_emulator.machine.plant import Plant as Plant
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from arm_emulator.runs.gains import load_gains as load_gains
     from arm_emulator.runs.offline import OfflineRun as OfflineRun
     from arm_emulator.runs.recording import Recording as Recording
+    from arm_emulator.runs.servo_fleet import ServoFleet as ServoFleet
     from arm_emulator.servo.servo import Servo as Servo
     from arm_emulator.servo.servo_config import load_servo_config as load_servo_config
 
@@ -42,6 +44,7 @@ _MODULES = {
     "Diverged": "machine.diverged",
     "ExternalWrench": "machine.external_wrench",
     "Fleet": "machine.fleet",
+    "FleetControl": "machine.fleet_control",
     "FleetFrame": "machine.fleet_frame",
     "FleetState": "machine.fleet",
     "JacobianController": "motion.jacobian",
@@ -56,6 +59,7 @@ _MODULES = {
     "Refusal": "base.refusal",
     "Scene": "machine.scene",
     "Servo": "servo.servo",
+    "ServoFleet": "runs.servo_fleet",
     "Session": "machine.session",
     "linearise": "analysis.linearised",
     "load_gains": "runs.gains",

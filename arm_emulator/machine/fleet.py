@@ -6,6 +6,7 @@ import os
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -347,15 +348,13 @@ class Fleet(Turns):
         places = out.measurement, out.truth
         follow, fleet, refused = self.core.arm_fleet_follow, self._fleet, []
 
-        def go(first: int, arms: int, begins: int, some: int) -> None:
+        def go(begins: int, some: int, first: int, arms: int) -> None:
             rows = NULL if links is None else pointer(links[begins:])
             if follow(fleet, first, arms, given, some, rows, *places) == REFUSED:
                 refused.append(first)
 
         for done, some in self._pieces(periods):
-            self._shares.do(
-                self._worth(some), lambda *share, at=done, n=some: go(*share, at, n)
-            )
+            self._shares.do(self._worth(some), partial(go, done, some))
             if refused:
                 arm = self.core.arm_fleet_refused(fleet)
                 machine = self.core.arm_fleet_machine(fleet, arm)
