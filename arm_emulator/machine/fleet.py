@@ -338,7 +338,7 @@ class Fleet(Turns):
             if not fits or links.dtype != np.float64 or not links.flags.carray:
                 rule = f"be a contiguous array {shape} of float64"
                 raise Refusal(where, "links", rule, getattr(links, "shape", links))
-        control.begin(self, periods)
+        control.begin(self.scene, self._count)
         given = FLEET.new(
             "arm_fleet_control",
             step=control.step,

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from arm_emulator.base.count import check_count
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET
-
-if TYPE_CHECKING:
-    from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.scene import Scene
 
 _LARGEST = 2**64 - 1  # address
 
@@ -40,8 +36,8 @@ class FleetControl:
         self.step: CData = FLEET.ffi.cast("arm_fleet_step_of_control", step)
         self.with_: CData = FLEET.ffi.cast("void *", with_)
 
-    def begin(self, fleet: Fleet, periods: int) -> None:
-        """Prepare for so many servo periods of a fleet.
+    def begin(self, scene: Scene, count: int) -> None:
+        """Prepare for a fleet of so many arms.
 
         Raises:
             Refusal: it cannot command this one. Nothing has changed then.

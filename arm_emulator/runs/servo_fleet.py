@@ -21,6 +21,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.chosen_arms import chosen_arms
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_control import FleetControl
+from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.drives import Drives
@@ -168,8 +169,8 @@ class ServoFleet(FleetControl):
         mask = chosen_arms("ServoFleet.reset", arms, self._count)
         _calls().servo_fleet_reset(self.struct, self._count, pointer(mask.view(np.uint8)))
 
-    def begin(self, fleet: Fleet, periods: int) -> None:
+    def begin(self, scene: Scene, count: int) -> None:
         """Refuse a fleet of another scene or count, see `FleetControl.begin`."""
-        if fleet.scene is not self._scene or len(fleet) != self._count:
+        if scene is not self._scene or count != self._count:
             rule = f"be {self._count} arms of the same scene"
-            raise Refusal("ServoFleet", "fleet", rule, repr(fleet))
+            raise Refusal("ServoFleet", "fleet", rule, f"{count} {scene.name}")
