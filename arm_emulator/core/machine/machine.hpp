@@ -474,7 +474,7 @@ class Machine {
   std::int64_t steps_taken_ = 0;
   std::int64_t edition_ = 0;
   bool stale_ = false;  // the scheme does not know the numbers of this edition yet
-  int fault_ = -1;  // the joint that went out of bounds
+  int fault_ = -1;      // the joint that went out of bounds
   Instant checked_ = {};
 };
 

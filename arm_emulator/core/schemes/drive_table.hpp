@@ -192,7 +192,7 @@ ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& driv
   struct Stage {
     X z[n], rhs;
   };
-  const auto eliminate = [&](const X (&r_z)[n], double r_q, const X& r_v) {
+  const auto eliminate = [&](const X(&r_z)[n], double r_q, const X& r_v) {
     Stage stage = {{}, r_v + s * drive.G[In::q] * r_q};
     for (int r = 0; r < K; ++r) {
       for (int c = 0; c < K; ++c) stage.z[r] += E[r][c] * (r_z[c] + s * drive.F[c][In::q] * r_q);
@@ -430,8 +430,7 @@ class DriveTables {
       const auto rest =
           drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.held());
       for (int k = 0; k < TheDrive::states; ++k) {
-        for (int r = 0; r < TheDrive::states; ++r)
-          end.z[k] += dz[k][In::rest + r][j] * rest.f[r];
+        for (int r = 0; r < TheDrive::states; ++r) end.z[k] += dz[k][In::rest + r][j] * rest.f[r];
         end.z[k] += dz[k][In::rest + K][j] * rest.g;
       }
     }
@@ -534,7 +533,7 @@ class DriveTables {
 
   // The tables of a group of joints.
   void copy(const DriveTable<K, M, R, typename arm::Row<N, X>::Vector>& table, int g) {
-    const auto put = [g](const auto& vector, Number (&numbers)[row]) {
+    const auto put = [g](const auto& vector, Number(&numbers)[row]) {
       for (int j = 0; j < Side::group; ++j) numbers[g * Side::group + j] = vector[j];
     };
     for (int input = 0; input < In::count; ++input) {

@@ -364,8 +364,7 @@ class LinearlyImplicit {
   }
 
   // From x to y in the modes that the tables serve.
-  void attempt(const State<S>& x, const double (&u)[row], Dynamics links, Inputs& in,
-               State<S>& y) {
+  void attempt(const State<S>& x, const double (&u)[row], Dynamics links, Inputs& in, State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -414,9 +413,8 @@ class LinearlyImplicit {
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         const auto& now = tables_.served(j);
-        const auto wanted = resized<Tables::M>(drive.wanted(input_of(drive, j, x, u[j]),
-                                                            input_of(drive, j, y, u[j]),
-                                                            resized<Drive::modes>(now)));
+        const auto wanted = resized<Tables::M>(drive.wanted(
+            input_of(drive, j, x, u[j]), input_of(drive, j, y, u[j]), resized<Drive::modes>(now)));
         if (wanted == now) return;
         hold = false;
         tables_.serve(j, wanted);

@@ -72,8 +72,7 @@ class SmoothTogether {
 
   // A step together. Where it was smooth.
   template <class Exchange>
-  ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics& links,
-                          Exchange& exchange) {
+  ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
     State<S, X> drives_end = x;
     method_.step(x, u, links, exchange);
     if constexpr (requires { Method::holds_links; })
@@ -111,8 +110,7 @@ class SmoothTogether {
     torques(y, u, links, rhs);
     coulomb_.take(y, y, u, usual_modes);
     coulomb_.hold_in(modes, links.M.at, rhs);
-    for (int j = 0; j < N; ++j)
-      hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
+    for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
     return hold;
   }
 
@@ -142,13 +140,12 @@ class SmoothTogether {
 
   void follow(State<S, X>& x, const X* u) const {
     for (int lane = 0; lane < width; ++lane)
-      n_.for_each_drive_of(
-          lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
-            if (!drive.follows_at_once()) return;
-            auto at = input_in_lane(drive, j, x, u[j], lane);
-            drive.follow(at);
-            put_states(drive, j, lane, at, x);
-          });
+      n_.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
+        if (!drive.follows_at_once()) return;
+        auto at = input_in_lane(drive, j, x, u[j], lane);
+        drive.follow(at);
+        put_states(drive, j, lane, at, x);
+      });
   }
 
   // Take the step of one lane from `start` by its machine.
