@@ -24,7 +24,7 @@ BRAKED: dict[str, Any] = {
 LOCATED: dict[str, Any] = {
     **BRAKED,
     "integrator.events": "located",
-    "joints.*.friction.coulomb": 2.0,
+    "joints.*.friction.coulomb": 0.05,
     "joints.*.motor.current_limit": 4.0,
 }
 SCENES = {"located": LOCATED, "sensed": SENSED, "braked": BRAKED}
