@@ -318,14 +318,14 @@ struct Drive {
   template <class X>
   ARM_INLINE constexpr Mask<X> is_usual(const Input<X>& x) const {
     Mask<X> usual = X{} == X{};
-    if constexpr (!may_be_usual) return where(false, usual);
-    if constexpr (driven && Motor::modes > 0) usual &= motor.is_usual(x.z, x.u, felt_speed(x));
+    if constexpr (may_be_usual && driven && Motor::modes > 0)
+      usual &= motor.is_usual(x.z, x.u, felt_speed(x));
     for_each_extra(
         [&]<class Extra>(const Extra& extra, auto state, auto) __attribute__((always_inline)) {
-          if constexpr (Extra::modes > 0)
+          if constexpr (may_be_usual && Extra::modes > 0)
             usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
         });
-    return where(is_rotor_usual(), usual);
+    return where(is_ever_usual(), usual);
   }
   // Whether there is any such x.
   constexpr bool is_ever_usual() const { return may_be_usual && is_rotor_usual(); }
