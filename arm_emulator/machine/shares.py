@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 SHARES_OF_WORKER = 4
-WORTH_A_THREAD = 5000  # steps of arms in one call; fewer take no longer than it takes to share them
+WORTH_A_THREAD = 5000  # steps of arms in one call, before anything is measured
+LARGEST = 20  # bits: larger work goes as that
+TRIED_AGAIN = 100  # calls after which the slower way is tried once more: machines change
+REMEMBERED = 0.8  # share of what was measured before that counts beside the newest
 
 
 class Shares:
     """Threads that share the work on arms, in whole groups of lanes.
+
+    Whether sharing pays depends on the work and on what else the machine does, so it is measured:
+    work of about the same size goes the quicker way.
 
     Attributes:
         workers: threads.
@@ -32,6 +39,8 @@ class Shares:
         self._shares = [
             (first, min(end, count) - first) for first, end in itertools.pairwise(bounds)
         ]
+        self._taken: dict[tuple[int, bool], float] = {}  # s of a unit of work, by size and way
+        self._calls: dict[int, int] = {}
         self.hire()
 
     def hire(self) -> None:
@@ -50,7 +59,24 @@ class Shares:
             worth: steps of arms that it takes.
             work: may be called by several threads at a time.
         """
-        if self._pool and worth > WORTH_A_THREAD:
+        if self._pool is None or not worth:
+            work(0, self._count)
+            return
+        size = min(worth.bit_length(), LARGEST)
+        shared = self._goes_shared(size, worth)
+        began = time.perf_counter()
+        if shared:
             list(self._pool.map(lambda share: work(*share), self._shares))
         else:
             work(0, self._count)
+        taken = (time.perf_counter() - began) / worth
+        before = self._taken.get((size, shared), taken)
+        self._taken[size, shared] = min(taken, REMEMBERED * before + (1.0 - REMEMBERED) * taken)
+
+    def _goes_shared(self, size: int, worth: int) -> bool:
+        calls = self._calls[size] = self._calls.get(size, 0) + 1
+        alone, shared = (self._taken.get((size, way)) for way in (False, True))
+        if alone is None or shared is None:
+            return worth > WORTH_A_THREAD if alone is shared else shared is None
+        quicker = shared < alone
+        return not quicker if calls % TRIED_AGAIN == 0 else quicker
