@@ -23,10 +23,10 @@ from rich.console import Console
 from rich.table import Table
 
 from arm_emulator.build.library_cache import CACHE_VARIABLE
-from arm_emulator.machine.scene import SCHEMES
+from arm_emulator.machine.scene import LOCATING_SCHEMES, SCHEMES
 from bench.measure import progress
 from bench.pictures import COLOURS, new_figure, save
-from oracles.random_machines import FALLS, LOCATED, Verdict, judge
+from oracles.random_machines import FALLS, Verdict, judge
 
 
 def table(verdicts: list[Verdict]) -> Table:
@@ -83,7 +83,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/random_machines"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    schemes = tuple(arguments.scheme or LOCATED)
+    schemes = tuple(arguments.scheme or LOCATING_SCHEMES)
     seeds = range(arguments.seed, arguments.seed + arguments.count)
     verdicts: list[Verdict] = []
     failed: list[str] = []  # that could not be judged

@@ -29,10 +29,9 @@ from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene import LOCATING_SCHEMES, Scene, load_scene
 
 SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")
-LOCATING = ("rosenbrock", "extrapolated")
 STEPS = 40  # of the scene's length, which a machine must survive
 INSTANT, PARTS = 1e-7, 10  # s and steps, in which no gear is wound up
 REACH = 1.5  # rad, of random poses
@@ -202,5 +201,5 @@ def cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[Case]:
         for place in PLACES
         for law in LAWS
         for scheme in schemes
-        for events in (("step", "located") if scheme in LOCATING else ("step",))
+        for events in (("step", "located") if scheme in LOCATING_SCHEMES else ("step",))
     ]

@@ -23,16 +23,14 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from arm_emulator.analysis.advice import ORDERS
 from arm_emulator.analysis.reference import ReferenceMachine
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene import LOCATING_SCHEMES, ORDERS, Scene, load_scene
 from oracles.event_reference import reference_with_events
 from oracles.random_chain import random_chain_urdf
 
-LOCATED = ("rosenbrock", "extrapolated")  # the others take events at the ends of steps
 PERIOD, ROWS = 0.02, 6  # s, that each voltage is held, and how many of them
 STEP_OF_RATE = 0.1  # the coarse step times the machine's fastest rate
 MICROSECOND = 1e-6  # s
@@ -147,7 +145,7 @@ def _stiffen(rng: np.random.Generator, gear: dict[str, float]) -> None:
         gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
 
 
-def judge(seed: int, schemes: tuple[str, ...] = LOCATED) -> list[Verdict]:
+def judge(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[Verdict]:
     """Hold one machine against the claims."""
     with tempfile.TemporaryDirectory() as folder:
         file, voltages = machine(Path(folder), seed)
@@ -190,7 +188,7 @@ def _judge(
 
 
 def _with(file: Path, scheme: str, dt: float) -> Scene:
-    events = "located" if scheme in LOCATED else "step"
+    events = "located" if scheme in LOCATING_SCHEMES else "step"
     integrator = {"scheme": scheme, "dt": dt, "events": events}
     return load_scene(file, {"integrator": integrator})
 

@@ -11,11 +11,10 @@ from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from arm_emulator.analysis.advice import ORDERS
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import SCHEMES, load_scene
+from arm_emulator.machine.scene import ORDERS, SCHEMES, load_scene
 
 PERIOD = 1e-2  # s, over which a voltage is held
 RATIO = 0.02  # of the rotor's gear

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from draws import some
 
-from arm_emulator.analysis.advice import ORDERS
-from oracles.random_machines import LOCATED, judge
+from arm_emulator.machine.scene import LOCATING_SCHEMES, ORDERS
+from oracles.random_machines import judge
 
 
 # 10 and 31 have progressive gears, limits and dry friction; the current of 138 touches its limit,
@@ -14,7 +14,7 @@ from oracles.random_machines import LOCATED, judge
 @pytest.mark.parametrize("seed", some([470, 138, 10, 381, 1, 0, 31, 2, 3, 4], 1))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
-    (verdict,) = judge(seed, (LOCATED[seed % 2],))
+    (verdict,) = judge(seed, (LOCATING_SCHEMES[seed % 2],))
     assert verdict.in_order, f"the error does not fall as h squared: {verdict}"
     assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"
     # In steps of 1 us. Transients of a rate r are off by a part of (h r)^2, and drawn are rates of

@@ -29,9 +29,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import EVENTS, SCHEMES, Scene, odds
+from arm_emulator.machine.scene import EVENTS, ORDERS, SCHEMES, Scene, odds
 
-ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
 SHARE = 0.05  # of the requested error, permitted in the truth
 LOOK = 4  # steps per servo period at which events are looked for

@@ -19,13 +19,12 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import SCHEMES, Integrator, Scene
+from arm_emulator.machine.scene import LOCATING_SCHEMES, SCHEMES, Integrator, Scene
 
 GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.
 HARMLESS = 0.1
 SMALLEST_STEP = 1e-8  # s; no step below is looked at
-LOCATING = ("rosenbrock", "extrapolated")  # that can locate events
 SLOW = 0.01  # rad or m per step; with less, speed is no reason
 LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six joints
 
@@ -328,7 +327,7 @@ def _attempts_with(scheme: str, fault: Diverged, motions: SmallMotions | None) -
 
 
 def _attempt(scheme: str, dt: float, fault: Diverged, duration: float) -> Attempt:
-    events = fault.scene.integrator.events if scheme in LOCATING else "step"
+    events = fault.scene.integrator.events if scheme in LOCATING_SCHEMES else "step"
     integrator = dataclasses.replace(fault.scene.integrator, scheme=scheme, dt=dt, events=events)
     plant = Plant(dataclasses.replace(fault.scene, integrator=integrator, threads=1))
     reached = math.inf

@@ -50,11 +50,13 @@ from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from arm_emulator.machine.varied import Varied, choose_varied
 from arm_emulator.machine.varied_body import varied_body
 
-SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
+# Of the error between events; the first scheme is the default.
+ORDERS = {"rosenbrock": 2, "extrapolated": 2, "implicit": 1, "paper": 1}
+SCHEMES = tuple(ORDERS)
 EXCHANGES = ("predict", "lag")
 DEEPEST_EXCHANGE = 4
 EVENTS = ("step", "located")
-LOCATING_SCHEMES = ("rosenbrock", "extrapolated")  # whose order 2 is worth to locate events
+LOCATING_SCHEMES = tuple(scheme for scheme, order in ORDERS.items() if order > 1)
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
 _GRAVITY = Number.within("gravity", "m/s2", 1000.0)
