@@ -28,11 +28,13 @@ from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_
 from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
-from arm_emulator.machine.chain import LARGEST_MASS, Array, moved_bodies
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.known import MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.urdf_chain import moved_bodies
+from arm_emulator.machine.urdf_tree import LARGEST_MASS
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 

@@ -25,7 +25,7 @@ from arm_emulator.base.shafts import shaft_limits
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
-from arm_emulator.machine.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
+from arm_emulator.machine.chain import Array, Body, Chain
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
@@ -47,6 +47,8 @@ from arm_emulator.machine.parts.motor import Motor, ServoData
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.urdf_chain import lock_joints, read_chain
+from arm_emulator.machine.urdf_tree import check_inertia
 from arm_emulator.machine.varied import Varied, choose_varied
 from arm_emulator.machine.varied_body import varied_body
 

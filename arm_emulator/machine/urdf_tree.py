@@ -1,0 +1,227 @@
+"""Joints and bodies of a URDF, with their frames: its tree as it stands in the XML.
+
+Numbers are collected first, then turned into frames and bodies all at once.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+
+import numpy as np
+
+from arm_emulator.base.quick_dataclass import dataclass
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import EYE, X_AXIS, Array, Bodies, Frame, clean, turns
+
+MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+FREE_KINDS = ("floating", "planar")  # no joints of an arm, but they may be locked at 0
+# Beyond these a number in a URDF is a slip, and what is computed from it may overflow.
+LARGEST_MASS = 1e9  # kg
+LARGEST_LENGTH = 1e6  # m
+LARGEST_INERTIA = 1e15  # kg m2
+LARGEST_ANGLE = 1e6  # rad
+_TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_FULL_TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of the entries above
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint of any kind: its frame in the parent link's, its axis in its own."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    placement: Frame
+    axis: Array
+
+
+def names_of(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
+    """Return the names of the robot's links or joints, with their places."""
+    names: dict[str, int] = {}
+    for place, element in enumerate(robot.findall(tag)):
+        name = element.get("name") or ""
+        if not name or name in names:
+            raise Refusal(where, f"{tag} name", "be given and unique", repr(name))
+        if not name.isprintable():
+            raise Refusal(where, f"{tag} name", "have printable letters only", repr(name))
+        names[name] = place
+    return names
+
+
+def read_joints(robot: ET.Element, links: Mapping[str, int], where: str) -> list[UrdfJoint]:
+    """Return the joints of a robot, in their order."""
+    names_of(robot, "joint", where)
+    joints = parsed_joints(robot.findall("joint"), where)
+    for joint in joints:
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                rule = "be a link of the URDF"
+                raise Refusal(where, f"joint {joint.name}: {role}", rule, repr(link))
+    return joints
+
+
+def parsed_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
+    """Return what elements <joint> declare."""
+    whats = [f"joint {element.get('name')}" for element in elements]
+    placements = _frames([e.find("origin") for e in elements], whats, "origin", where)
+    joints = []
+    for element, what, placement in zip(elements, whats, placements, strict=True):
+        kind = element.get("type") or ""
+        if kind not in ("fixed", *MOVING_KINDS, *FREE_KINDS):
+            raise Refusal(
+                where, f"{what}: type", "be one the emulator knows", kind or "nothing",
+                "revolute, continuous, prismatic, fixed",
+            )  # fmt: skip
+        axis = X_AXIS if kind == "fixed" else _axis(element.find("axis"), f"{what}: axis", where)
+        parent, child = element.find("parent"), element.find("child")
+        joints.append(
+            UrdfJoint(
+                name=element.get("name") or "",
+                kind=kind,
+                parent="" if parent is None else parent.get("link") or "",
+                child="" if child is None else child.get("link") or "",
+                placement=placement,
+                axis=axis,
+            )
+        )
+    return joints
+
+
+def _axis(element: ET.Element | None, what: str, where: str) -> Array:
+    if element is None:
+        return X_AXIS
+    axis = np.array(_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
+    _check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
+    length = float(np.linalg.norm(axis))
+    if length < 1e-6:
+        raise Refusal(where, what, "have a direction", tuple(map(float, axis)))
+    return axis / length
+
+
+def read_bodies(robot: ET.Element, where: str) -> Bodies:
+    """Return the bodies of all links, in their order; without an inertial a link has none."""
+    links = robot.findall("link")
+    rows, whats, origins, places = [], [], [], []
+    for place, link in enumerate(links):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        what = f"link {link.get('name')}"
+        mass, tensor = inertial.find("mass"), inertial.find("inertia")
+        if mass is None or tensor is None:
+            raise Refusal(where, f"{what}: inertial", "hold <mass> and <inertia>", "only a part")
+        texts = [mass.get("value"), *map(tensor.get, _TENSOR)]
+        try:
+            rows.append([float(text) for text in texts])  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            for key, text in zip(("mass", *_TENSOR), texts, strict=True):
+                _numbers(text, 1, f"{what}: {key}", where)
+        whats.append(what)
+        origins.append(inertial.find("origin"))
+        places.append(place)
+    values = np.array(rows).reshape(-1, 7)
+    _check_size(values[:, :1], LARGEST_MASS, whats, "mass", where)
+    _check_size(values[:, 1:], LARGEST_INERTIA, whats, "inertia", where)
+    for place in np.flatnonzero(values[:, 0] < 0.0).tolist():
+        raise Refusal(where, f"{whats[place]}: mass", "be >= 0 kg", float(values[place, 0]))
+    frames = _frames(origins, whats, "inertial origin", where)
+    everywhere = Bodies(
+        np.zeros(len(links)), np.zeros((len(links), 3)), np.zeros((len(links), 3, 3))
+    )
+    if not places:
+        return everywhere
+    R = np.array([frame.R for frame in frames])
+    inertia = R @ values[:, 1:][:, _FULL_TENSOR] @ R.transpose(0, 2, 1)
+    bodies = Bodies.from_center(values[:, 0], np.array([frame.p for frame in frames]), inertia)
+    everywhere.mass[places] = bodies.mass
+    everywhere.moment[places] = bodies.moment
+    everywhere.inertia[places] = bodies.inertia
+    return everywhere
+
+
+def check_inertia(inertia: Array, what: str, where: str) -> None:
+    """Refuse a tensor (3, 3) [kg m2] about the centre of mass that is not positive definite."""
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] <= 1e-12 * moments[2]:
+        shown = ", ".join(f"{moment:.3g}" for moment in moments)
+        raise Refusal(
+            where, what, "be positive definite, principal moments > 0 kg m2", f"({shown})"
+        )
+
+
+def _frames(
+    origins: list[ET.Element | None], whats: list[str], name: str, where: str
+) -> list[Frame]:
+    """Return the frames of elements <origin>."""
+    rows, no_turn = [], (0.0,) * 6
+    for origin, what in zip(origins, whats, strict=True):
+        if origin is None:
+            rows.append(no_turn)
+            continue
+        xyz, rpy = origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0")
+        words = [*xyz.split(), *rpy.split()]
+        try:
+            x, y, z, roll, pitch, yaw = map(float, words)
+        except ValueError:
+            words = []
+        if len(words) != 6 or len(xyz.split()) != 3:  # name the one at fault
+            _numbers(xyz, 3, f"{what}: {name} xyz", where)
+            _numbers(rpy, 3, f"{what}: {name} rpy", where)
+        rows.append((x, y, z, roll, pitch, yaw))
+    values = np.array(rows).reshape(-1, 6)
+    _check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
+    _check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
+    R = clean(
+        turns(2, values[:, 5].tolist())
+        @ turns(1, values[:, 4].tolist())
+        @ turns(0, values[:, 3].tolist())
+    )
+    turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
+    p = values[:, :3].copy()
+    return [Frame(R[k] if turned[k] else EYE, p[k]) for k in range(len(rows))]
+
+
+def _numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
+    words = (text or "").split() if count > 1 else [text or ""]
+    if len(words) != count:
+        raise Refusal(where, what, "be three numbers", repr(text))
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise Refusal(where, what, "be a number", repr(text)) from None
+
+
+def _check_size(values: Array, largest: float, whats: list[str], name: str, where: str) -> None:
+    """Refuse rows (K, ...) of which an entry is not finite or too large."""
+    for row, column in np.argwhere(~(np.abs(values) <= largest)).tolist():
+        value = float(values[row, column])
+        rule = f"be from {-largest:g} to {largest:g}" if math.isfinite(value) else "be finite"
+        raise Refusal(where, f"{whats[row]}: {name}", rule, value)
+
+
+def root_of(links: Mapping[str, int], joints: list[UrdfJoint], where: str) -> str:
+    """Return the only link that no joint moves."""
+    parents: dict[str, str] = {}
+    for joint in joints:
+        if joint.child in parents:
+            raise Refusal(
+                where,
+                f"link {joint.child}",
+                "hang on one joint (closed loops need another simulator)",
+                f"joints {parents[joint.child]} and {joint.name}",
+            )
+        parents[joint.child] = joint.name
+    roots = [name for name in links if name not in parents]
+    if len(roots) != 1:
+        rule = "have one base link that no joint moves"
+        got = ", ".join(roots) if roots else "none (a loop)"
+        raise Refusal(where, "robot", rule, got)
+    return roots[0]
+
+
+def names(joints: list[UrdfJoint]) -> str:
+    """Return the names of joints, for a refusal."""
+    return ", ".join(joint.name for joint in joints)
