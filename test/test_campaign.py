@@ -293,6 +293,11 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
         ("measures/z", "median(q.elbow)", "rms(...)"),
         ("stop", {"widht": 0.1}, "key stop.widht must be known"),
         ("controller", {"joints": {"elbow": {"gain": 1}}}, "velocity_gain"),
+        (
+            "controller",
+            {"joints": {"elbow": {"observer_bandwidth": 1e6}}},
+            "observer_bandwidth must",
+        ),
         ("controller", {"servo": "nowhere.yaml"}, "a file beside the campaign's"),
     ],
 )

@@ -34,7 +34,7 @@ from arm_emulator.campaign.variation import (
 from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.runs.gains import check_fit
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig, check_rates, load_servo_config
 from arm_emulator.version import VERSION
 
 COUNT = Number("count", at_least=1, at_most=10**12, whole=True, text="runs at most")
@@ -314,6 +314,7 @@ def _with_gain(servo: ServoConfig, name: str, value: object, where: str) -> Serv
     if key not in numbers:
         raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
     changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
+    check_rates(changed, servo.period, f"{where}: controller")
     return replace(servo, joints=tuple(changed if one is of_joint else one for one in servo.joints))
 
 

@@ -65,12 +65,12 @@ class Simulator:
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
+        self._judges = Judges(campaign)  # first: what it refuses needs no compiler
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()
-        self._judges = Judges(campaign)
         self._sampler = Sampler(self.session.plant, self._judges.signals)
 
     def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:

@@ -193,7 +193,7 @@ class ServoConfig:
         _check_periods(scalars, where)
         joints = tuple(_joint(name, tables[name], where) for name in names)
         for joint in joints:
-            _check_rates(joint, scalars["period"], where)
+            check_rates(joint, scalars["period"], where)
         return cls(**scalars, joints=joints)
 
 
@@ -301,7 +301,7 @@ def _check_periods(scalars: Mapping[str, float], where: str) -> None:
         raise Refusal(where, "cut_after", rule, scalars["cut_after"])
 
 
-def _check_rates(joint: JointServo, period: float, where: str) -> None:
+def check_rates(joint: JointServo, period: float, where: str) -> None:
     """Refuse what a law that is computed once per period cannot do."""
     path = f"joints.{joint.name}"
     if joint.torque_bandwidth > 0.0:
