@@ -155,6 +155,11 @@ def write_skewed_mixture(folder: Path, seed: int) -> tuple[Path, Path]:
     return files[0], files[1]
 
 
+# Numbers of a winding that drives are set up for.
+OF_DC = "resistance", "inductance", "back_emf_constant"
+OF_PMSM = "inductance_d", "inductance_q", "flux"
+
+
 def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dict[str, float]:
     """Other values of all that is varied; of the links those of another scene.
 
@@ -166,7 +171,7 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
         f"joints.{joint.name}.motor.{key}"
         for joint in scene.joints
         if any(isinstance(part, CurrentLoop) for part in joint.parts)
-        for key in ("resistance", "inductance", "back_emf_constant")
+        for key in (*OF_DC, *OF_PMSM)
     }
     return {
         one.name: links[one.name]
