@@ -35,7 +35,7 @@ class ReachEnv(vector.VectorEnv):
             start, self.target[arms] = scene.start + draw(-0.5, 0.5, (2, many, 3))
             own = {v.name: v.value * draw(*self.spread, many) for v in scene.varied}
             self.fleet.reset(arms, q=start, varied=own)
-            self.frame = self.fleet.step(np.zeros(3), 0)
+            self.frame = self.fleet.step(np.zeros(3), 0, out=vars(self).get("frame"))
         self.fallen, self.over = self.frame.faults >= 0, self.frame.t > self.seconds - 1e-9
         q = (self.frame.measured.encoder_counts + 0.5) * self.fleet.link_angle_per_count
         return np.concatenate([q, self.target], axis=1, dtype=np.float32)
