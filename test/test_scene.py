@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.machine.urdf_chain import read_chain
 
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
 SCENE = (CONFIG / "three_axis.yaml").read_text()
@@ -253,3 +255,27 @@ def test_periods_that_are_no_whole_nanoseconds_are_refused(period: float) -> Non
     overrides = {"servo_period": period, "integrator.dt": period}
     with pytest.raises(Refusal, match="servo_period must be a whole number of nanoseconds"):
         load_scene("three_axis", overrides=overrides)
+
+
+TREE = """<robot name="tree"><link name="base"/><link name="a"/><link name="b"/><link name="f"/>
+<link name="g"/>
+<joint name="ja" type="revolute"><parent link="base"/><child link="a"/></joint>
+<joint name="jb" type="revolute"><parent link="a"/><child link="b"/></joint>
+<joint name="jf" type="prismatic"><parent link="a"/><child link="f"/></joint>
+<joint name="jg" type="prismatic"><parent link="a"/><child link="g"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(("tool", "held"), [("b", "jf jg"), ("f", "jb jg"), ("g", "jb jf")])
+def test_a_tree_is_refused_with_all_that_must_be_locked(tool: str, held: str) -> None:
+    """Locked as the refusal states, the way to the tool is left."""
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    robot = ET.fromstring(TREE)
+    for link in robot.findall("link"):
+        link.append(ET.fromstring(body))
+    with pytest.raises(Refusal, match="must follow the chain") as refusal:
+        read_chain(robot, "tree.urdf", "tree.yaml", locked={}, tool=tool)
+    shown = ", ".join(f"{name}: 0.0" for name in held.split())
+    assert f"locked: {{{shown}}} leaves the way to {tool}" in str(refusal.value)
+    locked = dict.fromkeys(held.split(), 0.0)
+    chain = read_chain(robot, "tree.urdf", "tree.yaml", locked=locked, tool=tool)
+    assert chain.joints[-1].link == tool

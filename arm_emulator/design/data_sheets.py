@@ -92,7 +92,7 @@ XM540_W270 = Servo(
 )
 
 _UR = "https://www.universal-robots.com/articles/ur-articles/max-joint-torques"
-_FRANKA = "https://frankarobotics.github.io/docs/control_parameters.html"
+_FRANKA = "https://frankarobotics.github.io/docs/robot_specifications.html"
 
 
 def _servos(names: str, *servos: Servo) -> _Arm:

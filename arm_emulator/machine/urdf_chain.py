@@ -135,7 +135,7 @@ def _with_bodies(
         _check_kind(joint, locked, where)
     if tool not in links:
         raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
-    moving = _moving_joints(root_of(links, joints, where), links, joints, locked, where)
+    moving = _moving_joints(root_of(links, joints, where), links, joints, locked, where, tool)
     bodies = read_bodies(robot, where)
     for one in moving:
         one.body = (
@@ -201,6 +201,7 @@ def _moving_joints(
     joints: list[UrdfJoint],
     locked: Mapping[str, float],
     where: str,
+    tool: str,
 ) -> list[_Moving]:
     below: dict[str, list[UrdfJoint]] = {}
     for joint in joints:
@@ -220,12 +221,13 @@ def _moving_joints(
                 branch.append((joint.child, at, carrier))
                 continue
             if carrier != len(moving) - 1:
+                held = ", ".join(f"{name}: 0.0" for name in _off_the_way(joints, locked, tool))
                 raise Refusal(
                     where,
                     f"joint {joint.name}",
                     "follow the chain (the emulator moves serial arms)",
                     f"a branch beside joint {moving[carrier + 1].joint.name}",
-                    "lock one of the branches in the scene",
+                    f"locked: {{{held}}} leaves the way to {tool}, as in `new --tool`",
                 )
             moving.append(_Moving(joint, frame @ joint.placement, [joint.child], [Frame()], Body()))
             branch.append((joint.child, Frame(), len(moving) - 1))
@@ -238,6 +240,17 @@ def _moving_joints(
         rule = f"have at most {MOST_JOINTS} moving joints that are not locked"
         raise Refusal(where, "robot", rule, len(moving))
     return moving
+
+
+def _off_the_way(joints: list[UrdfJoint], locked: Mapping[str, float], tool: str) -> list[str]:
+    """Return the joints that move and are not between the base and the tool."""
+    above = {joint.child: joint for joint in joints}
+    link, way = tool, set[str]()
+    while link in above and above[link].name not in way:
+        way.add(above[link].name)
+        link = above[link].parent
+    names = [joint.name for joint in joints if joint.kind != "fixed"]
+    return [name for name in names if name not in way and name not in locked]
 
 
 def _moved(joint: UrdfJoint, position: float) -> Frame:
