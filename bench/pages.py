@@ -111,6 +111,12 @@ def _tool_paths(scratch: Path) -> Path:
     return tool_paths.draw(scratch)
 
 
+def _kinds_of_moves(scratch: Path) -> Path:
+    from bench import kinds_of_moves
+
+    return kinds_of_moves.draw(scratch)
+
+
 def _campaign(scratch: Path) -> Path:
     words = ["campaign", "examples/campaign.yaml", "--into", str(scratch)]
     subprocess.run([sys.executable, "-m", "arm_emulator", *words], check=True, cwd=ROOT)
@@ -124,6 +130,7 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "feedforward.png": _feedforward,
     "fig4.png": _fig4,
     "kuka_kr300_run_B.png": _kuka,
+    "kinds_of_moves.png": _kinds_of_moves,
     "manutec_r3.png": _manutec,
     "tool_paths.png": _tool_paths,
     "tune_ur5.png": _tune,

@@ -42,6 +42,8 @@ RECEIVER = {
     "joint_targets": "servo",
     "motor_states": "servo",
     "tool_target": "motion_controller",
+    "tool_path": "motion_controller",
+    "motion_controller/delta_joint_cmds": "motion_controller",
     "joint_states": "motion_controller",
 }
 

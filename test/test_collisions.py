@@ -200,6 +200,20 @@ def test_a_move_that_would_collide_is_refused_before_it_begins(seed: int) -> Non
         assert last.state is State.REFUSED
 
 
+def test_parts_that_touch_already_do_not_hide_others() -> None:
+    """The ball in the middle is within the floor from the beginning; the outer one is not."""
+    config = MotionConfig(tool="tool", obstacles=(Obstacle("floor", 0.85),))
+    kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
+    guard = CollisionGuard(kinematics, config)
+    begin = np.array([0.2, -0.8])  # 1 - 0.5 sin(0.2) - 0.1 < 0.85
+    assert guard.collisions.first(begin) == "first and floor"
+    found = guard.along(lambda t: begin + np.array([0.0, 0.5 * t]), 4.0)
+    assert found is not None and found[1] == "second and floor"
+    # The outer ball: 1 - sin(0.2) - sin(0.2 + b) - 0.05 = 0.86.
+    touch = math.asin(0.09 - math.sin(0.2)) - 0.2 + 0.8
+    assert found[0] == pytest.approx(touch / 0.5, abs=0.06)
+
+
 def test_after_a_refusal_the_arm_takes_other_targets() -> None:
     """The arm rests where it was, and leaves along a free way."""
     arm = Arm()

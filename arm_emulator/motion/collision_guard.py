@@ -58,7 +58,7 @@ class CollisionGuard:
         if len(way) == 1 and self._rested is not None and np.array_equal(way[0], self._rested):
             return ""
         for q in way[::-1]:
-            if (touching := self.collisions.first(q)) and self._nearer(q, now):
+            if touching := self.collisions.fresh(q, now, _ROUNDING):
                 return touching
         self._rested = way[0] if len(way) == 1 else None
         return ""
@@ -70,9 +70,8 @@ class CollisionGuard:
             at: angles (N,) at a time since its begin [s].
             duration: of the way [s].
         """
-        if self.collisions.first(at(0.0)):
-            return None  # it may lead away
         time, q = 0.0, at(0.0)
+        begin = q  # parts that touch there may be led away: `ahead` watches them
         step = max(duration / 20.0, 1e-6)
         for _ in range(_MOST):
             if time >= duration:
@@ -83,7 +82,7 @@ class CollisionGuard:
             if parts > 1.0 and step > 1e-4:
                 step *= 0.5
                 continue
-            if touching := self.collisions.first(coming):
+            if touching := self.collisions.fresh(coming, begin, math.inf):
                 return ahead, touching
             time, q = ahead, coming
             step *= 1.5 if parts < 0.5 else 1.0
@@ -110,11 +109,6 @@ class CollisionGuard:
         part = time / duration if duration > 0.0 else 1.0
         got = f"{touching} would touch at {part:.0%} of it, the tool at {place} m"
         raise WouldTouch(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
-
-    def _nearer(self, q: FloatArray, now: FloatArray) -> bool:
-        """Whether parts are nearer to each other at q than now, or do not touch now."""
-        tested = self.collisions
-        return not tested.first(now) or tested.nearest(q) < tested.nearest(now) - _ROUNDING
 
     def _step(self, way: FloatArray) -> int:
         """Return in how many pieces a way of the joints (N,) is tested."""

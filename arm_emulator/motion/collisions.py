@@ -6,6 +6,7 @@ parts count as touching when they are nearer than a margin.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -97,10 +98,32 @@ class Collisions:
             return ""
         return self._name(self._touching()[0])
 
+    def fresh(self, q: FloatArray, now: FloatArray, nearer: float) -> str:
+        """Return which two parts touch at q and not at `now`, or have come nearer; empty: none.
+
+        Args:
+            q: where the joints would be (N,).
+            now: where they are (N,).
+            nearer: distance that parts which touch already may lose [m].
+        """
+        if not self.first(q):
+            return ""
+        touched, touching = self._all(now), self._all(q)
+        for k in np.flatnonzero(touching & ~touched):
+            return self._name(int(k))
+        both = np.flatnonzero(touching & touched)
+        if math.isinf(nearer) or not len(both):
+            return ""
+        lost = self._distances(now)[both] - self._distances(q)[both]
+        return self._name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
+
     def nearest(self, q: FloatArray) -> float:
         """Return the distance of the two nearest parts at q (N,) [m]; < 0: they overlap."""
+        return float(self._distances(q).min())
+
+    def _distances(self, q: FloatArray) -> FloatArray:
         pin.computeDistances(self._model, self._data, self._shapes, self._tested, self._whole(q))
-        return float(min(one.min_distance for one in self._tested.distanceResults))
+        return np.array([one.min_distance for one in self._tested.distanceResults])
 
     def _whole(self, q: FloatArray) -> FloatArray:
         step = np.zeros(self._model.nv)
