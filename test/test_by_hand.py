@@ -142,6 +142,8 @@ def varied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     numbers = ["joints.*.motor.resistance", "joints.*.gear.stiffness"]
     sensors = {"missed": "waist.encoder", "offset": "elbow.current_sensor"}
     scene["varied"] = numbers + [f"joints.{place}.{key}" for key, place in sensors.items()]
+    faults = "waist.encoder_misses_edges", "elbow.gear_breaks", "elbow.current_sensor_gain"
+    scene["faults"] = list(faults)
     scene["imus"] = {"hand": {"link": "forearm", "gyroscope": {"noise": 1e-3}}}
     (folder / "three_axis.yaml").write_text(yaml.safe_dump(scene))
     return folder / "three_axis.yaml"

@@ -230,7 +230,7 @@ KEYS = {
 
 def test_json_is_taken_by_every_command_that_programs_read() -> None:
     wanted = set(
-        "advise cache campaign check-bag check-scene doctor identify move run status tune "
+        "advise cache campaign check-bag check-scene doctor faults identify move run status tune "
         "validate".split()
     )
     taken = {one.name for one in commands() if "json" in inspect.signature(one.function).parameters}

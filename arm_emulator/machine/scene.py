@@ -26,6 +26,7 @@ from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array, Body, Chain
+from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
@@ -45,11 +46,11 @@ from arm_emulator.machine.parts.known import (
 )
 from arm_emulator.machine.parts.motor import Motor, ServoData
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.parts.sensors import SENSORS, JointSensors
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from arm_emulator.machine.urdf_chain import lock_joints, read_chain
 from arm_emulator.machine.urdf_tree import check_inertia
-from arm_emulator.machine.varied import Varied, choose_varied
+from arm_emulator.machine.varied import Varied, choose
 from arm_emulator.machine.varied_body import varied_body
 
 # Of the error between events; the first scheme is the default.
@@ -216,6 +217,8 @@ class Scene:
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
     varied: tuple[Varied, ...]  # numbers that every machine has for itself
     load: Load | None  # the payload, where its mass is varied
+    faults: tuple[SceneFault, ...] = ()  # whose magnitudes are the last of the varied numbers
+    possible_faults: tuple[SceneFault, ...] = ()  # that it could list, where it lists any
     imus: tuple[Imu, ...]
     # Of the noise of sensors.
     seed: int = number(at_least=0, at_most=LARGEST_SEED, whole=True, default=0)
@@ -227,7 +230,9 @@ class Scene:
     @property
     def sensed(self) -> bool:
         """Whether there are sensors that do not report what is there as it is."""
-        return bool(self.imus) or not all(joint.sensors.plain for joint in self.joints)
+        sensors = {one.section for one in SENSORS}
+        spoiled = any(not sensors.isdisjoint(one.kind.sections) for one in self.faults)
+        return bool(self.imus) or spoiled or not all(joint.sensors.plain for joint in self.joints)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -377,17 +382,27 @@ def _build(root: Section, file: Path) -> Scene:
         seed = replace(numbers_of(Scene)["seed"], whole=False)  # one is as good as another
         possible.append(Varied(seed, numbers["seed"]))
     by_name = {one.name: one for one in possible}
-    varied = choose_varied(root.entries("varied"), by_name, where)
+    rule = "name numbers of this scene that can be varied"
+    varied = choose(root.entries("varied"), by_name, where, "varied", rule)
+    possible_faults: dict[str, SceneFault] = {}
+    if root.has("faults"):
+        mass = None if payload_body is None else payload_body.mass
+        possible_faults = _possible_faults(joints, chain, imus, mass)
+    rule = "name faults that this scene can have"
+    faults = choose(root.entries("faults"), possible_faults, where, "faults", rule)
+    varied += tuple(one.varied for one in faults)
+    changed = {change.number for one in faults for change in one.changes}
+    changed |= {one.name for one in varied}
     load = None
-    if payload is not None and any(one.name == "payload.mass" for one in varied):
+    if payload is not None and "payload.mass" in changed:
         load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
     if load is not None:
         carrier = f"links.{chain.links[load.link].link}."
-        for one in varied:
-            if one.name.startswith(carrier):
+        for number in sorted(changed):
+            if number.startswith(carrier):
                 rule = "not name both payload.mass and numbers of the link that carries it"
-                raise Refusal(where, "varied", rule, one.name)
-    for key in ("external_wrench", "imus", "varied") if not chain.coupling.plain else ():
+                raise Refusal(where, "varied", rule, number)
+    for key in ("external_wrench", "imus", "varied", "faults") if not chain.coupling.plain else ():
         if root.has(key):
             rule = "be absent from a scene with couplings or mimic joints"
             raise root.refusal(key, rule, "given")
@@ -412,6 +427,8 @@ def _build(root: Section, file: Path) -> Scene:
         cores=cores,
         varied=varied,
         load=load,
+        faults=faults,
+        possible_faults=tuple(possible_faults.values()),
         imus=imus,
         assumed=assumed,
         **numbers,
@@ -582,6 +599,35 @@ def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -
     of_imus = [one for imu in imus for one in imu.could_vary()]
     of_links = [one for joint in chain.joints for one in varied_body(joint)]
     return of_joints + of_imus + of_links
+
+
+def _possible_faults(
+    joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...], payload: float | None
+) -> dict[str, SceneFault]:
+    """Return the faults that a scene could list, by their names; `payload` is its mass [kg]."""
+    # Only where they are asked for: most scenes have none and are loaded in less time.
+    from arm_emulator.machine.faults.known import FAULTS
+
+    parts = [
+        *((joint.name, part) for joint in joints
+          for part in (*joint.parts, *joint.sensors.parts.values())),
+        *((imu.name, part) for imu in imus for part in imu.parts),
+    ]  # fmt: skip
+    numbers = {
+        f"{part.owners}.{name}.{part.section}.{key}": value
+        for name, part in parts
+        for key, value in part.own_numbers().items()
+    }
+    numbers |= {one.name: one.value for joint in chain.joints for one in varied_body(joint)}
+    numbers |= {f"joints.{joint.name}.brake.closed": 0.0 for joint in joints if joint.brake}
+    if payload is not None:
+        numbers["payload.mass"] = payload
+    owners = {
+        "joints": [joint.name for joint in joints],
+        "links": [joint.link for joint in chain.joints],
+        "imus": [imu.name for imu in imus],
+    }
+    return faults_of(FAULTS, owners, numbers)
 
 
 def _dividing(servo_period: float, dt: float, where: str) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, text, vector
+from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.parts.decorator import CxxMotor
@@ -36,19 +37,19 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     R_BW = scene.chain.R_BW
     gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
     places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
+    braked = [joint for joint in scene.joints if joint.brake]
+    closed = {f"joints.{one.name}.brake.closed": f"p[{len(places) + k}]"
+              for k, one in enumerate(braked)}  # fmt: skip
+    places |= closed
+    put_faults(scene.faults, places)
     bodies = [_link_body(geometry, places) for geometry in scene.chain.links]
-    if (load := scene.load) is not None:
+    if (load := scene.load) is not None and "payload.mass" in places:
         bare, per_kg = _body(load.bare), _body(load.per_kg)
         bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
     links = ",\n".join(map(_link, scene.chain.links, bodies))
     axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
-    braked = [joint for joint in scene.joints if joint.brake]
-    closed = {one.name: f"p[{len(places) + k}]" for k, one in enumerate(braked)}
-    drives = ",\n".join(
-        _drive(joint, places, closed.get(joint.name), scene.supply_voltage)
-        for joint in scene.joints
-    )
+    drives = ",\n".join(_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
     headers = sorted({f"parts/{part.header}" for joint in scene.joints for part in joint.parts})
     sensors = ""
     if scene.sensed:
@@ -206,15 +207,14 @@ def _brakes(scene: Scene) -> str:
 """
 
 
-def _drive(
-    joint: Joint, places: Mapping[str, str], closed: str | None, supply_voltage: float
-) -> str:
+def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> str:
     def part(one: Part) -> str:
         return one.initialiser(joint.name, places)
 
     rotor = joint.rotor_friction
     kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
-    if joint.brake and closed:
+    if joint.brake:
+        closed = places[f"joints.{joint.name}.brake.closed"]
         kind, values = joint.brake.rotor(rotor, joint.name, places, closed)
     motor = CxxMotor("arm::NoMotor", "arm::NoMotor{}")
     if joint.motor is not None:

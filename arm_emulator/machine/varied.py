@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
 from arm_emulator.base.number import Number
 from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
+
+Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
@@ -23,25 +26,26 @@ class Varied:
         return self.number.name
 
 
-def choose_varied(
-    wanted: Sequence[object], possible: Mapping[str, Varied], where: str
-) -> tuple[Varied, ...]:
+def choose(
+    wanted: Sequence[object], possible: Mapping[str, Kind], where: str, key: str, rule: str
+) -> tuple[Kind, ...]:
     """Return what is named, each once and in the order of the scene.
 
     Args:
         wanted: names such as ``payload.mass``, or patterns such as ``joints.*.friction.coulomb``.
-        possible: all numbers that can be varied, by name.
+        possible: all that can be chosen, by name.
         where: the file, for refusals.
+        key: of the list in the file, for refusals.
+        rule: for refusals.
 
     Raises:
-        Refusal: a name or pattern that is no such number.
+        Refusal: a name or pattern that no choice has.
     """
     chosen = set()
     for one in wanted:
         found = fnmatch.filter(possible, one) if isinstance(one, str) else []
         if not found:
-            rule = "name numbers of this scene that can be varied"
-            raise Refusal(where, "varied", rule, one, ", ".join(possible) or "none")
+            raise Refusal(where, key, rule, one, ", ".join(possible) or "none")
         chosen.update(found)
     return tuple(one for name, one in possible.items() if name in chosen)
 
@@ -56,5 +60,5 @@ def varied_number(varied: Sequence[Varied], name: object, where: str) -> Varied:
         if one.name == name:
             return one
     known = ", ".join(one.name for one in varied)
-    valid = known or "none, see `varied` in docs/reference/scene.md"
+    valid = known or "none, see `varied` and `faults` in docs/reference/scene.md"
     raise Refusal(where, "name", "be varied in the scene", name, valid)

@@ -62,12 +62,13 @@ struct Parameter {
 template <class S>
 inline constexpr int kOwnNumbers = S::parameters + S::brakes;
 
-// Values of them with which the structure of a scene is decided: none of them is zero.
+// Values of them with which the structure of a scene is decided: none of them is zero, nor what is
+// left of a number by a fault of that share.
 template <class S>
 struct SomeValues {
   double p[kOwnNumbers<S> + 1] = {};
   constexpr SomeValues() {
-    for (int k = 0; k < kOwnNumbers<S>; ++k) p[k] = 1.0;
+    for (int k = 0; k < kOwnNumbers<S>; ++k) p[k] = 0.5;
   }
 };
 template <class S>

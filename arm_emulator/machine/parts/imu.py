@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
 from arm_emulator.base.number import Number
@@ -19,6 +20,7 @@ from arm_emulator.machine.varied import Varied
 _XYZ = Number.within("xyz", "m", 100.0)
 _RPY = Number.within("rpy", "rad", 100.0)
 
+BIASES = ("bias_x", "bias_y", "bias_z")
 _BIAS = {"at_least": -LARGEST_ERROR, "at_most": LARGEST_ERROR, "default": None}
 
 
@@ -34,14 +36,13 @@ class Axes(Converter):
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the three sensors in C++."""
-        # The members in their order: the common ones, then the biases.
-        members = self.members(joint, places)
-        common = [f".{name} = {value}" for name, value in members if name != "offset"]
-        biases = iter(value for name, value in members if name == "offset")
         axes = []
-        for bias in (self.bias_x, self.bias_y, self.bias_z):
-            offset = [] if bias is None else [f".offset = {next(biases)}"]
-            axes.append("{" + ", ".join(common + offset) + "}")
+        for own in BIASES:
+            others = [key for key in BIASES if key != own]
+            alone = replace(self, **dict.fromkeys(others))
+            its = {name: at for name, at in places.items() if name.split(".")[-1] not in others}
+            members = alone.members(joint, its)
+            axes.append("{" + ", ".join(f".{name} = {value}" for name, value in members) + "}")
         return "{" + ", ".join(axes) + "}"
 
 
@@ -116,8 +117,12 @@ class Imu:
 
     def could_vary(self) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
-        axes = (self.accelerometer, self.gyroscope)
-        return [one for three in axes if three is not None for one in three.could_vary(self.name)]
+        return [one for three in self.parts for one in three.could_vary(self.name)]
+
+    @property
+    def parts(self) -> tuple[Axes, ...]:
+        """Those of its two sensors that are not ideal."""
+        return tuple(one for one in (self.accelerometer, self.gyroscope) if one is not None)
 
     def initialiser(self, places: Mapping[str, str]) -> str:
         """Return the unit in C++; `places` as for a part."""
@@ -127,8 +132,7 @@ class Imu:
             "axis": "{" + ", ".join(map(cxx_literals.vector, self.frame.R.T)) + "}",
             "delay": str(self.delay),
         }
-        for three in (self.accelerometer, self.gyroscope):
-            if three is not None:
-                members[three.section] = three.initialiser(self.name, places)
+        for three in self.parts:
+            members[three.section] = three.initialiser(self.name, places)
         text = ", ".join(f".{name} = {value}" for name, value in members.items())
         return f"arm::Imu{{{text}}}"

@@ -129,14 +129,20 @@ class Part:
 
     def could_vary(self, joint: str) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
+        of = f"{self.owners}.{joint}.{self.section}"
         return [
-            Varied(one.named(f"{self.owners}.{joint}.{self.section}.{key}"), value)
-            for key, one in self.numbers().items()
-            if one.varied
-            and not one.whole
-            and one.follows is None
-            and (value := getattr(self, key)) is not None
+            Varied(self.numbers()[key].named(f"{of}.{key}"), value)
+            for key, value in self.own_numbers().items()
+            if value is not None
         ]
+
+    def own_numbers(self) -> dict[str, float | None]:
+        """Return the numbers that may be data of each machine, by key; None: it is left out."""
+        return {
+            key: getattr(self, key)
+            for key, one in self.numbers().items()
+            if one.varied and not one.whole and one.follows is None
+        }
 
     @property
     def cxx_type(self) -> str:
@@ -159,7 +165,7 @@ class Part:
         for key, one in self.numbers().items():
             value = getattr(self, key)
             place = places.get(f"{self.owners}.{joint}.{self.section}.{one.follows or key}")
-            if value is None:
+            if value is None and (place is None or one.follows is not None):
                 continue
             if place is None:
                 text = cxx_literals.number(value)

@@ -1,0 +1,63 @@
+"""A kind of fault: which numbers of a machine it changes, and how far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from arm_emulator.base.number import Number
+from arm_emulator.base.quick_dataclass import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A kind of fault; all kinds in the files of this package are found.
+
+    Attributes:
+        name: in scenes, behind the name of what has it.
+        of: what has it: "joints", "links" or "imus" of the scene, or "" for the machine.
+        text: what happens, in a line.
+        sets: expressions by places of numbers, such as ``{"gear.stiffness": "{x} * (1.0 - {m})"}``;
+            ``x`` is the number without the fault, ``m`` the magnitude. At magnitude 0 they give x.
+            Numbers that the scene does not have are left out, and one must be there.
+        magnitude: unit and range; its default is the magnitude that shows the fault well.
+        absent: what a number is that could be there and that the scene leaves out; None: such a
+            number cannot be changed.
+    """
+
+    name: str
+    of: str = "joints"
+    text: str
+    sets: Mapping[str, str]
+    magnitude: Number
+    absent: float | None = None
+
+    @property
+    def sections(self) -> set[str]:
+        """Sections of the parts whose numbers it changes."""
+        return {place.rpartition(".")[0] for place in self.sets}
+
+
+def share(default: float = 1.0, at_most: float = 1.0) -> Number:
+    """Return a magnitude that is a share of the sound number."""
+    return Number("magnitude", "1", at_least=0.0, at_most=at_most, default=default)
+
+
+def rise(unit: str, default: float, at_most: float, *, signed: bool = False) -> Number:
+    """Return a magnitude that is added to a number."""
+    least = -at_most if signed else 0.0
+    return Number("magnitude", unit, at_least=least, at_most=at_most, default=default)
+
+
+RISES = "{x} + {m}"
+FALLS = "{x} * (1.0 - {m})"
+GROWS = "{x} * (1.0 + {m})"
+
+
+def rising(places: Sequence[str]) -> dict[str, str]:
+    """Return what raises numbers by the magnitude."""
+    return dict.fromkeys(places, RISES)
+
+
+def falling(places: Sequence[str]) -> dict[str, str]:
+    """Return what lowers numbers by the magnitude's share."""
+    return dict.fromkeys(places, FALLS)

@@ -1,0 +1,80 @@
+"""The faults that a scene can have, and those that it lists: numbers of each machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from arm_emulator.base.quick_dataclass import dataclass
+from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.faults.fault import Fault
+from arm_emulator.machine.varied import Varied
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a fault makes of one number of the scene."""
+
+    number: str  # its place in the scene
+    value: float  # without the fault
+    expression: str  # see `Fault.sets`
+
+
+@dataclass(frozen=True)
+class SceneFault:
+    """A fault of one joint, link, measurement unit, or of the machine."""
+
+    kind: Fault
+    varied: Varied  # its magnitude, 0 in the beginning
+    changes: tuple[Change, ...]
+
+    @property
+    def name(self) -> str:
+        """In the scene's list, such as ``elbow.encoder_slips``."""
+        return self.varied.name.removeprefix("faults.")
+
+
+def faults_of(
+    kinds: Iterable[Fault],
+    owners: Mapping[str, Iterable[str]],
+    numbers: Mapping[str, float | None],
+) -> dict[str, SceneFault]:
+    """Return the faults that a scene can have, by their names.
+
+    Args:
+        kinds: of faults.
+        owners: names of joints, links and measurement units, by the sections of the scene.
+        numbers: all numbers that can be changed, by their places in the scene; None: left out.
+    """
+    found = {}
+    for kind in kinds:
+        for owner in owners.get(kind.of, ("",)):
+            of = f"{kind.of}.{owner}." if kind.of else ""
+            changes = []
+            for place, expression in kind.sets.items():
+                value = numbers.get(of + place)
+                if value is None and of + place in numbers:
+                    value = kind.absent
+                if value is not None:
+                    changes.append(Change(of + place, value, expression))
+            if changes:
+                name = f"{owner}.{kind.name}" if owner else kind.name
+                number = replace(kind.magnitude, name=f"faults.{name}", text=kind.text)
+                found[name] = SceneFault(kind, Varied(number, 0.0), tuple(changes))
+    return found
+
+
+def put_faults(faults: Iterable[SceneFault], places: dict[str, str]) -> None:
+    """Put what faults make of numbers in place of these, in C++.
+
+    Args:
+        faults: that the scene lists.
+        places: where the values of varied numbers stand, by their name.
+    """
+    for one in faults:
+        magnitude = places.get(one.varied.name)
+        if magnitude is None:
+            continue  # of a scene whose varied numbers were replaced
+        for change in one.changes:
+            value = places.get(change.number) or cxx_literals.number(change.value)
+            places[change.number] = f"({change.expression.format(x=value, m=magnitude)})"

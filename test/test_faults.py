@@ -1,0 +1,224 @@
+"""Faults: named changes of a machine's numbers, exact to the tick, at every door alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import FULL
+from machines import GRAVITY, MOTOR, PMSM, write_scene
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.faults.known import FAULTS
+from arm_emulator.machine.faults.scene_faults import SceneFault
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.thermometer import Thermometer
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene_unit import scene_unit
+from bench import faults, pages
+from oracles.random_chain import LINK
+
+NAMES = ("shoulder", "elbow", "wrist")
+BEGIN, END = 12, 72  # of faults and of the motion [servo periods]
+Begun = tuple[Plant, bytes, list[bytes]]
+
+
+def chain_urdf() -> str:
+    """Three joints about skewed axes."""
+    text, parent = '<robot name="all"><link name="base"/>', "base"
+    for name, axis in zip(NAMES, ("0 0 1", "0 1 0", "0 1 0"), strict=True):
+        text += LINK.format(
+            name=name, kind="continuous", parent=parent, xyz="0.1 0.2 0.3", rpy="0.3 -0.5 1.2",
+            axis=axis, com="0.05 0.1 0.02", com_rpy="0 0 0", mass=1.5,
+            ixx=0.03, iyy=0.04, izz=0.05, ixy=0.0, ixz=0.0, iyz=0.01,
+        )  # fmt: skip
+        parent = f"{name}_link"
+    return text + "</robot>"
+
+
+def everything(folder: Path, **more: Any) -> Scene:
+    """A machine that has every fault, at one of its joints at least."""
+    sensors = {kind.section: {"noise": 0.01, "range": 4.0, "resolution": 1e-3} for kind in ANALOG}
+    heat = Thermometer.section
+    sensors[heat] |= {"range": 40.0}
+    analog = {name: one for name, one in sensors.items() if name != heat}
+    encoders = {
+        "encoder": {"counts_per_turn": 1000, "index": "latch"},
+        "link_encoder": {"kind": "absolute", "counts_per_turn": 65536, "bits": 20},
+    }
+    heated = {"winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0}}
+    friction = {"viscous": 0.1, "coulomb": 0.3, "load": 0.02}
+    shoulder = {
+        "motor": {
+            **MOTOR, **heated, "current_limit": 8.0,
+            "friction": {"viscous": 1e-4, "coulomb": 0.01, "load": 0.01},
+        },
+        "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 5.0, "backlash": 1e-3},
+        "friction": friction,
+        "brake": {"torque": 1.0},
+        "end_stops": {"lower": -0.5, "upper": 6e-3, "stiffness": 1e4, "damping": 10.0},
+        "counterbalance": {
+            "base_distance": 0.3, "link_distance": 0.1, "force": 50.0, "length": 0.2,
+            "stiffness": 100.0,
+        },
+        **encoders, **analog,
+    }  # fmt: skip
+    elbow = {
+        "start": 0.7,
+        "motor": {**PMSM, **heated},
+        "gear": {"ratio": 0.05, "stiffness": 2e3, "damping": 2.0, "cubic_stiffness": 1e5},
+        "lugre": {"coulomb": 0.2, "bristle_stiffness": 1e3, "bristle_damping": 10.0},
+        "brake": {"torque": 0.5},
+        **encoders, **sensors,
+    }  # fmt: skip
+    wrist = {
+        "start": -0.7,
+        "motor": {"kind": "torque", "rotor_inertia": 1e-4, "bandwidth": 200.0, "torque_limit": 2.0},
+        "gear": {"ratio": 0.1},
+        "brake": {"torque": 0.2},
+        **encoders, **analog,
+    }  # fmt: skip
+    imu = {"noise": 0.01, "range": 1.0}
+    return load_scene(
+        write_scene(
+            folder, chain_urdf(), dict(zip(NAMES, (shoulder, elbow, wrist), strict=True)),
+            tool="wrist_link", gravity=GRAVITY, seed=3,
+            payload={"mass": 1.0, "com": [0.1, 0.0, 0.1]},
+            imus={"hand": {"link": "elbow_link", "accelerometer": imu, "gyroscope": imu}},
+            integrator={"scheme": "rosenbrock", "dt": 2e-4},
+            **{"faults": ["*"], **more},
+        )
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    # The link that carries the payload has its mass's numbers from there.
+    names = [
+        one.name
+        for one in everything(tmp_path_factory.mktemp("possible"), faults=[]).possible_faults
+        if one.name != "wrist_link.mass_at_joint"
+    ]
+    return everything(tmp_path_factory.mktemp("everything"), faults=names)
+
+
+def drive(plant: Plant, ticks: range) -> list[bytes]:
+    """Go on under commands that are a function of the tick, the power cut on the way."""
+    seen = []
+    for tick in ticks:
+        plant.powered = tick % 40 < 25
+        # As torques some V or A are a lot for the wrist.
+        plant.exchange(np.array([15.0, 10.0, 1.0]) * np.sin(0.3 * tick + np.arange(3.0)), tick)
+        measured = plant.measured
+        rows = [getattr(measured, name) for name in KNOWN]
+        rows += [plant.state.q, plant.state.v, plant.state.current, plant.winding_temperatures]
+        seen.append(b"".join(np.ascontiguousarray(row).tobytes() for row in rows))
+    return seen
+
+
+def magnitude_of(one: SceneFault) -> float:
+    return float(one.varied.number.default)
+
+
+@pytest.fixture(scope="module")
+def begun(scene: Scene) -> tuple[Plant, bytes, list[bytes]]:
+    """A machine, saved on its way, and what is seen from there on without a fault."""
+    plant = Plant(scene)
+    drive(plant, range(BEGIN))
+    saved = plant.save()
+    return plant, saved, drive(plant, range(BEGIN, END))
+
+
+def test_names_units_and_ranges_are_sound() -> None:
+    assert len(FAULTS) >= 40
+    assert len({one.name for one in FAULTS}) == len(FAULTS), "a name twice"
+    for kind in FAULTS:
+        number = kind.magnitude
+        assert number.holds(0.0) and number.holds(number.default) and number.default, kind.name
+        for place, expression in kind.sets.items():
+            off = eval(expression.format(x="0.7", m="0.0"))
+            assert off == 0.7, f"{kind.name} at magnitude 0 changes {place}"
+            assert eval(expression.format(x="0.7", m=str(number.default))) != 0.7, kind.name
+
+
+def test_every_kind_is_there(scene: Scene) -> None:
+    assert {one.kind.name for one in scene.faults} == {one.name for one in FAULTS}
+    names = {one.name for one in scene.varied}
+    assert names == {f"faults.{one.name}" for one in scene.faults}
+
+
+def test_a_scene_without_faults_has_the_same_unit(tmp_path: Path) -> None:
+    text = scene_unit(everything(tmp_path, faults=[]))
+    assert "faults" not in text and "parameters = 0" in text
+
+
+def test_a_fault_that_a_scene_cannot_have_is_refused(tmp_path: Path) -> None:
+    for name in ("elbow.backlash_grows", "nobody.gear_breaks", "gear_breaks", 3, "*.none"):
+        with pytest.raises(Refusal, match=r"faults must name faults that this scene can have"):
+            everything(tmp_path, faults=[name])
+    with pytest.raises(Refusal, match=r"not name both payload\.mass and numbers of the link"):
+        everything(tmp_path, faults=["payload_drops", "wrist_link.mass_at_joint"])
+
+
+def test_off_is_as_without_it(tmp_path: Path, scene: Scene, begun: Begun) -> None:
+    """Against numbers that are constants: rounding alone differs."""
+    plant, other = Plant(everything(tmp_path, faults=[])), Plant(scene)
+    for ticks in (range(BEGIN), range(BEGIN, END)):
+        drive(plant, ticks), drive(other, ticks)
+        np.testing.assert_allclose(plant.state.q, other.state.q, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(plant.state.v, other.state.v, rtol=0.0, atol=1e-9)
+        np.testing.assert_array_equal(plant.measured.encoder_counts, other.measured.encoder_counts)
+
+
+def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Scene) -> None:
+    plant, saved, without = begun
+    other, acting = Plant(scene), set()
+    for one in scene.faults:
+        plant.restore(saved)
+        plant.set_parameter(one.varied.name, magnitude_of(one))
+        middle = (BEGIN + END) // 2
+        seen = drive(plant, range(BEGIN, middle))
+        other.restore(plant.save())
+        assert other.parameters[one.varied.name] == magnitude_of(one), one.name
+        rest = drive(plant, range(middle, END))
+        assert drive(other, range(middle, END)) == rest, f"{one.name}: restored in the middle"
+        if seen + rest != without:
+            acting.add(one.kind.name)
+        plant.restore(saved)
+        plant.set_parameter(one.varied.name, magnitude_of(one))
+        plant.set_parameter(one.varied.name, 0.0)
+        assert drive(plant, range(BEGIN, END)) == without, f"{one.name}: on and off at one tick"
+    assert {one.name for one in FAULTS} == acting, "kinds that change nothing of this motion"
+
+
+@pytest.mark.skipif(not FULL, reason="lanes over all these parts compile for 40 s")
+def test_faults_in_a_fleet_are_those_of_machines_alone(scene: Scene) -> None:
+    fleet, plant = Fleet(scene, len(scene.faults)), Plant(scene)
+    for tick in range(END):
+        if tick == BEGIN:
+            for arm, one in enumerate(scene.faults):
+                fleet.set_parameter(one.varied.name, magnitude_of(one), arms=[arm])
+        fleet.powered = tick % 40 < 25
+        row = np.array([15.0, 10.0, 1.0]) * np.sin(0.3 * tick + np.arange(3.0))
+        fleet.exchange(np.tile(row, (len(fleet), 1)), tick)
+    for arm, one in enumerate(scene.faults):
+        plant.reset()
+        drive(plant, range(BEGIN))
+        plant.set_parameter(one.varied.name, magnitude_of(one))
+        drive(plant, range(BEGIN, END))
+        plant.set_parameter(one.varied.name, 0.0)
+        # Lanes round otherwise, and sticking and play let it grow.
+        np.testing.assert_allclose(
+            fleet[arm].state.q, plant.state.q, rtol=0.0, atol=1e-7, err_msg=one.name
+        )
+
+
+def test_the_page_has_all_kinds() -> None:
+    page = pages.tables()["faults"]
+    table = faults.report(faults.run(quick=True))
+    assert page.read_text() == pages.put(page.read_text(), "faults", table)
