@@ -268,7 +268,7 @@ def advanced(plant: Plant) -> Plant:
 
 
 def test_calls_of_threads_on_one_plant_go_one_after_the_other(scene: Scene) -> None:
-    """Whichever comes first: no step is lost, and every state that is seen is one of a step."""
+    """In any order of calls no step is lost, and every observed state is that of a step."""
     plant, expected = Plant(scene), Plant(scene)
     known = {expected.save()}
     for _ in range(400):

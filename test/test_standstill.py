@@ -87,7 +87,7 @@ class Stopped:
 
     @property
     def last(self) -> State:
-        """What became of the newest order."""
+        """State of the newest order."""
         return self.run.instructor.reports.take()[-1].state
 
     def tool(self) -> np.ndarray:

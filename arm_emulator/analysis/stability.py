@@ -1,4 +1,4 @@
-"""Which scheme and step are stable on a machine: by the eigenvalues of one step, and by trial.
+"""Stability of schemes and steps on a machine: by the eigenvalues of one step, and by trial.
 
 Linearised about rest in a pose, every scheme is a matrix that maps the state x = (z, q, v) of one
 sample to the next; z are the states of the drives. Its spectral radius is the factor by which a

@@ -1,4 +1,4 @@
-"""Which joints an arm's shafts move, and what the joints' limits leave to the shafts."""
+"""Coupling of an arm's joints to its shafts, and the limits of shafts from those of joints."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Shafts:
         robot = parse_urdf(urdf_xml, WHERE)
         found = followers(robot, WHERE)
         way = found if tool is None else _way_to(tool, robot)
-        # Who commands a joint that only follows has it move by itself.
+        # A command to a joint that only follows would have it move by itself.
         for name in {*names} - {*own_shafts(tuple(names), found)}:
             del found[name]
         along = [

@@ -64,7 +64,7 @@ def servo_header(scene_name: str, joint_names: tuple[str, ...], config: ServoCon
         for name, value in times.items()
     )
     return f"""\
-/* What servo.h knows of the joints of a scene. `python -m arm_emulator servo-header` writes it. */
+/* Data of a scene's joints for servo.h. `python -m arm_emulator servo-header` writes it. */
 #ifndef SERVO_JOINTS_H
 #define SERVO_JOINTS_H
 

@@ -178,7 +178,7 @@ def _search(
 
 
 def _rounded(value: float) -> float:
-    """Return three digits of a number: nobody wants to read more."""
+    """Return a number with three digits, enough for a reader."""
     return float(f"{value:.3g}")
 
 

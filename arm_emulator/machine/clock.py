@@ -19,7 +19,7 @@ class RealTimeFigures:
     worst_lateness: int = 0
     median_lateness: int = 0
     p99_lateness: int = 0
-    unread: int = 0  # snapshots that nobody fetched in time
+    unread: int = 0  # snapshots that were not fetched in time
     fifo: int = 0  # 1: the core's threads run under SCHED_FIFO
     locked: int = 0  # 1: memory is locked
 

@@ -345,7 +345,7 @@ class Plant(Turns):
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act on a link, until set anew or reset.
 
-        On what one joint moves there is one of them, that which was set last.
+        There is one wrench per joint, the one set last.
 
         Args:
             link: any link of the URDF that moves; the wrench is about a point of it.

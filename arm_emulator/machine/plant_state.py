@@ -30,7 +30,7 @@ def unit_of(row: str, kind: str) -> str:
 class PlantState:
     """True state of the machine at one logical time. Arrays are (N,), base to tool.
 
-    Nobody but the emulator knows it; what sensors give is in `Plant.measured`.
+    Only the emulator knows it; `Plant.measured` has the readings of the sensors.
     """
 
     t: float  # s

@@ -292,7 +292,7 @@ class Instructor:
 
     @property
     def waits_for(self) -> str:
-        """What the arm waits for at a standstill, in words; empty: it moves as it is asked to."""
+        """Reason why the arm waits at a standstill, as text; empty: it moves."""
         return "" if self._standing is None else self._standing.words
 
     def _wait(self, laws: Laws, time_ns: int, q: FloatArray, movable: Flags | None) -> None:

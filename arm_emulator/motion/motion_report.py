@@ -57,7 +57,7 @@ class MotionReport:
 
 
 class Reports:
-    """The reports that nobody has taken yet, and the numbers of what came."""
+    """The reports that have not been taken yet, and the numbers of orders."""
 
     def __init__(self) -> None:
         self.numbers: Counter[Kind] = Counter()
@@ -75,6 +75,6 @@ class Reports:
         self.waiting.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
 
     def take(self) -> list[MotionReport]:
-        """Return the reports, which are nobody else's then."""
+        """Return the reports, and clear them."""
         taken, self.waiting = self.waiting, []
         return taken

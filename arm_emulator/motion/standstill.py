@@ -37,12 +37,12 @@ class Standstill:
 
     @property
     def reference(self) -> Reference:
-        """Where the joints are commanded to be, at rest."""
+        """Commanded positions of the joints, at rest."""
         return Reference.at_rest(self._joints.now.q)
 
     @property
     def words(self) -> str:
-        """What it waits for."""
+        """Reason of the wait, as text."""
         held = [name for name, led in zip(self._names, self._led, strict=True) if not led]
         return f"waits for power and brakes of {', '.join(held)}" if held else "comes to rest"
 

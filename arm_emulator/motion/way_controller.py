@@ -131,7 +131,7 @@ class WayController:
 
     @property
     def gone(self) -> float:
-        """How far along its motion the reference is [s]."""
+        """Time of the reference within its motion [s]."""
         return self._time
 
     @property

@@ -50,7 +50,7 @@ typedef struct arm_real_time_figures {
   int64_t lost_periods; /* deadlines missed by whole periods, which logical time has lost */
   int64_t old_commands; /* periods under a command that answers a tick more than two periods old */
   int64_t worst_lateness, median_lateness, p99_lateness;
-  int64_t unread; /* snapshots that nobody took in time */
+  int64_t unread; /* snapshots that were not taken in time */
   int64_t fifo;   /* 1: the threads run under SCHED_FIFO */
   int64_t locked; /* 1: memory is locked */
 } arm_real_time_figures;

@@ -296,7 +296,7 @@ class SideBySide {
   Whole whole_[width];        // of machines in lanes; `now` is that of the time when they came
 };
 
-// A machine that has nobody beside it.
+// A single machine.
 template <class S>
 class SideBySide<S, 1> {
  public:

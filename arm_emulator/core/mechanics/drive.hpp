@@ -449,7 +449,7 @@ struct Drive {
     else
       return gear.Ng * T;
   }
-  // Torque of the gear on its link; of a rigid one that which the motor gives it.
+  // Torque of the gear on its link; for a rigid gear, the motor's torque.
   template <class X>
   ARM_INLINE constexpr X load_on_link(const Input<X>& x, unsigned held) const {
     if constexpr (elastic)

@@ -86,7 +86,7 @@ class SerialPort:
         return data if self._same_speed() else b""
 
     def give(self, data: bytes) -> None:
-        """Send bytes; those that nobody fetches are lost, as on a line."""
+        """Send bytes; bytes that are not read are lost, as on a line."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._end, data)
 

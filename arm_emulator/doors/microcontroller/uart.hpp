@@ -96,7 +96,7 @@ class Uart {
   }
 
   void send(uint8_t byte) {
-    // Bytes that nobody takes are lost, and the firmware does not notice: as on a wire.
+    // Bytes that are not read are lost, and the firmware does not notice: as on a wire.
     if (description_.out >= 0) static_cast<void>(::write(description_.out, &byte, 1) < 0);
     registers_.word(description_.status) &= ~(EMPTY | SENT);
     sent_ = now_ + byte_;
