@@ -1,4 +1,4 @@
-"""What a campaign's file may have, as tables for its page."""
+"""Keys of a campaign's file, as tables for its page."""
 
 from __future__ import annotations
 

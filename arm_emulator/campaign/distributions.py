@@ -167,7 +167,7 @@ def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distributio
 
 
 def truncated(of: Distribution, low: float, high: float) -> Distribution:
-    """What of a distribution lies between two ends."""
+    """Part of a distribution between two ends."""
     _ordered(low, high)
     if of.share is None:
         raise _Bad("truncate a distribution with a density", of.text)

@@ -91,7 +91,7 @@ class DaskPool:
 
 @dataclass
 class Progress:
-    """How far a campaign has come.
+    """Progress of a campaign.
 
     Attributes:
         count: of runs in all.

@@ -19,7 +19,7 @@ from arm_emulator.machine.session import Session
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """What all faults have.
+    """Base of all faults.
 
     Attributes:
         kind: its name in files.

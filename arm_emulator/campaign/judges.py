@@ -1,4 +1,4 @@
-"""What judges a run: requirements, measures, and functions of Python over the whole trace."""
+"""Judges of a run: requirements, measures, and functions of Python over the whole trace."""
 
 from __future__ import annotations
 

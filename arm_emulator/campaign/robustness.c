@@ -234,7 +234,7 @@ static int feed_window(node* one, stream* left, stream* right) {
   return 0;
 }
 
-/* What a window without end has at each time from `first` on: from the end of the trace back. */
+/* Values of a window without end at each time from `first` on: from the end of the trace back. */
 static int end_forever(node* one, stream* left, stream* right, int64_t wanted) {
   if (make_room(&one->out, wanted)) return -1;
   double* out = end_of(&one->out);

@@ -42,7 +42,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What happens in a run, but for faults.
+    """Events of a run, except faults.
 
     Attributes:
         seconds: how long it lasts [s].

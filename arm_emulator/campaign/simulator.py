@@ -31,7 +31,7 @@ Event = Callable[[], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What is kept of a run.
+    """Kept data of a run.
 
     Attributes:
         index: of the run.

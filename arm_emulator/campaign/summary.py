@@ -1,4 +1,4 @@
-"""What a campaign has found: shares of failures, and quantiles of all numbers of its runs."""
+"""Results of a campaign: shares of failures, and quantiles of all numbers of its runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ANY = "any requirement"
 
 @dataclass(frozen=True)
 class Share:
-    """How often a requirement fails.
+    """Rate of failures of a requirement.
 
     Attributes:
         name: of the requirement.
@@ -57,7 +57,7 @@ class Quantile:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a campaign has found.
+    """Results of a campaign.
 
     Attributes:
         count: of runs.

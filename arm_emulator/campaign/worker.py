@@ -24,7 +24,7 @@ _asked = {"end": False, "busy": False}
 
 
 class Done(NamedTuple):
-    """What has come of a chunk.
+    """Result of a chunk.
 
     Attributes:
         runs: that were simulated.

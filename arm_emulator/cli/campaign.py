@@ -35,7 +35,7 @@ BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shr
 
 
 class Options(NamedTuple):
-    """What the command line states, see `commands.campaign`."""
+    """Arguments of the command line, see `commands.campaign`."""
 
     into: Path | None
     runs: int | None
