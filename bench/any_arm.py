@@ -28,7 +28,7 @@ OUT = Path("out/any_arm")
 MOVES = 30  # of each distance
 PARTS = (50.0, 90.0, 99.0, 99.5, 100.0)  # % of all moves
 FARTHEST = 3e-3  # m past its rest, in any move
-# What is promised of all moves: words, what is not so, and in which share of them that may be.
+# Claims about all moves: text of a violation, its test, and the largest share of violations.
 CLAIMS: tuple[tuple[str, Callable[[Move], bool], float], ...] = (
     ("did not arrive", lambda one: bool(one.words), 0.01),
     ("past their rest by more than 1 mm and 0.5 %", lambda one: one.overshot, 0.005),
