@@ -1,5 +1,7 @@
 """Words that the prose of this project does without: those of the glossary's last table.
 
+Docstrings and comments of code must begin with a noun or a verb, not with a word such as "What".
+
 `make lint` runs this file.
 """
 
@@ -21,6 +23,13 @@ ROOMS = (
 GAP = r"(?:[\s_#*]|//)+"
 SPARED = (GLOSSARY, Path(__file__).resolve(), ROOT / "test" / "test_banned_words.py")
 ENDINGS = {".md", ".py", ".c", ".h", ".cpp", ".hpp", ".yaml", ".msg", ".srv"}
+CODE = {".py", ".c", ".h", ".cpp", ".hpp"}
+# "Where ..." may begin a comment: it is often a condition.
+OPENING = re.compile(
+    r'^[ \t]*(?:r?"""(?=Where\b)|(?:r?"""|# |/{2,3} |/\* )(?=(?:What|Who|Which|How|Nobody)))'
+    r"(Where|What(?:ever)?|Who(?:ever)?|Which(?:ever)?|How|Nobody)\b",
+    re.M,
+)
 
 
 def banned() -> dict[str, str]:
@@ -63,11 +72,19 @@ def found_in(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]
             yield text.count("\n", 0, match.start()) + 1, word, instead
 
 
+def openings_in(text: str) -> Iterator[tuple[int, str, str]]:
+    """Yield line, word and replacement of each docstring or comment with a banned first word."""
+    for match in OPENING.finditer(text):
+        yield text.count("\n", 0, match.start(1)) + 1, match[1], "a noun or a verb at the beginning"
+
+
 def main() -> int:
     """Print a line per banned word; exit code 1 if there is one."""
     words, count = banned(), 0
     for file in files(ROOMS):
-        for line, word, instead in sorted(found_in(text_of(file), words)):
+        text = text_of(file)
+        found = [*found_in(text, words), *(openings_in(text) if file.suffix in CODE else ())]
+        for line, word, instead in sorted(found):
             print(f"{file.relative_to(ROOT)}:{line}: '{word}' is banned; write {instead}")
             count += 1
     return 1 if count else 0

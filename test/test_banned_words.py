@@ -27,6 +27,20 @@ def test_whole_words_are_found_with_their_line(text: str, found: list[tuple[int,
     assert [one[:2] for one in banned_words.found_in(text, WORDS)] == found
 
 
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('def f():\n    """What it is."""', [(2, "What")]),
+        ('"""Where the tool is."""\n# Whoever asks', [(1, "Where"), (2, "Whoever")]),
+        ("  // How far x is\n/* Which joint", [(1, "How"), (2, "Which")]),
+        ('"""Whether it is closed."""\n# Where a joint sticks, M has a row less', []),
+        ("x = 1  # What\n# However, Whole numbers", []),
+    ],
+)
+def test_comments_begin_with_a_noun_or_a_verb(text: str, found: list[tuple[int, str]]) -> None:
+    assert [one[:2] for one in banned_words.openings_in(text)] == found
+
+
 def test_the_glossary_bans_and_each_page_is_checked() -> None:
     assert {"told", "said", "is none"} <= set(banned_words.banned())
     checked = {

@@ -38,7 +38,7 @@ class SmoothTogether {
     forget_links();
     method_.renew(lane);
   }
-  // What acts on the links has changed.
+  // The torques on the links have changed.
   void forget_links() { memo_.forget(); }
   void reset(const State<S, X>& x) { method_.reset(x); }
   Memory memory() const { return method_.memory(); }
@@ -114,7 +114,7 @@ class SmoothTogether {
     return hold;
   }
 
-  // What is left for the links to accelerate with, beside dry friction; M with the rotors that they
+  // Torques that accelerate the links, without dry friction; M with the rotors that they
   // carry.
   void torques(const State<S, X>& x, const X* u, Dynamics& links, X* rhs) const {
     const auto put = [&](int j, const X& g) __attribute__((always_inline)) {
