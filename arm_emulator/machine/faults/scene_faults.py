@@ -13,7 +13,7 @@ from arm_emulator.machine.varied import Varied
 
 @dataclass(frozen=True)
 class Change:
-    """What a fault makes of one number of the scene."""
+    """The change of one number of the scene by a fault."""
 
     number: str  # its place in the scene
     value: float  # without the fault
