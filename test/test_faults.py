@@ -196,6 +196,34 @@ def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Sce
     assert {one.name for one in FAULTS} == acting, "kinds that change nothing of this motion"
 
 
+def test_what_is_stuck_stays_as_it_was(begun: Begun, scene: Scene) -> None:
+    """Readings are those of the tick before, truth goes on, and off lets them catch up."""
+    plant, saved, _ = begun
+    plant.restore(saved)
+    before, stuck = plant.measured, [one for one in scene.faults if "_stuck" in one.name]
+    assert len(stuck) >= 3 * 4 + 2, "encoders and sensors of three joints, a unit"
+    for one in stuck:
+        plant.set_parameter(one.varied.name, 1.0)
+    fields = [
+        "encoder_counts", "link_encoder_counts", "current", "specific_force", "angular_rate",
+        *(one.outputs[0].name for one in ANALOG if one.outputs),
+    ]  # fmt: skip
+    for tick in range(BEGIN, BEGIN + 20):
+        drive(plant, range(tick, tick + 1))
+        for name in fields:
+            held = getattr(plant.measured, name)
+            np.testing.assert_array_equal(held, getattr(before, name), err_msg=name)
+    for one in stuck:
+        plant.set_parameter(one.varied.name, 0.0)
+    other = Plant(scene)
+    other.restore(saved)
+    drive(other, range(BEGIN, BEGIN + 21)), drive(plant, range(BEGIN + 20, BEGIN + 21))
+    for name in fields:
+        caught_up, expected = getattr(plant.measured, name), getattr(other.measured, name)
+        np.testing.assert_array_equal(caught_up, expected, err_msg=name)
+    assert (plant.measured.encoder_counts != before.encoder_counts).all(), "it was moving"
+
+
 @pytest.mark.skipif(not FULL, reason="lanes over all these parts compile for 40 s")
 def test_faults_in_a_fleet_are_those_of_machines_alone(scene: Scene) -> None:
     fleet, plant = Fleet(scene, len(scene.faults)), Plant(scene)

@@ -45,9 +45,17 @@ ERRORS = {  # of an encoder, all of which can be set while the machine runs
     "ripple_phase": 0.0,
     "noise": 0.0,
     "missed": 0.0,
+    "held": 0.0,
 }
-ANALOG = {"gain_error": 0.0, "offset": 0.0, "noise": 0.0, "range": 1e9, "resolution": 1e-12}
-AXES = {"gain_error": 0.0, "noise": 0.0, "range": 1e9, "resolution": 1e-12}
+ANALOG = {
+    "held": 0.0,
+    "gain_error": 0.0,
+    "offset": 0.0,
+    "noise": 0.0,
+    "range": 1e9,
+    "resolution": 1e-12,
+}
+AXES = {"held": 0.0, "gain_error": 0.0, "noise": 0.0, "range": 1e9, "resolution": 1e-12}
 AXES |= {f"bias_{axis}": 0.0 for axis in "xyz"}
 POSE = {"xyz": [0.1, -0.2, 0.05], "rpy": [0.4, -1.1, 2.2]}
 FRICTION = {"viscous": 0.3, "coulomb": 0.5, "breakaway": 60.0}

@@ -89,9 +89,10 @@ class Sensors<S> {
   // been so for long.
   template <class Machine>
   void begin(const Machine& machine, std::int64_t tick, bool anew) {
-    see(machine, tick, [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
-      memory.begin(e, theta, n, tick, anew);
-    });
+    see(machine, tick, false,
+        [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
+          memory.begin(e, theta, n, tick, anew);
+        });
     for (Readings& one : line_) one = line_[place(0)];
   }
 
@@ -99,9 +100,10 @@ class Sensors<S> {
   template <class Machine>
   void look(const Machine& machine, std::int64_t tick) {
     if (tick == newest_) return;
-    see(machine, tick, [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
-      memory.look(e, theta, n, tick);
-    });
+    see(machine, tick, true,
+        [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
+          memory.look(e, theta, n, tick);
+        });
   }
 
   const EncoderReading& encoder(int j) const {
@@ -151,7 +153,8 @@ class Sensors<S> {
   }
 
   template <class Machine, class Turn>
-  __attribute__((noinline)) void see(const Machine& machine, std::int64_t tick, Turn&& turn) {
+  __attribute__((noinline)) void see(const Machine& machine, std::int64_t tick, bool looks_back,
+                                     Turn&& turn) {
     double values[S::parameters + 1] = {};
     for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
     const auto suite = S::sensors(values);
@@ -162,6 +165,7 @@ class Sensors<S> {
     const auto& x = machine.state();
     newest_ = tick;
     Readings& now = line_[place(0)];
+    const Readings& before = line_[place(kLength > 1 ? 1 : 0)];
     for (int j = 0; j < N; ++j) {
       const int who = kChannels * j;
       turn(motor_disc_[j], suite.encoder[j], angle[j], noises(who));
@@ -176,10 +180,13 @@ class Sensors<S> {
       double truth[N];
       std::tuple_element_t<k, Rows>::Quantity::of(glance, truth);
       for (int j = 0; j < N; ++j)
-        if (row.reads(j))
-          now.analog[k][j] = std::get<k>(suite.analog)
-                                 .at[j]
-                                 .read(truth[j], noises(row.first + row.stride * j), tick);
+        if (row.reads(j)) {
+          const AnalogSensor& sensor = std::get<k>(suite.analog).at[j];
+          const Noise draws = noises(row.first + row.stride * j);
+          now.analog[k][j] = looks_back && is_held(sensor.held, draws, tick)
+                                 ? before.analog[k][j]
+                                 : sensor.read(truth[j], draws, tick);
+        }
     });
     if constexpr (M > 0) {
       double a[N];
@@ -190,7 +197,14 @@ class Sensors<S> {
         const Imu& imu = suite.imu[m];
         const LinkMotion& motion = motions[imu.link];
         const auto of_channel = [&](int k) { return noises(-2 - 6 * m - k); };
+        const ImuReading held = before.imu[m];
         now.imu[m] = imu.read(motion.force_at(imu.p), motion.omega, of_channel, tick);
+        for (int k = 0; looks_back && k < 3; ++k) {
+          if (is_held(imu.accelerometer[k].held, of_channel(k), tick))
+            now.imu[m].specific_force[k] = held.specific_force[k];
+          if (is_held(imu.gyroscope[k].held, of_channel(3 + k), tick))
+            now.imu[m].angular_rate[k] = held.angular_rate[k];
+        }
       }
     }
   }

@@ -60,4 +60,9 @@ struct Noise {
   }
 };
 
+// Whether the look of that number gives the reading before, by draws apart from all others.
+inline bool is_held(double probability, const Noise& noises, std::int64_t number) {
+  return probability > 0.0 && Noise{mixed(noises.key + 1)}.uniform(number) <= probability;
+}
+
 }  // namespace arm

@@ -15,6 +15,7 @@ struct AnalogSensor {
   double noise = 0.0;       // standard deviation
   double range = 0.0;       // 0: none
   double resolution = 0.0;  // 0: none
+  double held = 0.0;        // probability that a look gives the reading before
   double offset = 0.0;
   int delay = 0;  // servo periods
 

@@ -44,6 +44,7 @@ struct Encoder {
   double ripple = 0.0, ripple_phase = 0.0;
   double noise = 0.0;   // rad, standard deviation
   double missed = 0.0;  // probability of each edge to be missed, or of a word not to come
+  double held = 0.0;    // probability that a look gives the reading before
 
   // Counts after which a word begins anew; 0: never.
   constexpr std::int64_t wrap() const {
@@ -94,7 +95,7 @@ struct EncoderMemory {
     } else {
       turn(e, c, noises);
     }
-    read(e);
+    if (!is_held(e.held, noises, number)) read(e);
   }
 
  private:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from arm_emulator.base.number import Number
-from arm_emulator.machine.faults.fault import FALLS, RISES, Fault, rise, share
+from arm_emulator.machine.faults.fault import FALLS, HOLDS, RISES, STUCK, Fault, rise, share
 from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR
 from arm_emulator.machine.parts.imu import Accelerometer, Gyroscope
 from arm_emulator.machine.parts.part import Part
@@ -30,6 +30,7 @@ def _kinds(sensor: type[Part], offset: str) -> tuple[Fault, ...]:
              rise(unit, 0.5, LARGEST_ERROR, signed=True), absent=0.0),
         kind("gain", "the amplifier's gain is off", "gain_error",
              rise("1", 0.1, 1.0, signed=True), absent=0.0),
+        kind("stuck", STUCK, "held", share(), HOLDS, absent=0.0),
         kind("noisy", "the shield is broken", "noise", rise(unit, 0.1, LARGEST_ERROR), absent=0.0),
         kind("saturates", "the amplifier's range falls", "range", share(0.9, 0.999), FALLS),
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from arm_emulator.base.number import Number
-from arm_emulator.machine.faults.fault import RISES, Fault, rise, share
+from arm_emulator.machine.faults.fault import HOLDS, RISES, STUCK, Fault, rise, share
 
 
 def _kinds(section: str, what: str) -> tuple[Fault, ...]:
@@ -18,6 +18,7 @@ def _kinds(section: str, what: str) -> tuple[Fault, ...]:
         kind("slips", "the disc turns on its shaft", "offset", rise("rad", 0.1, 1e3, signed=True)),
         kind("misses_edges", "edges, or words of an absolute encoder, are missed", "missed",
              share(0.1, 0.5), "{x} + {m} * (1.0 - 2.0 * {x})"),
+        kind("stuck", STUCK, "held", share(), HOLDS),
         kind("noisy", "the shield is broken", "noise", rise("rad", 1e-3, 1.0)),
         kind("off_centre", "the disc has lost its centre", "eccentricity", rise("rad", 0.01, 1.0)),
         kind("ripples", "the sine and cosine signals differ", "ripple", rise("rad", 1e-3, 1.0)),

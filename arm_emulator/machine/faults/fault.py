@@ -50,6 +50,8 @@ def rise(unit: str, default: float, at_most: float, *, signed: bool = False) -> 
 
 RISES = "{x} + {m}"
 FALLS = "{x} * (1.0 - {m})"
+HOLDS = "{x} + {m} * (1.0 - {x})"  # of probabilities that do not depend on each other
+STUCK = "readings are lost with a probability, and the one before stands; at 1 for good"
 GROWS = "{x} * (1.0 + {m})"
 
 

@@ -29,6 +29,7 @@ class Converter(Part):
     noise: float | None = number("noise", "", at_least=0.0, at_most=LARGEST_ERROR, default=None)
     range: float | None = number("range", "", above=0.0, default=None)
     resolution: float | None = number("resolution", "", above=0.0, default=None)
+    held: float | None = number("held", "1", at_least=0.0, at_most=1.0, default=None)
 
     @classmethod
     def numbers(cls) -> dict[str, PartNumber]:
