@@ -2,7 +2,6 @@
 
 import numpy as np
 from gymnasium import spaces, vector
-from gymnasium.vector.utils import batch_space
 
 from arm_emulator import Fleet
 
@@ -15,9 +14,9 @@ class ReachEnv(vector.VectorEnv):
     def __init__(self, scene="three_axis", num_envs=64, seconds=0.2, ticks=1, spread=(0.5, 2.0)):
         self.num_envs, self.seconds, self.ticks, self.spread = num_envs, seconds, ticks, spread
         self.fleet, self.target = Fleet(scene, num_envs), np.zeros((num_envs, 3))
-        one = spaces.Box(-1.0, 1.0, (3,)), spaces.Box(-np.inf, np.inf, (6,))
-        self.single_action_space, self.single_observation_space = one
-        self.action_space, self.observation_space = (batch_space(s, num_envs) for s in one)
+        s = spaces.Box(-1.0, 1.0, (3,)), spaces.Box(-np.inf, np.inf, (6,))
+        self.single_action_space, self.single_observation_space = s
+        self.action_space, self.observation_space = map(vector.utils.batch_space, s, [num_envs] * 2)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
