@@ -18,7 +18,7 @@ from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.thermometer import Thermometer
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene import Scene, could_vary, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from bench import faults, pages
 from oracles.random_chain import LINK
@@ -99,12 +99,15 @@ def everything(folder: Path, **more: Any) -> Scene:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     # The link that carries the payload has its mass's numbers from there.
-    names = [
-        one.name
-        for one in everything(tmp_path_factory.mktemp("possible"), faults=[]).possible_faults
-        if one.name != "wrist_link.mass_at_joint"
-    ]
-    return everything(tmp_path_factory.mktemp("everything"), faults=names)
+    plain = everything(tmp_path_factory.mktemp("possible"), faults=[])
+    faults = [one for one in plain.possible_faults if one.name != "wrist_link.mass_at_joint"]
+    possible = [one.name for one in could_vary(plain.joints, plain.chain, plain.imus)]
+    changed = {change.number for one in faults for change in one.changes}
+    return everything(
+        tmp_path_factory.mktemp("everything"),
+        faults=[one.name for one in faults],
+        varied=[*sorted(changed.intersection(possible)), "payload.mass"],
+    )
 
 
 def drive(plant: Plant, ticks: range) -> list[bytes]:
@@ -148,7 +151,7 @@ def test_names_units_and_ranges_are_sound() -> None:
 
 def test_every_kind_is_there(scene: Scene) -> None:
     assert {one.kind.name for one in scene.faults} == {one.name for one in FAULTS}
-    names = {one.name for one in scene.varied}
+    names = {one.name for one in scene.varied if one.name.startswith("faults.")}
     assert names == {f"faults.{one.name}" for one in scene.faults}
 
 
@@ -194,6 +197,29 @@ def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Sce
         plant.set_parameter(one.varied.name, 0.0)
         assert drive(plant, range(BEGIN, END)) == without, f"{one.name}: on and off at one tick"
     assert {one.name for one in FAULTS} == acting, "kinds that change nothing of this motion"
+
+
+def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene) -> None:
+    """The same machine with these numbers set by hand."""
+    plant, saved, _ = begun
+    numbers, compared = {one.name: one.number for one in scene.varied}, set()
+    for one in scene.faults:
+        m, by_hand = magnitude_of(one), {}
+        for change in one.changes:
+            value = eval(change.expression.format(x=repr(change.value), m=repr(m)))
+            if change.number in numbers and numbers[change.number].holds(value):
+                by_hand[change.number] = value
+        if len(by_hand) < len(one.changes):
+            continue  # a number that the scene leaves out, or nothing is left of it
+        compared.add(one.kind.name)
+        plant.restore(saved)
+        plant.set_parameter(one.varied.name, m)
+        expected = drive(plant, range(BEGIN, END))
+        plant.restore(saved)
+        for name, value in by_hand.items():
+            plant.set_parameter(name, value)
+        assert drive(plant, range(BEGIN, END)) == expected, one.name
+    assert len(compared) > 30, compared
 
 
 def test_what_is_stuck_stays_as_it_was(begun: Begun, scene: Scene) -> None:
