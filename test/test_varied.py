@@ -13,9 +13,11 @@ import yaml
 from draws import some
 from machines import MOTOR, Oracle, moving_joints, random_chain_urdf, write_scene
 
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 
@@ -136,6 +138,22 @@ def test_a_number_that_is_set_is_saved_and_the_motion_goes_on(tmp_path: Path) ->
     assert other.parameters[name] == 5.0, "the number that was set"
     np.testing.assert_array_equal(motion(one, rows), motion(other, rows), err_msg="last states")
     assert one.save() == other.save(), "all that the machines are"
+
+
+def test_a_number_with_bounds_of_its_size_is_set_below_zero() -> None:
+    name = "joints.waist.encoder.offset"
+    overrides = {"joints.waist.encoder.offset": 0.0, "varied": [name]}
+    scene = load_scene("three_axis", overrides=overrides)
+    sized = dataclasses.replace(scene.varied[0], number=Number.within(name, "rad", 1.0))
+    scene = dataclasses.replace(scene, varied=(sized,))
+    plant, fleet = Plant(scene), Fleet(scene, 2)
+    plant.set_parameter(name, -0.5)
+    fleet.set_parameter(name, [-0.5, 0.5])
+    assert plant.parameters == {name: -0.5}, "the number that was set"
+    assert fleet.parameters[name].tolist() == [-0.5, 0.5], "the numbers that were set"
+    for machine in (plant, fleet):
+        with pytest.raises(Refusal, match="of size 1 or less|at most 1|within"):
+            machine.set_parameter(name, -1.5)
 
 
 @pytest.mark.parametrize(

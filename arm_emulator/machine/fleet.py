@@ -356,12 +356,16 @@ class Fleet(Turns):
         for done, some in self._pieces(periods):
             self._shares.do(self._worth(some), partial(go, done, some))
             if refused:
-                arm = self.core.arm_fleet_refused(fleet)
-                machine = self.core.arm_fleet_machine(fleet, arm)
-                why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", "")
-                self.core.arm_fleet_give_back(fleet, arm)
-                raise why
+                raise self._refusal(where, "")
         return out
+
+    def _refusal(self, where: str, otherwise: str) -> Refusal:
+        """Return why the core has refused a call for one of the arms."""
+        arm = self.core.arm_fleet_refused(self._fleet)
+        machine = self.core.arm_fleet_machine(self._fleet, arm)
+        why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
+        self.core.arm_fleet_give_back(self._fleet, arm)
+        return why
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield where pieces begin and how long they are, after which Ctrl-C is heard."""
@@ -469,8 +473,9 @@ class Fleet(Turns):
         self._set_parameter(name, self._column(where, name, values, mask), mask)
 
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
-        set_all = self.core.arm_fleet_set_parameter
-        set_all(self._fleet, _bytes(mask), name.encode(), pointer(column))
+        given = _bytes(mask), name.encode(), pointer(column)
+        if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
+            raise self._refusal("Fleet.set_parameter", "another value")
 
     @in_turn
     def set_external_wrench(
@@ -522,9 +527,7 @@ class Fleet(Turns):
         if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
             raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
         if self.core.arm_fleet_restore(self._fleet, _bytes(mask), bytes(saved), size) == REFUSED:
-            arm = self.core.arm_fleet_refused(self._fleet)
-            machine = self.core.arm_fleet_machine(self._fleet, arm)
-            raise refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", "another one")
+            raise self._refusal(where, "another one")
 
     @property
     @in_turn

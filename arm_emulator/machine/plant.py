@@ -326,6 +326,7 @@ class Plant(Turns):
         """The numbers that the scene lists as varied, by name, with this machine's values."""
         return {one.name: self._parameter(one.name) for one in self.scene.varied}
 
+    @in_turn
     def set_parameter(self, name: str, value: float) -> None:
         """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
 
@@ -334,7 +335,9 @@ class Plant(Turns):
         """
         where = "Plant.set_parameter"
         one = varied_number(self.scene.varied, name, where)
-        self._call("arm_set_parameter", name.encode(), one.number.take(where, value))
+        taken = one.number.take(where, value)
+        if self.core.arm_set_parameter(self.machine, name.encode(), taken) == REFUSED:
+            raise self._refusal(where, "another value")
 
     def _parameter(self, name: str) -> float:
         value = np.zeros(1)

@@ -160,7 +160,8 @@ def _matrix(rows: Array) -> str:
 
 
 def _parameter(one: Varied) -> str:
-    numbers = fields({"least": one.number.least, "most": one.number.most})
+    least, most = one.number.ends
+    numbers = fields({"least": least, "most": most})
     return f"{{.name = {text(one.name)}, {numbers}}}"
 
 
