@@ -152,7 +152,7 @@ def test_a_number_with_bounds_of_its_size_is_set_below_zero() -> None:
     assert plant.parameters == {name: -0.5}, "the number that was set"
     assert fleet.parameters[name].tolist() == [-0.5, 0.5], "the numbers that were set"
     for machine in (plant, fleet):
-        with pytest.raises(Refusal, match="of size 1 or less|at most 1|within"):
+        with pytest.raises(Refusal, match="within"):
             machine.set_parameter(name, -1.5)
 
 

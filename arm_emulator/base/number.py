@@ -15,14 +15,13 @@ import math
 import numbers
 import sys
 from collections.abc import Sequence
-from dataclasses import KW_ONLY
+from dataclasses import KW_ONLY, dataclass
 from functools import cache, cached_property
 from typing import Any, Self
 
 import numpy as np
 
 from arm_emulator.base.given import FloatArray, array_of
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 
 # A finite number need not be a quantity. What lies beyond these is a slip, and what is computed

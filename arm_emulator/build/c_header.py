@@ -13,7 +13,7 @@ import marshal
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ import _cffi_backend
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build import library_cache
 

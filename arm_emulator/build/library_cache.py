@@ -18,10 +18,10 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.elf import with_data
 from arm_emulator.build.trusted import Untrusted, check_folder, read_file

@@ -8,11 +8,10 @@ import platform
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build import library_cache
 from arm_emulator.build.c_header import Header, Library

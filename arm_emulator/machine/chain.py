@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.couplings import Coupling
-from arm_emulator.base.quick_dataclass import dataclass
 
 Array = NDArray[np.float64]
 

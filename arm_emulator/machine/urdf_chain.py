@@ -6,11 +6,11 @@ import dataclasses
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from arm_emulator.base.couplings import Coupling, coupling_of, followers
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import complete_limits
 from arm_emulator.machine.chain import (

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import EYE, X_AXIS, Array, Bodies, Frame, clean, turns
 

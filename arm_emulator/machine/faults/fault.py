@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from arm_emulator.base.number import Number
-from arm_emulator.base.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.faults.fault import Fault
 from arm_emulator.machine.varied import Varied

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import read_delay
 from arm_emulator.machine.parts.part import Part, PartNumber, number

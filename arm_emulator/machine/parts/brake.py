@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from arm_emulator.base.quick_dataclass import dataclass
+from dataclasses import dataclass
+
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.resting import AtRest, Share
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Self
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData
 from arm_emulator.machine.parts.part import number
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor, Rating

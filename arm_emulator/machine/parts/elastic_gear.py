@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.part import number
 

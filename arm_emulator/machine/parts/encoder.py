@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 from arm_emulator.base.number import Number
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.output import Output

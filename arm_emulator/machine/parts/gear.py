@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share

@@ -5,7 +5,7 @@ Commands of plants and fleets, messages, FMU variables and registers follow from
 
 from __future__ import annotations
 
-from arm_emulator.base.quick_dataclass import dataclass
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.elastic_gear import ElasticGear

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import sticking_link
 from arm_emulator.machine.parts.part import Part, number

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.part import Part

@@ -6,9 +6,8 @@ follow from these lists.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
-
-from arm_emulator.base.quick_dataclass import dataclass
 
 AXES = 3  # of inertial measurement units
 COMMAND = "command"  # the unit of what a joint's motor is commanded: V, N m or A

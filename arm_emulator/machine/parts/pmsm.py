@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Self
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData

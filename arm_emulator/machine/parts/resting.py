@@ -5,12 +5,11 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 FloatArray = NDArray[np.float64]

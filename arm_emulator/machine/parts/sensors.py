@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
-from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
