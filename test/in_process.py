@@ -10,6 +10,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import rclpy
@@ -32,6 +33,7 @@ class Wires:
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, type, bytes]] = deque()  # stated, not delivered yet
         self.listeners: dict[str, list[Callable[[bytes], None]]] = defaultdict(list)
+        self.published: set[str] = set()
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.timers: list[Timer] = []
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was reported last on each topic
@@ -45,13 +47,18 @@ class Wires:
             def create_publisher(self, kind: type, topic: str, *more: Any, **named: Any) -> Any:
                 if topic.startswith("/"):  # rclpy's own
                     return super().create_publisher(kind, topic, *more, **named)
+                wires.published.add(f"/{topic}")
                 return Publisher(wires, kind, topic)
 
             def create_subscription(
                 self, kind: type, topic: str, callback: Any, *more: Any, **named: Any
-            ) -> None:
+            ) -> SimpleNamespace:
                 take = callback if named.get("raw") else _as_message(kind, callback)
                 wires.listeners[topic].append(take)
+                return SimpleNamespace(topic_name=f"/{topic}")
+
+            def count_publishers(self, topic_name: str) -> int:
+                return int(topic_name in wires.published)
 
             def create_service(self, kind: type, name: str, callback: Any, **named: Any) -> Any:
                 if not name.startswith("~/"):  # rclpy's own
