@@ -336,7 +336,9 @@ def recording_commands() -> list[str]:
 
 
 def test_every_run_without_a_network_can_be_kept() -> None:
-    assert recording_commands() == ["canopen", "ethercat", "firmware", "modbus", "run"]
+    assert recording_commands() == [
+        "campaign", "canopen", "ethercat", "firmware", "modbus", "run"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", recording_commands())

@@ -52,6 +52,10 @@ def campaign(file: Path, options: Options, *, json: bool = False) -> int:
     Raises:
         Refusal: a file, folder or option that is not taken.
     """
+    options.kept.check("campaign")
+    if options.kept != NOTHING and options.replay is None:
+        rule = "come with --replay INDEX, which names the run"
+        raise Refusal("campaign", "--record and --rerun", rule, "no --replay")
     output = Output(json)
     one = load_campaign(file)
     if options.runs is not None:
@@ -62,9 +66,6 @@ def campaign(file: Path, options: Options, *, json: bool = False) -> int:
     check_count("campaign", "--workers", workers, 1, 4096)
     if options.replay is not None:
         return _replay(one, options.replay, options.kept, output)
-    if options.kept != NOTHING:
-        rule = "come with --replay INDEX, which names the run"
-        raise Refusal("campaign", "--record and --rerun", rule, "none")
     seconds, ready = seconds_per_run(one)
     _preview(one, seconds, ready, workers, output)
     if options.dry:
@@ -171,7 +172,6 @@ def _print(summary: Summary, results: Results, output: Output) -> None:
 def _replay(one: Campaign, index: int, kept: Kept, output: Output) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
     check_count("campaign", "--replay", index, 0, 10**12)
-    kept.check("campaign")
     simulator = Simulator(one)
     outcome = simulator.run(index)
     for name, value in outcome.values.items():
