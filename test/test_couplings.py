@@ -278,6 +278,7 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
 
 
+@pytest.mark.skipif(not FULL, reason="compiles a machine and its lanes: make test-in-full")
 def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> None:
     """Servo and motion control take shafts; the true tool, by the joints, arrives."""
     file = tmp_path / "arm.urdf"

@@ -16,7 +16,7 @@ from arm_emulator.ros.node_shell import EVENT_QOS
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
 
-SEQUENCES = 25 if FULL else 3
+SEQUENCES = 25 if FULL else 2
 POSES = 4
 SIDE = 0.04  # m, of the box in which the poses of a path are drawn
 

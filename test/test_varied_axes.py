@@ -214,7 +214,7 @@ def moved(scene: Scene, values: dict[str, float], seed: int) -> tuple[np.ndarray
     return np.array(rows), measured
 
 
-@pytest.mark.parametrize("seed", some(range(30), 2))
+@pytest.mark.parametrize("seed", some(range(30), 1))
 def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path) -> None:
     """All parts' numbers, links' and sensors' at once, on a mixture with skewed axes."""
     mixture, other = write_skewed_mixture(tmp_path, seed)
