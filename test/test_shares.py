@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import time
+import threading
 
 import pytest
 
+from arm_emulator.machine import shares as shares_module
 from arm_emulator.machine.shares import Shares
 
 ALL = 64  # arms
@@ -14,13 +15,19 @@ ALL = 64  # arms
 @pytest.mark.parametrize(
     ("of_share", "of_all", "shared"), [(1e-4, 4e-3, True), (4e-3, 1e-4, False)]
 )
-def test_work_goes_the_way_that_was_quicker(of_share: float, of_all: float, shared: bool) -> None:
+def test_work_goes_the_way_that_was_quicker(
+    of_share: float, of_all: float, shared: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock on which each piece of work takes its time after the others."""
     shares = Shares(ALL, 8, 2)
     done: list[tuple[int, int]] = []
+    now, turn = [0.0], threading.Lock()
+    monkeypatch.setattr(shares_module.time, "perf_counter", lambda: now[0])
 
     def work(first: int, arms: int) -> None:
-        time.sleep(of_all if arms == ALL else of_share)
-        done.append((first, arms))
+        with turn:
+            now[0] += of_all if arms == ALL else of_share
+            done.append((first, arms))
 
     for _ in range(2):
         shares.do(1000, work)  # each way once

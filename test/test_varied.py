@@ -17,7 +17,6 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 
@@ -146,14 +145,11 @@ def test_a_number_with_bounds_of_its_size_is_set_below_zero() -> None:
     scene = load_scene("three_axis", overrides=overrides)
     sized = dataclasses.replace(scene.varied[0], number=Number.within(name, "rad", 1.0))
     scene = dataclasses.replace(scene, varied=(sized,))
-    plant, fleet = Plant(scene), Fleet(scene, 2)
+    plant = Plant(scene)
     plant.set_parameter(name, -0.5)
-    fleet.set_parameter(name, [-0.5, 0.5])
     assert plant.parameters == {name: -0.5}, "the number that was set"
-    assert fleet.parameters[name].tolist() == [-0.5, 0.5], "the numbers that were set"
-    for machine in (plant, fleet):
-        with pytest.raises(Refusal, match="within"):
-            machine.set_parameter(name, -1.5)
+    with pytest.raises(Refusal, match="within"):
+        plant.set_parameter(name, -1.5)
 
 
 @pytest.mark.parametrize(
