@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
@@ -151,9 +152,9 @@ def run_campaign(
         Refusal: a run that is not taken, or workers that end again and again.
         KeyboardInterrupt: after what was done has been written.
     """
-    failures = failures_in(campaign, results, campaign.count)
-    before = len(results.done())
-    progress = Progress(campaign.count, before, failures=failures)
+    columns = results.columns()
+    failures = failures_in(campaign, columns, campaign.count)
+    progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
     for count in stages_of(campaign):
         _complete(campaign, results, make_pool, workers, seconds, report, progress, count)
         if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
@@ -224,9 +225,8 @@ def stages_of(campaign: Campaign) -> Iterator[int]:
     yield campaign.count
 
 
-def failures_in(campaign: Campaign, results: Results, count: int) -> list[int]:
+def failures_in(campaign: Campaign, columns: dict[str, NDArray[Any]], count: int) -> list[int]:
     """Return how often each requirement, and any of them last, failed in the first runs."""
-    columns = results.columns()
     first = columns[INDEX] < count
     failed = [
         int(np.count_nonzero(~(columns[f"{ROBUSTNESS}{name}"][first] >= 0.0)))
@@ -240,7 +240,7 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
     stop = campaign.stop
     if stop.width <= 0.0:
         return False
-    found = failures_in(campaign, results, count)
+    found = failures_in(campaign, results.columns(), count)
     intervals = (clopper_pearson(failed, count, stop.confidence) for failed in found)
     return all(high - low <= stop.width for low, high in intervals)
 

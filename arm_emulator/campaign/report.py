@@ -38,15 +38,17 @@ margin-top:.45em}.bar i{position:absolute;top:0;bottom:0;background:#f0b9c1;bord
 """
 
 
-def write_report(campaign: Campaign, results: Results, summary: Summary) -> Path:
+def write_report(
+    campaign: Campaign, results: Results, columns: pictures.Columns, summary: Summary
+) -> Path:
     """Write ``report.html`` and its pictures into the folder of the results; return the file.
 
     Args:
         campaign: which one.
-        results: of it, with a run at least.
+        results: their folder.
+        columns: all columns of these, with a run at least.
         summary: of these.
     """
-    columns = results.columns()
     varying = [one.name for one in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     least = _least(columns, list(names))

@@ -97,7 +97,6 @@ class Results:
                 if known != campaign.key.hex():
                     rule = "be new, or have results of this campaign as it is written now"
                     got = f"results of {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
-
                     raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
             else:
                 hidden = folder / f".{ABOUT}.{os.getpid()}"

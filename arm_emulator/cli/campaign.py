@@ -72,10 +72,11 @@ def campaign(file: Path, options: Options, *, json: bool = False) -> int:
         return 0
     results = Results(options.into or Path("out") / "campaigns" / file.stem, one)
     interrupted = _simulate(one, results, options, workers, seconds, output)
-    summary = summary_of(one, results.columns())
-    _print(summary, results, output)
+    columns = results.columns()
+    summary = summary_of(one, columns)
+    _print(summary, digest_of(columns), results.folder, output)
     if summary.count:
-        output.line(f"report  {write_report(one, results, summary)}")
+        output.line(f"report  {write_report(one, results, columns, summary)}")
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
     return 130 if interrupted else 0
@@ -154,18 +155,17 @@ def _facts(now: Progress) -> str:
     return f"{now.rate:.0f} runs/s, {now.failures[-1]} failed, {left}"
 
 
-def _print(summary: Summary, results: Results, output: Output) -> None:
+def _print(summary: Summary, digest: str, folder: Path, output: Output) -> None:
     percent = f"{100 * summary.confidence:g} %"
     for one in summary.shares:
         output.line(
             f"{one.name:<20} fails in {one.hits} of {summary.count}: {100 * one.share:.4g} %, "
             f"within {100 * one.low:.4g} and {100 * one.high:.4g} % ({percent} confidence)"
         )
-    digest = digest_of(results.columns())
     output.line(f"digest  {digest}")
     output.facts({
         "count": summary.count, "shares": summary.shares, "quantiles": summary.quantiles,
-        "confidence": summary.confidence, "digest": digest, "results": str(results.folder),
+        "confidence": summary.confidence, "digest": digest, "results": str(folder),
     })  # fmt: skip
 
 
