@@ -56,13 +56,15 @@ class EmulatorParameters:
     """Parameters of the node."""
 
     scene: str = parameter("three_axis", "scene file, or name of a shipped scene")
-    clock: str = parameter("lockstep", "who owns time", choices=CLOCKS)
-    start: str = parameter(
-        "free_run", "what the machine does until the first motor command", choices=STARTS
+    clock: str = parameter(
+        "lockstep",
+        "lockstep: each tick waits for its command; realtime: ticks follow the wall clock",
+        choices=CLOCKS,
     )
+    start: str = parameter("free_run", "behaviour until the first motor command", choices=STARTS)
     timeout: float = parameter(
         2.0,
-        "wall time without an answer that is reported",
+        "wall time without a command after which diagnostics report it",
         unit="s",
         at_least=0.1,
         at_most=3600.0,
@@ -70,15 +72,15 @@ class EmulatorParameters:
     )
     report_period: float = parameter(
         0.01,
-        "logical time between messages on emulator/joint_states and clock, 0 for every tick",
+        "logical time between messages on emulator/joint_states and clock; 0: every tick",
         unit="s",
         at_least=0.0,
         at_most=10.0,
     )
-    record: str = parameter("", "new bag of what the emulator publishes and takes, none if empty")
-    rerun_file: str = parameter("", "Rerun recording to write, none if empty")
+    record: str = parameter("", "folder of a new bag of the emulator's messages")
+    rerun_file: str = parameter("", "Rerun recording to write")
     rerun_port: int = parameter(
-        0, "local port where a Rerun viewer may connect, 0 for none", at_least=0, at_most=65535
+        0, "local port for a Rerun viewer; 0: none", at_least=0, at_most=65535
     )
 
 

@@ -6,7 +6,6 @@ import importlib
 import math
 import re
 import subprocess
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.machine import scene
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
-from bench import pages
+from bench import pages, parameters
 from docs import hooks
 
 MADE = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
@@ -114,24 +113,12 @@ def test_every_key_of_a_scene_is_listed() -> None:
     assert not set(missing) - sections
 
 
-def test_every_parameter_is_listed_with_its_default() -> None:
-    from arm_emulator.base.parameters import parameters_of
-    from arm_emulator.motion.motion_config import MotionConfig
-    from arm_emulator.servo.servo_config import JointServo, ServoConfig
-    from emulator_node.node import EmulatorParameters
-    from servo_node.node import ServoNodeParameters
-
-    text = page_of("topics").read_text()
-    rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)$", text, re.M))
-    for kind in (EmulatorParameters, MotionConfig):
-        for field in parameters_of(kind).values():
-            shown = str(field.default) if field.default else "none"
-            default, words = rows[field.name].split("|")[:2]
-            assert shown in default, field.name
-            assert words.startswith(" * ") == field.metadata["settable"], field.name
-    for kind in (ServoNodeParameters, ServoConfig, JointServo):
-        for field in fields(kind):
-            assert field.name in ("joints", "name") or f"`{field.name}`" in text, field.name
+def test_the_tables_of_parameters_follow_from_their_declarations() -> None:
+    """As `make pages` writes them."""
+    page = pages.tables()["parameters"]
+    table = parameters.report(parameters.run(quick=True))
+    assert {"### emulator", "### servo", "### motion_controller"} <= set(table.splitlines())
+    assert page.read_text() == pages.put(page.read_text(), "parameters", table)
 
 
 def test_every_topic_and_service_is_listed() -> None:

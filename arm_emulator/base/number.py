@@ -159,7 +159,7 @@ class Number:
     @property
     def described(self) -> str:
         """Description with range, in a line."""
-        return f"{self.text or self.name.replace('_', ' ')}: {self.range}"
+        return f"{self.text or self.name.replace('_', ' ')} ({self.range})"
 
     @cached_property
     def least(self) -> float:

@@ -23,20 +23,34 @@ SECTION = "joints"  # of the motion controller's parameter file
 class DriveNumbers:
     """The drive of a joint, all quantities seen at its link (a sliding joint: N, m, kg)."""
 
-    stiffness: float = number("N m/rad", above=0.0, default=math.inf)
-    """Of the gear for small torques [N m/rad]; left out: rigid."""
-    cubic_stiffness: float = number("N m/rad3", at_least=0.0, default=0.0)
-    """With the cube of the wind-up [N m/rad3]."""
-    damping: float = number("N m s/rad", at_least=0.0, default=0.0)
-    """Of the gear [N m s/rad]."""
-    viscous: float = number("N m s/rad", at_least=0.0, default=0.0)
-    """Friction of the link per speed [N m s/rad]."""
-    coulomb: float = number("N m", at_least=0.0, default=0.0)
-    """Friction of the link at any speed [N m]."""
-    rotor_viscous: float = number("N m s/rad", at_least=0.0, default=0.0)
-    """Friction of the rotor per speed, divided by ratio**2 [N m s/rad]."""
-    rotor_coulomb: float = number("N m", at_least=0.0, default=0.0)
-    """Friction of the rotor at any speed, divided by |ratio| [N m]."""
+    stiffness: float = number(
+        "N m/rad",
+        above=0.0,
+        default=math.inf,
+        text="stiffness of the gear for small torques; none: rigid",
+    )
+    cubic_stiffness: float = number(
+        "N m/rad3", at_least=0.0, default=0.0, text="stiffness with the cube of the wind-up"
+    )
+    damping: float = number("N m s/rad", at_least=0.0, default=0.0, text="damping of the gear")
+    viscous: float = number(
+        "N m s/rad", at_least=0.0, default=0.0, text="friction of the link per speed"
+    )
+    coulomb: float = number(
+        "N m", at_least=0.0, default=0.0, text="friction of the link at any speed"
+    )
+    rotor_viscous: float = number(
+        "N m s/rad",
+        at_least=0.0,
+        default=0.0,
+        text="friction of the rotor per speed, divided by ratio**2",
+    )
+    rotor_coulomb: float = number(
+        "N m",
+        at_least=0.0,
+        default=0.0,
+        text="friction of the rotor at any speed, divided by |ratio|",
+    )
 
     @classmethod
     def from_mapping(cls, table: object, where: str, path: str) -> DriveNumbers:

@@ -25,19 +25,25 @@ class MotionConfig:
     )
     method: str = parameter(
         "auto",
-        "control law: way, along ways that are known before they begin, within all limits; paper, "
-        "eq. (6); auto: way",
+        "control law: way, motions planned before they begin, within all limits; paper, eq. (6) of "
+        "the paper; auto: way",
         choices=("auto", "way", "paper"),
     )
-    weight: float = parameter(0.5, "w of eq. (6)", at_least=1e-6, at_most=1.0, settable=True)
+    weight: float = parameter(
+        0.5,
+        "paper: w of eq. (6), share of the tool's error that one instruction removes",
+        at_least=1e-6,
+        at_most=1.0,
+        settable=True,
+    )
     task: str = parameter(
         "auto",
-        "what the target rules; auto: position below 6 joints, else pose",
+        "controlled part of the pose: position (3 rows), pose (6); auto: pose from 6 joints on",
         choices=("auto", "position", "pose"),
     )
     step_limit: float = parameter(
         0.2,
-        "largest joint step per instruction",
+        "paper: largest joint step per instruction; longer steps are scaled down",
         unit="rad",
         at_least=1e-6,
         at_most=100.0,
@@ -45,14 +51,14 @@ class MotionConfig:
     )
     singular_below: float = parameter(
         0.02,
-        "singular values of the Jacobian below this are damped",
+        "paper: singular values of the Jacobian below this are damped",
         at_least=1e-9,
         at_most=1.0,
         settable=True,
     )
     velocity_limit: float = parameter(
         3.0,
-        "largest joint speed, beside the robot description's",
+        "largest joint speed, in addition to the limits of the robot description",
         unit="rad/s",
         at_least=1e-6,
         at_most=1e3,
@@ -60,7 +66,7 @@ class MotionConfig:
     )
     acceleration_limit: float = parameter(
         10.0,
-        "largest joint acceleration, beside the robot description's",
+        "largest joint acceleration, in addition to those of the robot description",
         unit="rad/s2",
         at_least=1e-6,
         at_most=1e5,
@@ -68,7 +74,7 @@ class MotionConfig:
     )
     jerk_limit: float = parameter(
         0.0,
-        "largest joint jerk; 0: the acceleration comes to its limit in 50 ms",
+        "largest joint jerk; 0: the acceleration reaches its limit in 50 ms",
         unit="rad/s3",
         at_least=0.0,
         at_most=1e8,
@@ -76,58 +82,67 @@ class MotionConfig:
     )
     feedforward: str = parameter(
         "auto",
-        "given to the servo beside joint angles: none; speed; torque, of the links' gravity and "
-        "motion, and speed; full: the same for elastic gears and friction, by the numbers of the "
-        "section `joints`; auto: speed with the method paper, else full where there are such "
-        "numbers, else torque",
+        "derivatives sent with the joint angles: none; speed; torque, speed and the torque of the "
+        "links' gravity and motion; full, the same for elastic gears and friction by the section "
+        "joints; auto: speed with the method paper, else full with that section, else torque",
         choices=("auto", "none", "speed", "torque", "full"),
     )
     gravity_x: float = parameter(
-        0.0, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
+        0.0, "gravity in the world, that of the scene", unit="m/s2", at_least=-1e3, at_most=1e3
     )
     gravity_y: float = parameter(
-        0.0, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
+        0.0, "gravity in the world, that of the scene", unit="m/s2", at_least=-1e3, at_most=1e3
     )
     gravity_z: float = parameter(
-        -9.81, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
+        -9.81, "gravity in the world, that of the scene", unit="m/s2", at_least=-1e3, at_most=1e3
     )
     reached_within: float = parameter(
         1e-3,
-        "a tool no farther from its target has reached it",
+        "largest distance of a tool that has reached its target",
         unit="m",
         at_least=1e-9,
         at_most=1e3,
         settable=True,
     )
     reached_within_angle: float = parameter(
-        5e-3, "the same of its orientation", unit="rad", at_least=1e-9, at_most=10.0, settable=True
+        5e-3, "the same for its orientation", unit="rad", at_least=1e-9, at_most=10.0, settable=True
     )
     tool_speed: float = parameter(
-        0.25, "of the tool along paths", unit="m/s", at_least=1e-6, at_most=100.0, settable=True
+        0.25,
+        "speed of the tool along paths",
+        unit="m/s",
+        at_least=1e-6,
+        at_most=100.0,
+        settable=True,
     )
     tool_turn_speed: float = parameter(
-        1.0, "of its turning along paths", unit="rad/s", at_least=1e-6, at_most=100.0, settable=True
+        1.0,
+        "angular speed of the tool along paths",
+        unit="rad/s",
+        at_least=1e-6,
+        at_most=100.0,
+        settable=True,
     )
     tool_acceleration: float = parameter(
         1.0,
-        "of the tool along paths, and across them",
+        "acceleration of the tool along and across paths",
         unit="m/s2",
         at_least=1e-6,
         at_most=1e4,
         settable=True,
     )
     tool_jerk: float = parameter(
-        10.0, "of the tool along paths", unit="m/s3", at_least=1e-6, at_most=1e6, settable=True
+        10.0, "jerk of the tool along paths", unit="m/s3", at_least=1e-6, at_most=1e6, settable=True
     )
     path_arcs: bool = parameter(
         False,
-        "whether each three poses of a path (0 1 2, 2 3 4, ...) are on an arc of a circle; else "
-        "there are lines between them",
+        "whether arcs of circles join each three poses of a path (0 1 2, 2 3 4, ...); otherwise "
+        "lines join each two",
         settable=True,
     )
     path_blend: float = parameter(
         0.0,
-        "where two lines of a path meet, an arc begins so far before the corner; 0: through it",
+        "distance from a corner of a path at which an arc begins to round it; 0: no arc",
         unit="m",
         at_least=0.0,
         at_most=100.0,
@@ -135,7 +150,7 @@ class MotionConfig:
     )
     path_tolerance: float = parameter(
         0.0,
-        "joints farther from a joint trajectory end it; 0: however far",
+        "deviation of a joint that aborts a joint trajectory; 0: none does",
         unit="rad",
         at_least=0.0,
         at_most=1e3,
@@ -143,7 +158,7 @@ class MotionConfig:
     )
     tool_path_tolerance: float = parameter(
         5e-3,
-        "a tool farther beside its tool path gives it up; 0: however far",
+        "deviation of the measured tool that aborts a tool path; 0: none does",
         unit="m",
         at_least=0.0,
         at_most=1e3,
@@ -151,14 +166,14 @@ class MotionConfig:
     )
     trajectory_limits: str = parameter(
         "scale",
-        "joint trajectories, and tool paths with times, that are faster than the joints' limits: "
+        "treatment of joint trajectories and tool paths with times that exceed the joint limits: "
         "scale, they take longer; refuse",
         choices=("scale", "refuse"),
         settable=True,
     )
     goal_tolerance: float = parameter(
         0.0,
-        "joints this near to the end of a joint trajectory have reached it; 0: however far",
+        "largest distance of joints that have reached the end of a joint trajectory; 0: any",
         unit="rad",
         at_least=0.0,
         at_most=1e3,
@@ -166,7 +181,7 @@ class MotionConfig:
     )
     goal_time: float = parameter(
         0.0,
-        "how long after its time a joint trajectory may take to reach its end; 0: for ever",
+        "time after its end that a joint trajectory may take to reach it; 0: any",
         unit="s",
         at_least=0.0,
         at_most=1e6,
@@ -177,7 +192,7 @@ class MotionConfig:
     )
     jog_command_in_type: str = parameter(
         "unitless",
-        "jog commands; unitless: parts of the scales, from -1 to 1; speed_units: m/s and rad/s",
+        "unit of jog commands: unitless, shares of the scales; speed_units, m/s and rad/s",
         choices=("unitless", "speed_units"),
         settable=True,
     )
@@ -190,7 +205,12 @@ class MotionConfig:
         settable=True,
     )
     jog_scale_rotational: float = parameter(
-        0.8, "the same of its turning", unit="rad/s", at_least=0.0, at_most=100.0, settable=True
+        0.8,
+        "largest angular speed of a jogged tool",
+        unit="rad/s",
+        at_least=0.0,
+        at_most=100.0,
+        settable=True,
     )
     jog_scale_joint: float = parameter(
         0.5,
@@ -201,25 +221,30 @@ class MotionConfig:
         settable=True,
     )
     jog_incoming_command_timeout: float = parameter(
-        0.1, "a jog command holds so long", unit="s", at_least=1e-3, at_most=3600.0, settable=True
+        0.1,
+        "time for which a jog command holds",
+        unit="s",
+        at_least=1e-3,
+        at_most=3600.0,
+        settable=True,
     )
     jog_lower_singularity_threshold: float = parameter(
         17.0,
-        "condition number of the Jacobian from which on a jog is slowed down",
+        "condition number of the Jacobian above which a jog slows down",
         at_least=1.0,
         at_most=1e9,
         settable=True,
     )
     jog_hard_stop_singularity_threshold: float = parameter(
         30.0,
-        "condition number at which a jog towards a singular pose ends",
+        "condition number at which a jog towards a singular pose stops",
         at_least=1.0,
         at_most=1e9,
         settable=True,
     )
     jog_joint_limit_margin: float = parameter(
         0.1,
-        "so far from their position limits jogged joints stop",
+        "distance from their position limits at which jogged joints stop",
         unit="rad",
         at_least=0.0,
         at_most=10.0,
@@ -227,12 +252,12 @@ class MotionConfig:
     )
     collisions: str = parameter(
         "auto",
-        "whether the arm stops before its parts touch each other or an obstacle; auto: where the "
-        "section `obstacles` is given",
+        "stop: the arm stops before its parts touch each other or an obstacle; auto: stop with a "
+        "section obstacles, else off",
         choices=("auto", "off", "stop"),
     )
     collision_margin: float = parameter(
-        0.01, "so far apart parts and obstacles stay", unit="m", at_least=0.0, at_most=10.0
+        0.01, "smallest distance between parts and obstacles", unit="m", at_least=0.0, at_most=10.0
     )
     obstacles: tuple[Obstacle, ...] = ()
     """A floor and boxes in the world. In files it is the section `obstacles`."""

@@ -26,46 +26,78 @@ class JointServo:
     """
 
     name: str
-    gear_ratio: float = number(above=0, in_size=True)
-    """Link turns per motor turn; negative: the link turns the other way."""
-    counts_per_turn: int = number(at_least=1, whole=True)
-    """Encoder counts per motor turn."""
-    resistance: float = number("ohm", at_least=0)
-    """Of the winding [ohm]; 0 only where the drive is commanded a current or a torque."""
-    torque_constant: float = number("N m/A", above=0)
-    """Motor torque per current [N m/A]; 1 where the drive is commanded a torque."""
-    back_emf_constant: float = number("V s/rad", at_least=0)
-    """Voltage per motor speed [V s/rad]."""
-    rotor_inertia: float = number("kg m2", above=0)
-    """Of the rotor and the primary side of the gear [kg m2]."""
-    velocity_limit: float = number("rad/s", above=0)
-    """Largest link speed that the position loop may ask for [rad/s]."""
-    position_gain: float = number("1/s", above=0)
-    """Speed asked for per position error [1/s]."""
-    velocity_gain: float = number("N m s/rad", above=0)
-    """Link torque asked for per link speed error [N m s/rad]."""
-    integral_time: float = number("s", above=0)
-    """Reset time of the velocity loop's integral action [s]."""
-    observer_bandwidth: float = number("rad/s", above=0)
-    """The three poles of the speed observer [rad/s]."""
-    inductance: float = number("H", at_least=0, default=0.0)
-    """Of the winding [H]; 0: the current follows the voltage at once."""
-    link_inertia: float = number("kg m2", at_least=0, default=0.0)
-    """Link inertia that turns rigidly with the rotor [kg m2]; 0: behind an elastic gear."""
-    current_limit: float = number("A", above=0, default=math.inf)
-    """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
-    current_bandwidth: float = number("Hz", at_least=0, default=0.0)
-    """Of the current loop that the drive closes by itself [Hz]: it is commanded a current [A];
-    left out: a voltage."""
-    torque_bandwidth: float = number("Hz", at_least=0, default=0.0)
-    """Of the drive's control of its torque [Hz]: it is commanded a torque [N m], measures no
-    current, and has its limits in N m; left out: a current or a voltage."""
-    voltage_limit: float = number("V", above=0, default=math.inf)
-    """Largest voltage that the drive can give [V], for the amplitude of synchronous motors; left
-    out: that of the supply."""
-    encoder_bits: int = number(at_least=0, at_most=48, whole=True, default=0)
-    """Word length of an absolute encoder, whose counts begin anew at 0 after 2**bits; 0: counts
-    that go on."""
+    gear_ratio: float = number(
+        above=0,
+        in_size=True,
+        text="link turns per motor turn; negative: the link turns the other way",
+    )
+    counts_per_turn: int = number(at_least=1, whole=True, text="encoder counts per motor turn")
+    resistance: float = number(
+        "ohm",
+        at_least=0,
+        text="resistance of the winding; 0 only where the command is a current or a torque",
+    )
+    torque_constant: float = number(
+        "N m/A", above=0, text="motor torque per current; 1 where the command is a torque"
+    )
+    back_emf_constant: float = number("V s/rad", at_least=0, text="induced voltage per motor speed")
+    rotor_inertia: float = number(
+        "kg m2", above=0, text="inertia of the rotor and the primary side of the gear"
+    )
+    velocity_limit: float = number(
+        "rad/s", above=0, text="largest link speed that the position loop commands"
+    )
+    position_gain: float = number("1/s", above=0, text="link speed per position error")
+    velocity_gain: float = number("N m s/rad", above=0, text="link torque per link speed error")
+    integral_time: float = number(
+        "s", above=0, text="reset time of the velocity loop's integral action"
+    )
+    observer_bandwidth: float = number(
+        "rad/s", above=0, text="the three poles of the speed observer"
+    )
+    inductance: float = number(
+        "H",
+        at_least=0,
+        default=0.0,
+        text="inductance of the winding; 0: the current follows the voltage at once",
+    )
+    link_inertia: float = number(
+        "kg m2",
+        at_least=0,
+        default=0.0,
+        text="link inertia behind a rigid gear; 0: an elastic gear",
+    )
+    current_limit: float = number(
+        "A",
+        above=0,
+        default=math.inf,
+        text="largest current, or torque, that the servo commands; none: the voltage limits",
+    )
+    current_bandwidth: float = number(
+        "Hz",
+        at_least=0,
+        default=0.0,
+        text="bandwidth of the drive's current loop, whose command is a current; 0: no loop",
+    )
+    torque_bandwidth: float = number(
+        "Hz",
+        at_least=0,
+        default=0.0,
+        text="bandwidth of the drive's torque control, whose command is a torque; 0: none",
+    )
+    voltage_limit: float = number(
+        "V",
+        above=0,
+        default=math.inf,
+        text="largest voltage of the drive (synchronous motors: amplitude); none: the supply's",
+    )
+    encoder_bits: int = number(
+        at_least=0,
+        at_most=48,
+        whole=True,
+        default=0,
+        text="word length of an absolute encoder; 0: an incremental one",
+    )
 
     @property
     def commanded(self) -> Commanded:
@@ -122,16 +154,23 @@ class JointServo:
 class ServoConfig:
     """Parameters of the servo: periods, supply and its joints in the order of its arrays."""
 
-    period: float = number("s", above=0)
-    """Servo period [s]."""
-    motion_period: float = number("s", at_least=0)
-    """Period of the joint targets in lock-step [s]; 0: targets come when they come."""
-    hold_after: float = number("s", above=0)
-    """Silence after which the watchdog holds the joints where they are [s]."""
-    cut_after: float = number("s", above=0)
-    """Silence after which the watchdog cuts the power [s]."""
-    supply_voltage: float = number("V", above=0)
-    """Largest voltage at a motor, of either sign [V]."""
+    period: float = number("s", above=0, text="servo period, that of the scene")
+    motion_period: float = number(
+        "s",
+        at_least=0,
+        text="period of the joint targets in lock-step; 0: targets act when they arrive",
+    )
+    hold_after: float = number(
+        "s",
+        above=0,
+        text="logical time without joint targets after which the watchdog holds the joints",
+    )
+    cut_after: float = number(
+        "s",
+        above=0,
+        text="the same until it cuts the power; in real time also wall time without motor states",
+    )
+    supply_voltage: float = number("V", above=0, text="largest voltage at a motor, of either sign")
     joints: tuple[JointServo, ...] = ()
 
     @property

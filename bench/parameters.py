@@ -1,0 +1,70 @@
+"""docs/reference/topics.md: the parameters of the nodes, as they are declared."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from arm_emulator.base.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.parameters import parameters_of
+from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
+from emulator_node.node import EmulatorParameters
+from servo_node.node import ServoNodeParameters
+
+Rows = Iterator[list[str]]
+HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
+
+
+def run(quick: bool) -> dict[str, list[list[str]]]:
+    """Return the rows of each node."""
+    motion = _numbers(DriveNumbers, "joints.NAME.", ())
+    joints = _numbers(JointServo, "joints.NAME.", SETTABLE)
+    servo = _parameters(ServoNodeParameters), _numbers(ServoConfig, "", SETTABLE), joints
+    return {
+        "emulator": [*_parameters(EmulatorParameters)],
+        "servo": [row for rows in servo for row in rows],
+        "motion_controller": [*_parameters(MotionConfig), *motion],
+    }
+
+
+def report(found: dict[str, list[list[str]]]) -> str:
+    """Return a table for each node."""
+    tables = []
+    for node, rows in found.items():
+        lines = (f"| {' | '.join(row)} |" for row in rows)
+        tables.append("\n".join((f"### {node}\n\n{HEAD}", *lines)))
+    return "\n\n".join(tables)
+
+
+def _parameters(kind: type[Any]) -> Rows:
+    for one in parameters_of(kind).values():
+        about, settable = one.metadata, one.metadata["settable"]
+        if "number" in about:
+            yield _number(one.name, about["number"], settable)
+            continue
+        default = _code(str(one.default).lower() if type(one.default) is bool else one.default)
+        valid = ("true", "false") if type(one.default) is bool else about["choices"]
+        yield _row(one.name, default, ", ".join(map(_code, valid)), about["description"], settable)
+
+
+def _numbers(kind: type[Any], prefix: str, settable: tuple[str, ...]) -> Rows:
+    numbers = numbers_of(kind)
+    for field in dataclasses.fields(kind):
+        if field.name in numbers:
+            yield _number(prefix + field.name, numbers[field.name], field.name in settable)
+
+
+def _number(name: str, one: Number, settable: bool) -> list[str]:
+    default = "required" if one.default is REQUIRED else f"{one.default:g}".replace("inf", "none")
+    return _row(name, default, one.range.removeprefix("number "), one.text, settable)
+
+
+def _row(name: str, default: str, valid: str, text: str, settable: bool) -> list[str]:
+    return [_code(name), default, valid, "* " * settable + text.replace("|", r"\|")]
+
+
+def _code(text: str) -> str:
+    return f"`{text}`" if text else "none"
