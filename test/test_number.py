@@ -97,8 +97,8 @@ def test_words_are_short() -> None:
     assert Number.within("q", "rad", 1e6).range == "number within +-1e+06 rad"
     assert Number("t", "s").range == "number [s]"
     assert Number("share", "1", at_most=math.inf).rule == "be a finite number"
-    assert Number("hold_after", "s", above=0).described == "hold after: number > 0 s"
-    assert Number("x", text="what it is", at_least=1).described == "what it is: number >= 1"
+    assert Number("hold_after", "s", above=0).described == "hold after (number > 0 s)"
+    assert Number("x", text="what it is", at_least=1).described == "what it is (number >= 1)"
     assert Number().ends == (-LARGEST, LARGEST) and Number(above=0).least == SMALLEST
     with pytest.raises(Refusal, match=r"x must be a number from 1e-15 to 1e\+15 m, got 1e-20"):
         Number("x", "m", above=0.0).take("here", 1e-20)
