@@ -45,7 +45,7 @@ def _parameters(kind: type[Any]) -> Rows:
         if "number" in about:
             yield _number(one.name, about["number"], settable)
             continue
-        default = _code(str(one.default).lower() if type(one.default) is bool else one.default)
+        default = _code(str(one.default).lower() if type(one.default) is bool else str(one.default))
         valid = ("true", "false") if type(one.default) is bool else about["choices"]
         yield _row(one.name, default, ", ".join(map(_code, valid)), about["description"], settable)
 
