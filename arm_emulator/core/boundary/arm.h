@@ -1,21 +1,21 @@
 /* The boundary of an emulated arm: commands in, measurements out, one servo period at a time.
  *
  * The compiled library of a scene has the functions of this header. A user links it, or loads it
- * with dlopen; nothing here knows of Python, ROS or the clock. C99.
+ * with dlopen. It needs no Python, ROS or clock. C99.
  *
  * Ticks count servo periods. `arm_exchange` takes the command of tick k through the period to the
- * measurement of tick k + 1. What the drive electronics know is in `arm_measurement`; what only the
- * emulator knows is in `arm_truth`, for judging and not for control.
+ * measurement of tick k + 1. `arm_measurement` has what the sensors report, `arm_truth` the true
+ * state, for judging and not for control.
  *
  * Arrays have one entry per joint, base to tool. Units are SI, angles in rad (m for prismatic
  * joints).
  *
- * A struct begins with its size, which its user sets to sizeof of it: a library reads and writes no
- * more than that, so that later versions can add fields at the end. No call but `arm_new` allocates
- * memory. One machine is used by one thread at a time; several machines know nothing of each other.
+ * A struct begins with its size, which the user sets to its sizeof: a library reads and writes no
+ * more than that, so that later versions can add fields at the end. Only `arm_new` allocates
+ * memory. One thread at a time may use a machine; machines are independent of each other.
  *
- * A null pointer where none may be is refused: ARM_REFUSED (without a machine, no `arm_why`), or
- * nothing happens.
+ * A null pointer that is not permitted is refused with ARM_REFUSED (without a machine, no
+ * `arm_why`), or nothing happens.
  */
 #ifndef ARM_H
 #define ARM_H
@@ -32,7 +32,7 @@ typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
 enum arm_result {
   ARM_OK = 0,
-  ARM_REFUSED = 1, /* nothing has changed; `arm_why` gives the reason */
+  ARM_REFUSED = 1, /* refused, nothing has changed; `arm_why` gives the reason */
   ARM_DIVERGED = 2 /* the machine stays at its last sound state until it is reset or restored */
 };
 
@@ -56,8 +56,8 @@ typedef struct arm_description {
   double supply_voltage; /* V */
   int32_t imus;          /* inertial measurement units; since version 2 */
   int32_t readings;      /* rows of arm_measurement.readings; since version 4 */
-  /* Since version 3: what the scene has of arm_options, in a library by `compile --into`; else 0.
-   * A machine may be made with others. */
+  /* Since version 3: the scene's values for arm_options in a library from `compile --into`, else 0.
+   * A machine may have others. */
   double servo_period;      /* s */
   double step;              /* s, of the integrator */
   int64_t steps_per_period; /* of a servo period */
@@ -72,12 +72,12 @@ enum arm_mode {
   ARM_VOLTAGE = 1,
   ARM_TORQUE = 2,
   ARM_CURRENT = 4,
-  ARM_VOLTAGE_DQ = 8 /* across the rotor's flux; along it is a further input */
+  ARM_VOLTAGE_DQ = 8 /* across the rotor's flux; the voltage along it is a further input */
 };
 
 typedef struct arm_joint_description {
   uint32_t size;
-  uint32_t modes; /* that its drive takes; 0: nothing drives it */
+  uint32_t modes; /* modes of its drive; 0: no motor */
   const char* name;
   int32_t kind; /* enum arm_kind */
   int32_t reserved;
@@ -88,7 +88,7 @@ typedef struct arm_joint_description {
   int64_t encoder_wrap; /* an absolute encoder's counts are modulo this; 0: no wrap */
   int64_t link_encoder_wrap;
   double link_counts_per_rad; /* counts of the encoder at the link (per m for prismatic joints) */
-  uint32_t sensors;           /* bits of enum arm_sensor: what else is there */
+  uint32_t sensors;           /* bits of enum arm_sensor: its further sensors */
   uint32_t more;
 } arm_joint_description;
 
@@ -128,13 +128,13 @@ typedef struct arm_options {
 arm_machine* arm_new(const arm_options* options);
 void arm_delete(arm_machine* machine);
 
-/* Put the links at (q, v), the motors along with them, at tick 0: no current, gears unloaded. */
+/* Set the links to (q, v) and the motors to match, at tick 0, without current or gear torque. */
 int arm_reset(arm_machine* machine, const double* q, const double* v);
 
 /* Schedule the machine's own threads as the calling one; 0 if the system does not permit it. */
 int arm_join_schedule(arm_machine* machine);
-/* In a child of `fork`, which has none of its parent's threads: begin the machine's own anew. To be
- * called once, before the machine is used. */
+/* In a child of `fork`, which has no thread of its parent: start the machine's threads again. Call
+ * it once, before the machine is used. */
 void arm_begin_threads(arm_machine* machine);
 
 /* ------------------------------------------------------------------------------- the exchange */
@@ -166,8 +166,7 @@ enum arm_fault {
 typedef struct arm_joint_measurement {
   int64_t encoder; /* counts at the motor, as its encoder measures them */
   double current;  /* A, as its sensor measures it */
-  double
-      applied; /* V, N m or A: of the command, what the motor got in the period that has passed */
+  double applied; /* V, N m or A: share of the command that the motor received in the past period */
   uint32_t faults; /* bits of enum arm_fault */
   uint32_t brake;  /* 1: it is closed */
 } arm_joint_measurement;
@@ -175,7 +174,7 @@ typedef struct arm_joint_measurement {
 /* Readings of further sensors of a joint; 0 for absent sensors. */
 typedef struct arm_joint_sensors {
   int64_t index;        /* counts of the encoder at the motor when its newest index pulse came */
-  int64_t index_pulses; /* that have come */
+  int64_t index_pulses; /* pulses so far */
   int64_t link_encoder; /* counts at the link */
   int64_t link_index;
   int64_t link_index_pulses;
@@ -206,14 +205,14 @@ typedef struct arm_measurement {
 
 /* Go through one servo period; `out` is as of its end, or of the last sound state. */
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out);
-/* The measurement of this tick once more. */
+/* Read the measurement of this tick again. */
 int arm_measure(const arm_machine* machine, arm_measurement* out);
 /* Switch the power of all drives: without it every command is 0, and brakes close after their
- * delay. A machine begins with it. A reset leaves it as it is, with brakes to fit. */
+ * delay. A machine starts with power on. A reset keeps it and sets the brakes to match. */
 void arm_power(arm_machine* machine, int on);
 
 /* Call `listener` at the end of every exchange that is not refused, on the thread that exchanges;
- * null: nobody listens. It may look at the machine. Since version 5. */
+ * null: none. It may read the machine. Since version 5. */
 void arm_listen(arm_machine* machine, void (*listener)(void* with, const arm_machine* machine),
                 void* with);
 
@@ -232,7 +231,7 @@ typedef struct arm_parameter {
 
 /* Fill `out`; ARM_REFUSED if there are not so many (arm_description.parameters). */
 int arm_describe_parameter(int32_t index, arm_parameter* out);
-/* The value that this machine has. Setting it lets the motion go on from where it is; a reset does
+/* The value of this machine. The motion continues from its state when a value is set; a reset does
  * not change it. */
 int arm_get_parameter(const arm_machine* machine, const char* name, double* value);
 int arm_set_parameter(arm_machine* machine, const char* name, double value);
@@ -253,34 +252,31 @@ typedef struct arm_wrench {
   double moment[3]; /* N m, about the point */
 } arm_wrench;
 
-/* The wrench that acts on the link of a joint, until it is set anew; a reset takes it away. It is
- * part of a saved machine. Both calls need a scene with `external_wrench`. */
+/* The wrench that acts on the link of a joint until it is set again; a reset removes it. It is part
+ * of a saved machine. Both calls need a scene with `external_wrench`. */
 int arm_set_external_wrench(arm_machine* machine, int32_t joint, const arm_wrench* wrench);
 int arm_get_external_wrench(const arm_machine* machine, int32_t joint, arm_wrench* out);
 
 /* ------------------------------------------------------------------------------ measuring time */
 
-/* Measure from now on the wall time that steps take: two readings of the clock, some 50 ns, per
- * exchange. */
+/* Measure the wall time of steps from now on; this costs some 50 ns per exchange. */
 void arm_measure_time(arm_machine* machine);
-/* Wall time that steps have taken since [ns]. */
+/* Wall time of the steps since then [ns]. */
 int64_t arm_spent(const arm_machine* machine);
 
 /* ------------------------------------------------------------------------------ whole states */
 
 /* Bytes of a saved machine. */
 int64_t arm_saved_size(void);
-/* Save all that decides how the machine goes on, and continue from it to the last bit: in any
- * machine of a library with the same fingerprint, and with the same options. Power, tick and fault
- * are part of it. The bytes hold no pointers and may be kept in a file; spoiled ones are
- * refused. */
+/* Save the whole state, and continue from it to the last bit in any machine of a library with the
+ * same fingerprint and the same options. Power, tick and fault are part of it. The bytes hold no
+ * pointers and may be kept in a file; corrupted ones are refused. */
 int arm_save(const arm_machine* machine, void* out, int64_t size);
 int arm_restore(arm_machine* machine, const void* saved, int64_t size);
 
 /* -------------------------------------------------------------------------------------- truth */
 
-/* Every pointer may be null: what has no place to go is not worked out, and energy and gear torques
- * take time. */
+/* Every pointer may be null. Leave out energy and gear torques to save time. */
 typedef struct arm_truth {
   uint32_t size;
   int32_t fault;       /* joint that diverged; -1: none */
@@ -298,8 +294,8 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out);
 /* Temperatures of the windings, an entry per joint [degC]; NaN where the scene has none. */
 void arm_get_winding_temperatures(const arm_machine* machine, double* out);
 /* Set currents, motors and links; a null array stays as it is. Time, energy, torque and fault of
- * the struct are not read. A motor behind a rigid gear turns with its link, and a joint without a
- * motor has none: what contradicts that is refused. The scheme begins with no past. */
+ * the struct are ignored. Motor states that contradict a rigid gear or an absent motor are refused.
+ * The scheme starts without a past. */
 int arm_set_truth(arm_machine* machine, const arm_truth* truth);
 
 /* ----------------------------------------------------------------------- away from the ticks */
@@ -313,7 +309,7 @@ int arm_run(arm_machine* machine, const double* command, int64_t rows, int64_t s
  * entry per joint in `out`: now and under `command` [W], or 0 without power. Both calls need a
  * scene with `energy_flow`. */
 int arm_powers(const arm_machine* machine, const double* command, double* out);
-/* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
+/* As `arm_advance`; the energy supplied and dissipated meanwhile goes to `out` [J]. */
 int arm_advance_metered(arm_machine* machine, const double* command, int64_t steps, double* out);
 
 /* The linear part of every drive (drive_table.hpp), for the analysis of small motions: what the

@@ -77,8 +77,8 @@ typedef struct arm_fleet_measurement {
 int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out);
 
 /* One servo period of `arms` arms from `first` on, as `arm_fleet_run`, each under its commands of
- * the fleet's row, as `arm_exchange`. `arm_fleet_refused` does not know of it: its reason is with
- * the arm. */
+ * the fleet's row, as `arm_exchange`. `arm_fleet_refused` does not report its refusals: the reason
+ * is with the arm. */
 int arm_fleet_exchange(arm_fleet* fleet, int32_t first, int32_t arms, const arm_command* command);
 
 /* Rows of all arms; every array may be null. */
@@ -100,15 +100,15 @@ typedef struct arm_fleet_truth {
 int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out);
 
 /* `periods` servo periods of `arms` arms from `first` on, as `arm_fleet_exchange`, the commands
- * held; then what their sensors measure and what is true of them. Either may be null. Energy and
- * gear torque take longer than all else together. */
+ * held; then the measurements and the true states. Either may be null. Energy and gear torque take
+ * longer than all else together. */
 int arm_fleet_step(arm_fleet* fleet, int32_t first, int32_t arms, const arm_command* command,
                    int64_t periods, arm_fleet_measurement* measurement, arm_fleet_truth* truth);
 
 /* Control code in the loop with arms. `step` is called once in every servo period of a group of
  * arms, with what all arrays of the fleet have in their rows of `joint` and `powered`, and writes
  * the commands of these arms, which hold what was written there last. Calls for different arms may
- * come from several threads at a time; whatever it keeps of an arm is its own. */
+ * come from several threads at a time; it must keep its data per arm. */
 typedef void (*arm_fleet_step_of_control)(void* with, int32_t first, int32_t arms,
                                           const arm_joint_measurement* joint,
                                           const uint8_t* powered, arm_joint_command* command);
@@ -123,8 +123,8 @@ typedef struct arm_fleet_control {
 /* `periods` servo periods of `arms` arms from `first` on, as `arm_fleet_exchange`, under commands
  * that control code gives in every one; `links` has a row of all arms for the links' positions
  * after each, or is null. Then as `arm_fleet_step`; `joint` and `powered` of the measurement must
- * be there. A command that is refused ends it for its group of arms: ARM_REFUSED, and
- * `arm_fleet_refused` knows an arm of those. */
+ * be there. A refused command ends the call for its group of arms: ARM_REFUSED, and
+ * `arm_fleet_refused` returns one of them. */
 int arm_fleet_follow(arm_fleet* fleet, int32_t first, int32_t arms,
                      const arm_fleet_control* control, int64_t periods, double* links,
                      arm_fleet_measurement* measurement, arm_fleet_truth* truth);

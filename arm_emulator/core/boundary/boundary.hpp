@@ -99,7 +99,7 @@ struct arm_machine {
     why.got = got;
     return ARM_REFUSED;
   }
-  // ARM_OK if something is there.
+  // ARM_OK unless a required pointer is null.
   int check_there(const void* pointer, const char* quantity) const {
     return pointer ? ARM_OK : refuse(-1, quantity, "be there, no null pointer", 0.0);
   }
@@ -150,7 +150,7 @@ struct arm_machine {
     return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
   }
 
-  // Go through `steps` steps by advance(so many of them), and let the sensors look at every tick.
+  // Take `steps` steps by calls of advance(count); sensors measure at every tick.
   template <class Advance>
   void go(std::int64_t steps, Advance&& advance) {
     const std::int64_t began = measures_time ? now_ns() : 0;
@@ -187,8 +187,8 @@ struct arm_machine {
       }
     }
   }
-  // To be called when steps were taken, up to the next tick at most. A machine that has diverged is
-  // back at a state before.
+  // To be called after steps, at the next tick at the latest. A diverged machine is back at an
+  // earlier state.
   void look() {
     if (machine.faulty_joint() < 0)
       sensors.look(machine, tick());
@@ -219,7 +219,7 @@ struct arm_machine {
     put_commands(joint, further, tick);
     machine.bound(applied);
   }
-  // The same but for their bounds.
+  // The same, except for their bounds.
   void put_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
     double rows[Scene::inputs * N + 1] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
@@ -356,7 +356,7 @@ struct arm_machine {
 
 namespace {
 
-// Write as much of a struct as its user's version of arm.h has.
+// Write the fields of a struct that its user's version of arm.h has.
 template <class Struct>
 int fill(Struct* out, const Struct& all) {
   __builtin_memcpy(out, &all, out->size < sizeof all ? out->size : sizeof all);
@@ -619,7 +619,7 @@ struct Words {
   ARM_ONCE void pass() {
     std::uint64_t word;
     __builtin_memcpy(&word, at, kWord);
-    sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: any one word that is changed changes the sum
+    sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: a change of any one word changes the sum
     sum ^= sum >> 32;
     at += kWord;
   }

@@ -1,11 +1,10 @@
-/* Control code of yours in the loop with a machine behind arm.h: what your shared library has.
+/* Your control code in the loop with a machine behind arm.h: functions of your shared library.
  *
  *   python -m arm_emulator run SCENE --servo ./libmine.so --targets table.csv
  *
- * A library has one function of a name that is known outside, `arm_firmware`, which returns what it
- * does: `start` once before the first servo period, then `step` in every one. No other thread calls
- * it, and logical time stands still meanwhile: it may take as long as it likes, in a debugger too.
- * C99.
+ * The library exports `arm_firmware`, which returns the functions `start`, called once before the
+ * first servo period, and `step`, called in every one. No other thread calls them. Logical time
+ * stands still meanwhile, so they may take any time, also in a debugger. C99.
  */
 #ifndef FIRMWARE_H
 #define FIRMWARE_H
@@ -33,9 +32,9 @@ typedef struct firmware_input {
   int32_t new_targets; /* 1: joint targets have come */
   int64_t time;        /* ns, tick times period */
   const arm_measurement* measured;
-  const double* q_target; /* rad or m, of the links; null: none has come yet */
-  const double* v_target; /* rad/s or m/s, with which they go on; null: 0 */
-  const double* tau;      /* N m or N, of the links, known beforehand; null: 0 */
+  const double* q_target; /* rad or m, of the links; null: no target yet */
+  const double* v_target; /* rad/s or m/s, their derivative; null: 0 */
+  const double* tau;      /* N m or N, feed-forward at the links; null: 0 */
 } firmware_input;
 
 /* Commands of the drives for the period. The arrays keep the values written last: at first every
@@ -50,7 +49,8 @@ typedef struct firmware_output {
 typedef struct firmware {
   uint32_t version; /* FIRMWARE_VERSION */
   uint32_t reserved;
-  /* Begin anew. Return null, or in one line why you cannot drive this machine. May be null. */
+  /* Start or restart. Return null, or a line with the reason if you cannot drive this machine. May
+   * be null. */
   const char* (*start)(const firmware_machine* machine);
   void (*step)(const firmware_input* in, firmware_output* out);
 } firmware;

@@ -34,13 +34,13 @@ typedef struct firmware_loop {
 
 /* Progress of a run with a library, for an observer in another process. */
 typedef struct firmware_progress {
-  int32_t doing; /* whose code runs, and what of it */
+  int32_t doing; /* the code that runs, and its function */
   int32_t code;  /* with which the run has ended */
   firmware_loop loop;
 } firmware_progress;
 
-/* Go through so many periods, or fewer where a step ends the run, the machine diverges or a command
- * is refused; what arm_exchange returned last is returned. */
+/* Run so many periods, or fewer if a step ends the run, the machine diverges or a command is
+ * refused. Returns the last result of arm_exchange. */
 int firmware_loop_run(firmware_loop* loop, int64_t ticks);
 
 /* The step of a library, `with` being what its arm_firmware() returned. */

@@ -10,15 +10,14 @@
 struct arm_fleet {
   using Machine = arm_machine::Machine;
   static constexpr int N = Scene::N;
-  // Not those of two threads, nor of drives that have no usual mode.
+  // Lanes are not for two threads, nor for drives without a usual mode.
   static constexpr bool together =
       std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Stepper>> &&
       arm::is_ever_usual<Scene>();
   static constexpr int lanes = together ? arm::kNativeLanes : 1;
   using Group = arm::SideBySide<Scene, lanes>;
 
-  // Whether lanes know all that a measurement and a command need: what else does is looked up in
-  // the machine.
+  // Whether lanes have all data of measurements and commands; other data is read from the machine.
   static constexpr bool in_lanes =
       lanes > 1 && !arm_machine::Sensors::present && !Machine::heats && Scene::inputs == 0;
 
@@ -143,7 +142,7 @@ struct arm_fleet {
     return true;
   }
 
-  // Have an arm be in its machine, for whoever looks at it or changes it there.
+  // Move an arm from its lane to its machine, to be read or changed there.
   void settle(int k) const { group[k / lanes]->settle(k % lanes); }
   void settle_lent(int g) {
     for (int k = g * lanes; k < end_of(g); ++k)
@@ -218,7 +217,7 @@ struct arm_fleet {
     measure(k, &measurement);
     for (int j = 0; j < N; ++j) out.encoder[k * N + j] = joint[j].encoder;
   }
-  // Fill in what a lane knows without its machine; false if more is asked for.
+  // Fill in what a lane has without its machine; false if more is requested.
   bool truth_in_lanes(int k, arm_truth& out) const {
     return !out.energy && !out.gear_torque && if_in_lane(k, [&](const auto& lanes, int l) {
       double row[5][N];
@@ -260,7 +259,7 @@ struct arm_fleet {
 
   int arms;
   arm_machine** machine;
-  std::int32_t* lent;  // how often an arm is used by itself: then it settles after every call
+  std::int32_t* lent;  // users of a single arm; while > 0 it leaves its lane after every call
   Group** group = nullptr;
   bool sound = true;
   mutable std::atomic<std::int32_t> refused = -1;

@@ -2,10 +2,9 @@
 // the machine through the period that has just passed. A client of arm.h, in a library of its own:
 // one serves the machines of every scene.
 //
-// It shares no lock with anybody. Commands come through a sequence-checked cell in which the newest
-// wins; states go out through a ring with one writer and one reader. A deadline that was missed by
-// whole periods is not made up for: those periods are lost to logical time and counted, since a
-// burst of periods that no controller could answer would be a motion that no machine makes.
+// It shares no lock. Commands arrive through a sequence-checked cell in which the newest wins;
+// states leave through a ring with one writer and one reader. Periods whose deadline has passed are
+// lost to logical time and counted, not repeated: no controller could answer such a burst.
 #include "real_time.h"
 
 #include <pthread.h>
@@ -53,7 +52,7 @@ class Cell {
     std::vector<double> further;
   };
 
-  // Leaves `command` and its entries alone if a write is under way. `scratch` has room for as many.
+  // Leaves `command` and its entries unchanged during a write. `scratch` has room for as many.
   void read(arm_command& command, Entries& entries, Entries& scratch) const {
     const std::uint32_t s = sequence_.load(std::memory_order_acquire);
     const std::int64_t answers = tick_.load(std::memory_order_relaxed);
@@ -140,7 +139,7 @@ class Ring {
   }
 
  private:
-  static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
+  static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: room for a reader that is late
 
   const std::size_t N, M, R, I;  // joints, inertial measurement units, readings, further inputs
   std::vector<double> numbers_;
@@ -271,7 +270,7 @@ struct arm_real_time {
       if (command.tick >= 0 && k - command.tick > kOldAfter) old_commands.fetch_add(1);
       const std::int64_t began = now();
       int result = arm.exchange(arm.machine, &command, &measurement);
-      if (result == ARM_REFUSED) {  // a command that the machine does not know: nothing is applied
+      if (result == ARM_REFUSED) {  // an invalid command: nothing is applied
         for (arm_joint_command& joint : wanted.joints) joint.enable = 0;
         command.tick = -1;
         result = arm.exchange(arm.machine, &command, &measurement);
@@ -305,7 +304,7 @@ struct arm_real_time {
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
   }
 
-  // As far as the system permits; the figures show it.
+  // As far as the system permits; the figures report it.
   void become_real_time() {
     sched_param priority = {};
     priority.sched_priority = 50;

@@ -58,13 +58,12 @@ typedef struct arm_real_time_figures {
 /* Return a loop that does not run yet, or null if the options make no sense. */
 arm_real_time* arm_real_time_new(const arm_real_time_options* options);
 void arm_real_time_delete(arm_real_time* loop);
-/* Run from `tick` on, the machine being there, until stopped or diverged. While it runs nobody else
- * may use the machine. */
+/* Run from `tick`, the machine's, until stopped or diverged. While it runs, no other thread may use
+ * the machine. */
 void arm_real_time_start(arm_real_time* loop, int64_t tick);
-/* Stop within a period. Then the machine may be changed, until the loop is started or goes on. */
+/* Stop within a period. The machine may be changed until the loop starts or continues. */
 void arm_real_time_stop(arm_real_time* loop);
-/* Go on as if it had not been stopped: what was missed meanwhile counts as lateness, and as lost
- * periods. */
+/* Continue as if it had not stopped: missed deadlines count as lateness and lost periods. */
 void arm_real_time_go_on(arm_real_time* loop);
 /* The newest command wins. It may be given and replaced at any time, by one thread. */
 void arm_real_time_command(arm_real_time* loop, const arm_command* command);

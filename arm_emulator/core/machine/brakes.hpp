@@ -1,5 +1,5 @@
-// When the brakes of a machine close and open: each some steps after it is wanted to. A change that
-// is taken back before that time has no effect.
+// Brakes close and open some steps after a request. A request that is withdrawn before has no
+// effect.
 #pragma once
 
 #include <cstdint>
@@ -18,17 +18,17 @@ class Brakes {
 
   // Whether brake k is wanted closed.
   bool wants(int k) const { return wanted_[k] != 0; }
-  // Want brake k to be closed, or open, `delay` steps after step `now`.
+  // Request brake k to close or open `delay` steps after step `now`.
   void want(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
     wanted_[k] = closed;
     at_[k] = closed == is_closed ? never : now + delay;
   }
-  // Have them all as they are wanted.
+  // Set all of them as requested, without delay.
   void put(bool closed) {
     for (int k = 0; k < B; ++k) wanted_[k] = closed, at_[k] = never;
   }
 
-  // The step at which the next one changes.
+  // Step of the next change.
   std::int64_t next() const {
     std::int64_t first = never;
     for (int k = 0; k < B; ++k) first = at_[k] < first ? at_[k] : first;

@@ -1,4 +1,4 @@
-// The machine: motors, gears and links of one scene, and their way through time.
+// The machine: motors, gears and links of one scene, integrated over time.
 #pragma once
 
 #include <cstdint>
@@ -50,7 +50,7 @@ class Machine {
   // In a forked child: have the threads that the parent has.
   void begin_thread() { threads_.begin_thread(); }
 
-  // All that decides how a machine goes on from one instant.
+  // The whole state of a machine at an instant.
   struct Instant {
     State<S> x;
     typename Threads::Memory past;
@@ -60,7 +60,7 @@ class Machine {
     double power;            // W, that the motors are given at most
     std::int64_t steps_taken;
 
-    // number(x) for all that it is, in a fixed order.
+    // number(x) for all of its numbers, in a fixed order.
     template <class Number>
     void for_each_number(Number&& number) {
       arm::for_each_number(x, number);
@@ -72,7 +72,7 @@ class Machine {
       number(steps_taken);
     }
   };
-  // And where it goes back to when the energy shows that it was not physical.
+  // The state to which it returns if the energy check fails.
   struct Whole {
     Instant now, checked;
     std::int64_t fault;
@@ -111,7 +111,7 @@ class Machine {
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
     checked_ = instant();
   }
-  // Set what acts on link i from outside, between two steps.
+  // Set the external wrench on link i, between two steps.
   ARM_ONCE void set_external_wrench(int i, const ExternalWrench<double>& wrench) {
     account_for_work();
     change([&] { numbers_.set_external_wrench(i, wrench); });
@@ -125,12 +125,12 @@ class Machine {
   }
   bool wants_brake(int k) const { return brakes_.wants(k); }
   bool brake_closed(int k) const { return numbers_.value(S::parameters + k) != 0.0; }
-  // Have all brakes closed, or open, without delay.
+  // Close or open all brakes without delay.
   void put_brakes(bool closed) {
     brakes_.put(closed);
     for (int k = 0; k < S::brakes; ++k) set_brake(k, closed);
   }
-  // Let those brakes change whose time has come.
+  // Change the brakes that are due.
   void follow_brakes() {
     if (fault_ < 0)
       brakes_.at_step(steps_taken_, [this](int k, bool closed) { set_brake(k, closed); });
@@ -145,7 +145,7 @@ class Machine {
   // It changes whenever the numbers do.
   std::int64_t numbers_edition() const { return edition_; }
 
-  // Put the machine at a state without a past. Time goes on, or begins anew at 0.
+  // Set the state, without a past. Time continues, or starts at 0.
   ARM_ONCE void put(const State<S>& at, bool anew) {
     x_ = at;
     threads_.reset(x_);
@@ -158,7 +158,7 @@ class Machine {
     checked_ = instant();
   }
 
-  // Put the links at (q, v) at time 0, the motors along with them: no current, gears unloaded.
+  // Set the links to (q, v) and the motors to match, at time 0, without current or gear torque.
   void reset(const double* q, const double* v) {
     State<S> at = {};
     numbers_.for_each_drive([&](const auto& drive, int j) {
@@ -239,7 +239,7 @@ class Machine {
     return joint;
   }
 
-  // Give the motors their further inputs, rows as in arm_command, and report what they got of them.
+  // Set the motors' further inputs, rows as in arm_command, and return the applied values.
   void put_further(const double* rows) {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       auto at = input_of(drive, j, x_, 0.0);
@@ -301,7 +301,7 @@ class Machine {
     for (const X& turn : turns) sound &= (turn <= kLargestTurn) & (turn >= -kLargestTurn);
     return sound;
   }
-  // Checks are due after so many steps since the reset, whoever took them.
+  // Checks are due after so many steps since the reset.
   static constexpr int kCheckEvery = 16;
   static bool is_check(std::int64_t steps) { return steps % kCheckEvery == 0; }
   static int steps_to_check(std::int64_t steps) {
@@ -332,8 +332,8 @@ class Machine {
     Modes<S>(numbers_, x_, none, links).accelerations(x_, none, links, a, coulomb);
   }
 
-  // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
-  // the motor has accelerated its rotor. Apart, so that truth and sensors have the same bits.
+  // Torque that each gear puts on its link [N m]; of a rigid gear, the motor's torque less that of
+  // its rotor's acceleration. A function of its own: true state and sensors get the same bits.
   ARM_APART void gear_torques(double* T) const {
     double a[N] = {};
     if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; }))
@@ -347,7 +347,7 @@ class Machine {
   double energy() const { return energy_of<S>(numbers_, x_).total(); }
 
  private:
-  // Have the scheme know the numbers. A machine in a lane needs no tables of its own.
+  // Update the scheme's tables. A machine in a lane needs none.
   void renew() {
     if (stale_) threads_.renew();
     stale_ = false;
@@ -362,8 +362,8 @@ class Machine {
     if constexpr (S::external_wrench) balance_.allow(balance_.most() + work_.since(numbers_, x_));
   }
 
-  // Change the numbers. Torques that the scheme has kept from the step before become those that the
-  // links would have taken with the new numbers: the jump is no motion of the links.
+  // Change the numbers. Torques that the scheme keeps from the last step are recomputed with the
+  // new numbers, since the jump is not a motion.
   void change(auto&& set) {
     typename Threads::Memory past = threads_.memory();
     if constexpr (S::scheme == Scheme::extrapolated) {
@@ -401,13 +401,13 @@ class Machine {
 
   static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
 
-  // Take `count` steps. Returns -1, or the joint that went out of bounds: then nothing has
-  // happened. Neither inlined nor cloned: every step, however it is asked for, runs the same
-  // instructions and gives the same bits.
+  // Take `count` steps. Returns -1, or the joint that went out of bounds: then the state is
+  // unchanged. Neither inlined nor cloned: every step runs the same instructions and gives the same
+  // bits.
   ARM_APART int run(Course& course, int count) {
     const typename Threads::Memory past = threads_.memory();
     Course there = course;
-    State<S> y = x_;  // here, as what follows, where the compiler may keep it in registers
+    State<S> y = x_;  // local, so that the compiler may keep it in registers
     alignas(64) double u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
     double most = balance_.most();
@@ -473,7 +473,7 @@ class Machine {
   double power_ = 0.0;
   std::int64_t steps_taken_ = 0;
   std::int64_t edition_ = 0;
-  bool stale_ = false;  // the scheme does not know the numbers of this edition yet
+  bool stale_ = false;  // the scheme's tables are older than the numbers
   int fault_ = -1;      // the joint that went out of bounds
   Instant checked_ = {};
 };

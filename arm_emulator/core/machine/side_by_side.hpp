@@ -1,8 +1,7 @@
 // Machines of one scene that take their steps together, each in a lane of its own.
 //
-// Together they reach, faster, what each of them reaches alone: a machine whose
-// lane does not arrive at a sound state takes the same steps once more by itself, and finds its way
-// or its fault as it would without neighbours.
+// Results are those of single machines: a machine whose lane does not reach a sound state repeats
+// the steps alone, as without neighbours.
 #pragma once
 
 #include "machine/machine.hpp"
@@ -27,8 +26,8 @@ class SideBySide {
 
   // Take `steps` steps for each of `rows` rows of commands. A row is of many machines, `stride`
   // numbers long; those of the machines here begin at `command`, one after the other. The positions
-  // after each row go to `q` in the same places, if it is not null; a machine at fault stays where
-  // it is. Machines that go on from lanes are only there until they settle.
+  // after each row go to `q` in the same places, if it is not null; a machine at fault keeps its
+  // state. The state is in the lanes until `settle`.
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
     take_numbers();
@@ -58,7 +57,7 @@ class SideBySide {
       if (changed) take_numbers();
     }
     for (int lane = 0; q && lane < used_; ++lane) {
-      if (steps > 0 && abreast_[lane]) continue;  // it has come to the end of all rows
+      if (steps > 0 && abreast_[lane]) continue;  // the end of all rows
       settle(lane);
       std::int64_t row = steps > 0 ? (machine_[lane]->steps() - began[lane]) / steps : 0;
       for (; row < rows; ++row)
@@ -67,9 +66,9 @@ class SideBySide {
     }
   }
 
-  // Have a machine be where its lane is. To be called before anybody else looks at it or changes
-  // it: lanes keep machines from one call of `follow` to the next, since what is packed and
-  // unpacked in every period would take longer than the period.
+  // Copy a lane's state to its machine. Call it before the machine is read or changed: lanes keep
+  // states between calls of `follow`, since copying in every period would take longer than the
+  // period.
   void settle(int lane) {
     if (!abreast_[lane]) return;
     take(lane, at_, whole_[lane].now);
@@ -140,8 +139,8 @@ class SideBySide {
     }
   }
 
-  // Put all sound machines into their lanes; the other lanes go along with one of these. False
-  // without a sound machine.
+  // Copy all sound machines into their lanes; other lanes repeat one of these. False without a
+  // sound machine.
   bool line_up() {
     typename Threads::Memory past = threads_.memory();
     int sound = -1;
@@ -249,7 +248,7 @@ class SideBySide {
     return joint < 0;
   }
 
-  // All that a lane and a machine's instant have in common, one number after the other.
+  // Numbers that a lane and a machine's instant share, in order.
   static void for_each_number(auto& x, auto& past, auto&& number) {
     arm::for_each_number(x, number);
     past.for_each_number(number);
@@ -292,7 +291,7 @@ class SideBySide {
   Numbers<S, X> numbers_;
   Threads threads_;
   Abreast at_;
-  bool abreast_[width] = {};  // whether a machine is in its lane; if not, it is where it is itself
+  bool abreast_[width] = {};  // whether the state is in the lane; else in the machine
   Whole whole_[width];        // of machines in lanes; `now` is that of the time when they came
 };
 

@@ -17,8 +17,8 @@ void follow_at_once(const Numbers<S>& n, State<S>& x, const double* u) {
   });
 }
 
-// Whether a drive in which more than its linear parts goes with the motor's states has such a
-// state, or may have it where that is varied.
+// Whether a drive whose nonlinear parts depend on the motor's states has an algebraic state, or may
+// have one if it is varied.
 template <class S>
 constexpr bool jumps_with(double varied) {
   double p[kOwnNumbers<S> + 1] = {};
@@ -30,9 +30,8 @@ constexpr bool jumps_with(double varied) {
 template <class S>
 inline constexpr bool kJumps = jumps_with<S>(1.0) || jumps_with<S>(0.0);
 
-// Of those drives, at a step's start: ripple of a torque, and friction that goes with it, are asked
-// there, and a command has jumped since the step before. (Linear parts are in the tables of the
-// schemes, which take them as they will be.)
+// Of those drives, at a step's start: torque ripple and load friction are evaluated there, and the
+// command may have jumped since the last step. (The schemes' tables treat linear parts implicitly.)
 template <class S, class X>
 ARM_INLINE void begin_at_once(const Numbers<S, X>& n, State<S, X>& x, const X* u) {
   for (int lane = 0; lane < kWidth<X>; ++lane)

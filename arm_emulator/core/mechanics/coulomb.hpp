@@ -1,18 +1,16 @@
 // Coulomb friction at the links, and the equations of motion solved with it.
 //
-// A sliding joint feels -Dc sign(v). A joint at rest is locked while the torque that holds it is at
-// most its breakaway torque Ds >= Dc; else it starts to slide that way. Both torques may be 0 for
-// an instant, as where friction goes with a load: then nothing holds the joint, and it slides the
-// way that it is pulled. A joint whose speed would change sign within a step comes to rest at the
-// step's end. So a joint at rest stays at rest exactly, without regularisation and at any step
-// size; where a joint stops or starts, the instant is known to one step only, and the scheme's
-// order there is 1 (2 where it is located, located.hpp).
+// The torque on a sliding joint is -Dc sign(v). A joint at rest is locked while the holding torque
+// is at most its breakaway torque Ds >= Dc; else it starts to slide that way. Both torques may be 0
+// for an instant (load friction): the joint is then free. A joint whose speed would change sign
+// within a step stops at the step's end. A joint at rest stays at rest exactly, without
+// regularisation and at any step size. The instants of stopping and starting are known to one step,
+// and the scheme's order there is 1 (2 in located.hpp).
 //
-// Joints at rest pull at each other: which of them break away together is decided by descent. With
-// W positive definite the accelerations x are where x W x / 2 - rhs x + sum of Dc |x| is least, if
-// a joint that has broken away is held by Dc from then on. Each round makes that less, first by the
-// joint that is the most overloaded; one that would go back on its way is locked where it turns. So
-// there are finitely many rounds, and what they end with holds for all joints at once.
+// Locked joints are coupled: a descent decides which of them break away. W is positive definite, so
+// the accelerations x minimise x W x / 2 - rhs x + sum of Dc |x|, with Dc for joints that have
+// broken away. Each round lowers this sum: it frees the most overloaded joint, and locks a joint
+// that would reverse. Hence the rounds are finite, and the result is consistent for all joints.
 #pragma once
 
 #include "mechanics/numbers.hpp"
@@ -28,17 +26,17 @@ class Coulomb {
   using Matrix = Symmetric<N, X>;
 
   static constexpr bool present = any_drive<S>([](const auto& drive) { return drive.is_dry(); });
-  // Whether the torque of sliding depends on anything: then it is that of the state last taken.
+  // Whether the sliding torque varies: then it is that of the state last taken.
   static constexpr bool varies =
       any_drive<S>([](const auto& drive) { return drive.friction_varies; });
-  // Whether what holds a joint at rest goes with a load.
+  // Whether the breakaway torque depends on a load.
   static constexpr bool loaded =
       any_drive<S>([](const auto& drive) { return drive.holds_by_load; });
 
   explicit Coulomb(const Numbers<S, X>& numbers) : n_(numbers) {}
 
-  // Let friction be that at x, where modes(drive, j, lane) are those of the drives, and what holds
-  // a joint at rest that at `pulled`, where the torque that pulls it is taken.
+  // Take the friction at x, in the drives' modes(drive, j, lane), and breakaway torques at
+  // `pulled`, the state of the torque on the joint.
   template <class ModesOf>
   void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const State<S, X>& pulled,
             [[maybe_unused]] const X* u, [[maybe_unused]] const ModesOf& modes) {
@@ -55,7 +53,7 @@ class Coulomb {
         });
     }
   }
-  // Torque by which friction at y differs from that taken, against the motion of joint j [N m].
+  // Friction at y less that taken, against the motion of joint j [N m].
   template <class ModesOf>
   void add_change(const State<S, X>& y, const X* u, const ModesOf& modes, X* change) const {
     for (int lane = 0; lane < kWidth<X>; ++lane)
@@ -119,7 +117,7 @@ class Coulomb {
     return modes;
   }
 
-  // The same with the decisions made: each joint does that, whatever it takes.
+  // The same with the modes fixed, whatever torque they take.
   void solve_in(const Modes& modes, const Matrix& W, X* x) {
     X rhs[N];
     for (int j = 0; j < N; ++j) {
@@ -132,7 +130,7 @@ class Coulomb {
     for (int j = 0; j < N; ++j)
       if (any(locked_[j])) held_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), held_[j]);
   }
-  // The torques of locks alone, with the decisions made.
+  // The torques of locks alone, with the modes fixed.
   void hold_in(const Modes& modes, const Matrix& W, X* x) {
     Mask<X> all_rest = X{} == X{};
     for (int j = 0; j < N; ++j) all_rest &= modes.locked[j];
@@ -157,7 +155,7 @@ class Coulomb {
       return X{};
   }
 
-  // Joints whose speed has changed sign come to rest.
+  // Stop the joints whose speed has changed sign.
   ARM_INLINE void stop_at_reversal(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
@@ -194,9 +192,9 @@ class Coulomb {
     X rhs[N];
     Mask<X> broken[N] = {};  // away, in this step: they are held by Dc
     X x[N] = {};             // their accelerations, none against its joint's direction
-    int rounds = 0;          // that have freed joints
+    int rounds = 0;          // rounds that have freed joints
   };
-  static constexpr int kMostRounds = 4 * N;  // rounding might go on for ever
+  static constexpr int kMostRounds = 4 * N;  // rounding might prevent an end
 
   // If joints that have broken away would move backward: lock the first that comes to rest between
   // the previous point of the descent and x; false if none would. In lanes without such a joint the

@@ -1,14 +1,14 @@
-// Links whose joints do not go each with one drive: mimic joints of a telescope, parallelograms,
-// bevel wrists, differentials. With p the angles of the drives' shafts, behind their gears,
+// Links with joints coupled to several drives, or drives to several joints: mimic joints of a
+// telescope, parallelograms, bevel wrists, differentials. With p the angles of the drives' shafts,
+// behind their gears,
 //
 //   q = C p + q_0        C: constant, a row per joint, a column per shaft
 //
-// so that, since C is constant, the equation of motion in p is that of the chain, seen through C:
+// Since C is constant, the equation of motion in p is
 //
 //   C^T M(q) C dp'/dt + C^T nle(q, C p') = T
 //
-// All that stands between motors and shafts (rotors, gears, friction, brakes, stops, encoders) is
-// of a drive, and so of p.
+// Rotors, gears, friction, brakes, stops and encoders belong to a drive, and so to p.
 #pragma once
 
 #include "mechanics/link_chain.hpp"
@@ -73,7 +73,7 @@ struct CoupledLinks {
     return Chain::potential_energy(n, k);
   }
 
-  // C x, of the shafts' speeds or accelerations those of the joints.
+  // C x: speeds or accelerations of the joints from those of the shafts.
   static ARM_INLINE void joints(const X* of_shafts, X* of_joints) {
     for_each<L>([&](auto i) __attribute__((always_inline)) {
       of_joints[i] = X{};
@@ -85,7 +85,7 @@ struct CoupledLinks {
   }
 
  private:
-  // C^T x, of the joints' torques those of the shafts.
+  // C^T x: torques at the shafts from those at the joints.
   static ARM_INLINE void shafts(const X* of_joints, X* of_shafts) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       of_shafts[j] = X{};

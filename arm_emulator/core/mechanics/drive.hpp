@@ -1,19 +1,17 @@
-// The drive of one joint: all that stands between its command u and the torque T on its link,
-// stated once. With local states z, the link's q and v:
+// The drive of one joint: the equations from its command u to the torque T on its link. With local
+// states z, the link's q and v:
 //
 //   D dz/dt = f(z, q, v, u)      torque on the link  g(z, q, v) - carried dv/dt
 //
-// D may have zeros: no inductance, a current at its limit, a stuck rotor. Whatever a scheme, an
-// energy balance or a report needs of a drive comes from here (drive_table.hpp, modes.hpp,
-// energy.hpp).
+// D may have zeros: no inductance, a current at its limit, a stuck rotor. Schemes, energy balance
+// and reports derive their data from it (drive_table.hpp, modes.hpp, energy.hpp).
 //
-// A drive is put together of parts: a motor, a gear, friction of the link and of the rotor, and any
-// number of extras that put a torque on the one or the other (place.hpp). docs/concepts/parts.md
-// lists what a part declares.
+// A drive is composed of parts: a motor, a gear, friction of link and rotor, and any number of
+// extras that act on either (place.hpp). docs/concepts/parts.md lists what a part declares.
 //
-// Each part names a part that is linear, by `linear()`: itself if it is, else the one that stands
-// in its place in the matrix A of the schemes. What the two differ by is the drive's rest, which
-// enters each stage (linearly_implicit.hpp). Non-smooth behaviour is a mode of its part (mode.hpp).
+// `linear()` of each part returns a linear part for the matrix A of the schemes: itself if it is
+// linear. The difference is the drive's rest, which enters each stage (linearly_implicit.hpp).
+// Non-smooth behaviour is a mode of its part (mode.hpp).
 #pragma once
 
 #include <tuple>
@@ -62,18 +60,18 @@ struct Drive {
   static constexpr int tm = Motor::states, wm = Motor::states + 1;
   static constexpr int own = Motor::states + (elastic ? Gear::states : 0);
   static constexpr int states = own + (0 + ... + Extras::states);
-  // And the parts that have modes: motor, gear, rotor, extras.
+  // Indices of the parts that have modes: motor, gear, rotor, extras.
   static constexpr int of_gear = Motor::modes, of_rotor = of_gear + (elastic ? Gear::modes : 0);
   static constexpr int of_extras = of_rotor + (elastic ? Rotor::modes : 0);
   static constexpr int modes = of_extras + (0 + ... + Extras::modes);
-  // Those that are held wherever the gear carries a load.
+  // Parts that are held while the gear carries a load.
   static constexpr unsigned held_under_load = elastic && Gear::modes > 0 ? 1u << of_gear : 0u;
 
   template <class X>
   using Input = DriveInput<states, modes, X>;
   using Modes = DriveModes<modes>;
 
-  // Inertia of a rotor that turns with its link, as the link feels it [kg m2].
+  // Inertia of a rotor that turns with its link, at the link [kg m2].
   constexpr double carried() const { return carries_rotor ? motor.Mm / (gear.Ng * gear.Ng) : 0.0; }
 
   // D, with these parts held.
@@ -106,12 +104,12 @@ struct Drive {
             std::apply([](const auto&... extra) { return std::tuple{extra.linear()...}; }, extras)};
   }
 
-  // f and g, eq. (1), (2) and the drive's part of (4) but for what coulomb.hpp solves for.
+  // f and g, eq. (1), (2) and the drive's part of (4), without the friction of coulomb.hpp.
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, unsigned held) const {
     DriveRates<states, X> r;
     r.g = -friction.Dv * x.v;
-    X shaft{};  // torque on the rotor, beside its friction and the gear
+    X shaft{};  // torque on the rotor, without its friction and the gear
     if constexpr (driven) {
       motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], motor_held(held), r.f);
       shaft = motor.torque(x.z, motor_angle(x));
@@ -154,11 +152,11 @@ struct Drive {
     return all;
   }
 
-  // Dry friction that the link feels, that of a rotor which turns with it included. It goes with
-  // the load in the modes that are given, as the load itself does.
+  // Dry friction at the link, with that of a rotor that turns with it. Load friction follows the
+  // load in the given modes.
   static constexpr bool friction_varies = LinkFriction::varies || (carries_rotor && Rotor::varies);
   static constexpr bool holds_by_load = LinkFriction::loaded || (carries_rotor && Rotor::loaded);
-  // Whether anything that is not linear goes with the motor's own states.
+  // Whether a nonlinear part depends on the motor's states.
   static constexpr bool bends_motor =
       driven && (!std::is_same_v<LinearOf<Motor>, Motor> || (!elastic && holds_by_load));
   constexpr bool is_dry() const {
@@ -235,7 +233,7 @@ struct Drive {
     });
     return E;
   }
-  // Energy of extras whose torque goes with the angle as that of a weight: it may be negative.
+  // Potential energy of extras, which may be negative.
   static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
   constexpr double potential(const Input<double>& x) const {
     double U = 0.0;
@@ -246,7 +244,7 @@ struct Drive {
     return U;
   }
   constexpr double dissipated(const Input<double>& x, unsigned held) const {
-    // In the modes given: at the end of a part of a step x may call for others.
+    // In the given modes, which need not be those of x at the end of a part of a step.
     const double T = load_on_link(x, held);
     double P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
     if constexpr (driven) P += motor.dissipated(x.z);
@@ -265,7 +263,7 @@ struct Drive {
     if constexpr (driven) return motor.given(x.z, x.u, felt_speed(x), motor_held(held));
     return 0.0;
   }
-  // Whether that grows with the speed under one and the same command.
+  // Whether that grows with the speed at a constant command.
   static constexpr bool given_by_speed = requires { Motor::given_by_speed; };
   template <class X>
   ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {
@@ -284,7 +282,7 @@ struct Drive {
       return clamp(x.u, motor.largest_command(x.z, supply));
   }
 
-  // Put a further input of the motor into x, by its number, and what the motor got of it.
+  // Set a further input of the motor in x, by its number, and return the applied value.
   static constexpr bool has_further = requires { Motor::further; };
   constexpr void put_further(int input, Input<double>& x, double value, double supply) const {
     if constexpr (has_further) motor.put_further(input, x.z, value, supply);
@@ -313,8 +311,8 @@ struct Drive {
     return false;
   }
 
-  // Whether all parts agree that x, as the start and as the end of a step, calls for their
-  // usual modes. No means that they must be asked for their modes.
+  // Whether x, as start and end of a step, surely calls for the usual modes of all parts. If false,
+  // the modes must be determined.
   template <class X>
   ARM_INLINE constexpr Mask<X> is_usual(const Input<X>& x) const {
     Mask<X> usual = X{} == X{};
@@ -327,7 +325,7 @@ struct Drive {
         });
     return where(is_ever_usual(), usual);
   }
-  // Whether there is any such x.
+  // Whether such an x exists.
   constexpr bool is_ever_usual() const { return may_be_usual && is_rotor_usual(); }
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<double>& x) const {
@@ -379,12 +377,12 @@ struct Drive {
     }
     return least;
   }
-  // Put x where its modes hold it, against rounding.
+  // Set x to the values that its modes hold, against rounding.
   constexpr void settle(Input<double>& x, const Modes& now) const {
     if constexpr (driven && Motor::modes > 0) motor.settle(x.z, now.at[0]);
     if constexpr (elastic && Rotor::modes > 0) rotor.settle(x.z[wm], now.at[of_rotor]);
   }
-  // Whether a state of the motor follows at once, and there it takes its value.
+  // Whether the motor has an algebraic state; it is set to its value.
   constexpr bool follows_at_once() const {
     if constexpr (driven) return motor.inertia(0, false) == 0.0;
     return false;
@@ -400,7 +398,7 @@ struct Drive {
   }
 
  private:
-  // The speed by which the windings are induced, which is the rotor's but for torque ripple.
+  // Speed in the induced voltage: the rotor's, times the factor of torque ripple.
   template <class X>
   ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
     if constexpr (requires { motor.ripple(x.q); })
@@ -476,7 +474,7 @@ struct Drive {
                         extra.modes > 0 && is_held(held, mode));
   }
 
-  // body(extra, where its states begin, where its mode is) for all of them.
+  // body(extra, index of its first state, index of its mode) for all extras.
   template <class Body>
   ARM_INLINE constexpr void for_each_extra(Body&& body) const {
     if constexpr (sizeof...(Extras) > 0) {

@@ -11,12 +11,12 @@ namespace arm {
 struct Energy {
   double stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
   double potential;  // J, of the links in the field S::gravity, and of extras
-  double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj: how hard dry friction can pull
+  double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj, for the bound on dry friction
 
   double total() const { return stored + potential; }
 };
 
-// `greediest`: set to the joint that holds the most by itself: its drive and, with M_jj, its link.
+// `greediest`: set to the joint with the most energy, that of its drive and, with M_jj, its link.
 template <class S>
 __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& x,
                                            int* greediest = nullptr) {
@@ -47,10 +47,10 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
   return E;
 }
 
-// Keeps account of a machine's energy. Friction, gear damping and windings only take, so that it
-// never exceeds what it was at any time before and what the motors can have given since. Where it
-// does, by half of the most that was ever stored, the scheme makes it: such numbers may be finite
-// and look like a motion.
+// Keeps account of a machine's energy. Friction, gear damping and windings only dissipate, so the
+// energy never exceeds an earlier value plus the largest supply since. If it does, by half of the
+// largest energy so far, the scheme has created it: such numbers may be finite and look like a
+// motion.
 template <class S>
 class EnergyBalance {
  public:
@@ -83,27 +83,26 @@ class EnergyBalance {
     return power;
   }
 
-  // The most that there can be [J]: the power that the motors can give is added step by step.
+  // Upper bound of the energy [J]; each step adds the largest power of the motors.
   double most() const { return at_most_; }
   void allow(double E) { at_most_ = E; }
 
-  // `count` steps have been taken. Whether a look is due now.
+  // Count steps. Returns whether a check is due.
   bool due_after(int count) {
     steps_ += count;
     if (steps_ < kCheckEvery) return false;
     steps_ = 0;
     return true;
   }
-  // The steps have led to x. Returns -1, or the joint that holds the most of an energy that came
-  // from nowhere.
+  // Check the state x. Returns -1, or the joint with most of the energy that the scheme created.
   int broken_by(const Numbers<S>& n, const State<S>& x, double h) {
     int greediest = 0;
     const Energy E = energy_of<S>(n, x, &greediest);
     if (E.stored > largest_stored_) largest_stored_ = E.stored;
     const double gained = E.total() - at_most_;
     const double rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
-    // A joint that stops within a step has pulled at the others till its end (coulomb.hpp): with
-    // Dc, for h at most, which gives them (Dc h)^2 / (2 M) where they hardly move.
+    // A joint that stops within a step keeps its friction until the step's end (coulomb.hpp): Dc,
+    // for h at most, gives the others at most (Dc h)^2 / (2 M).
     const double jolt = kStops * E.jolt * h * h;
     if (gained > kTolerance * largest_stored_ + rounding + jolt) return greediest;
     if (gained < 0.0) at_most_ = E.total();
@@ -121,7 +120,7 @@ class EnergyBalance {
  private:
   static constexpr int kCheckEvery = 64;
   static constexpr double kTolerance = 0.5;
-  static constexpr double kStops = 10.0;     // so many of them between two looks
+  static constexpr double kStops = 10.0;     // stops allowed between two checks
   static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
 
   double at_most_ = 0.0;         // J

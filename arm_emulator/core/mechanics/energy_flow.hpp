@@ -1,9 +1,9 @@
 // Energy that the supply and external wrenches give to each joint and that each joint dissipates,
-// at an instant and over a motion. With what is stored (energy.hpp) the balance must close:
+// at an instant and over a motion. With the stored energy (energy.hpp) the balance must close,
 //
 //   energy(t1) - energy(t0) = sum over the joints of given - dissipated
 //
-// as well as the scheme follows the equations.
+// up to the error of the scheme.
 #pragma once
 
 #include "mechanics/modes.hpp"
@@ -45,8 +45,8 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
 }
 
 // Integrates the powers along a motion, one smooth part after the other, by Simpson's rule with the
-// state in the middle from Hermite's cubic: an error of t^5 for a part of length t, so that what
-// is left of the balance is the scheme's.
+// state in the middle from Hermite's cubic: its error is t^5 for a part of length t, so the
+// residual of the balance is the scheme's.
 template <class S>
 class EnergyMeter {
  public:
@@ -86,7 +86,7 @@ class EnergyMeter {
     return middle;
   }
 
-  // dx/dt; 0 for what follows at once.
+  // dx/dt; 0 for algebraic states.
   State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) const {
     State<S> rates = {};
     typename Links<S>::Dynamics links;

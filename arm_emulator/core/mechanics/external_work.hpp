@@ -1,6 +1,5 @@
-// Work of the external wrenches of a machine [J], for the account of its energy
-// (energy.hpp): J^T w, the mean of both ends of a stretch, times the way between them. So it needs
-// no look at each step, and is right whatever the speed did in between.
+// Work of the external wrenches of a machine [J], for the account of its energy (energy.hpp): the
+// mean J^T w of both ends of a stretch times the displacement. It needs no evaluation at each step.
 #pragma once
 
 #include "mechanics/links.hpp"

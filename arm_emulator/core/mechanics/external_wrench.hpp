@@ -1,7 +1,7 @@
-// External wrenches on the links: on each link a force and a moment at a point that is fixed
-// to it, held until they are set anew. They are data of each machine.
+// External wrenches on the links: on each link a force and a moment at a fixed point, held until
+// they are set again. They are data of each machine.
 //
-// They enter the recursion of links.hpp, as what a link need not be given by its joint:
+// They enter the recursion of link_chain.hpp:
 //
 //   M(q) dv/dt + nle(q, v) = T,   nle = C(q, v) - J^T w
 #pragma once
@@ -16,7 +16,7 @@ struct Wrench {
   Vec3<X> f, n;
 };
 
-// On one link: the sum of what turns with it and of what keeps its direction.
+// On one link: the sum of wrenches along its axes and along those of the world.
 template <class X>
 struct ExternalWrench {
   Vec3<X> point;        // m, in the link's frame; both act there
@@ -30,7 +30,7 @@ struct ExternalWrench {
       number(one->x), number(one->y), number(one->z);
   }
 
-  // In the link's frame and about its origin, with the base's x and y as the link sees them.
+  // In the link's frame and about its origin; x and y: axes of the base in the link's frame.
   ARM_INLINE Wrench<X> at_origin(const Vec3<X>& base_x, const Vec3<X>& base_y) const {
     const Vec3<X> base_z = cross(base_x, base_y);
     const auto seen = [&](const Vec3<X>& a) __attribute__((always_inline)) {
@@ -66,7 +66,7 @@ ExternalWrench<double> in_core_axes(int j, const GivenWrench& given) {
   return wrench;
 }
 
-// Those on all links; none in a scene without.
+// Wrenches on all links; empty in a scene without them.
 template <class S, class X>
 struct ExternalWrenches {
   static constexpr bool present = S::external_wrench;

@@ -2,8 +2,8 @@
 // to the link.
 //
 // Specific force is the acceleration of the frame's origin less that of free fall, so that a unit
-// at rest measures 1 g upwards. The accelerations of the joints are those that the equations of
-// motion have at the very instant, with the friction that holds then and the newest voltage.
+// at rest measures 1 g upwards. Joint accelerations follow from the equations of motion at that
+// instant, with its friction and the newest voltage.
 #pragma once
 
 #include "mechanics/links.hpp"

@@ -1,9 +1,9 @@
-// The machine about a state, for what changes little: D dz/dt and dv/dt by the states, the
-// commands and nothing else, with what each joint does held (modes.hpp): a joint that sticks rests,
-// a current at its limit stays there, a tooth touches or does not.
+// Linearisation about a state: derivatives of D dz/dt and dv/dt by states and commands, with all
+// modes held (modes.hpp): a sticking joint rests, a current stays at its limit, contact does not
+// change.
 //
-// Central differences of order 4 of the equations themselves, by steps that are exact in binary and
-// small beside all that bends in them: the speed of Stribeck's friction, a progressive gear's
+// Central differences of order 4 of the equations themselves, with steps that are exact in binary
+// and small against the nonlinearities: the speed of Stribeck's friction, a progressive gear's
 // wind-up, an angle.
 #pragma once
 

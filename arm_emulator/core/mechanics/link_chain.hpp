@@ -26,7 +26,7 @@ struct LinkChain {
     alignas(64) Symmetric<N, X> at;
   };
 
-  // All that the equation of motion takes from the links at one (q, v).
+  // M and nle of the links at one (q, v).
   struct Dynamics {
     alignas(64) X nle[N];
     MassMatrix M;
@@ -66,8 +66,8 @@ struct LinkChain {
         [&](auto i) __attribute__((always_inline)) { carried.fill_row(n, k, i, M); });
   }
 
-  // With few joints both recursions go down the chain in one loop: each waits for its result of the
-  // link before, and the processor works on the other meanwhile.
+  // With few joints one loop runs both recursions: the processor works on one while the other waits
+  // for its last result.
   static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
     Kinematics k;
     kinematics(q, k);
@@ -85,7 +85,7 @@ struct LinkChain {
     }
   }
 
-  // The same for those who need it seldom: a step's own is inlined into it.
+  // The same, not inlined, for rare calls.
   static __attribute__((noinline)) void dynamics_apart(const Numbers& n, const X* q, const X* v,
                                                        Dynamics& links) {
     dynamics(n, q, v, links);
@@ -120,8 +120,8 @@ struct LinkChain {
                                   Wrench<X> (&wrench)[N]) {
     BaseAxes base;
     Vec3<X> omega, alpha;  // of the parent link, in its frame
-    Vec3<X> acc =
-        Vec3<X>{} - S::gravity;  // of the parent's origin; accelerating upwards stands for gravity
+    // Of the parent's origin; an upward acceleration represents gravity.
+    Vec3<X> acc = Vec3<X>{} - S::gravity;
     for_each<N>([&](auto i) __attribute__((always_inline)) {
       const Placement<X>& link = k.link[i];
       const X a_i = a ? a[i] : X{};
@@ -182,8 +182,8 @@ struct LinkChain {
     }
   };
 
-  // Sine and cosine of each angle: of many joints in vectors; with few, to fill the vectors takes
-  // longer than they save.
+  // Sine and cosine of each angle: of many joints in vectors; with few joints, filling the vectors
+  // takes longer than they save.
   static ARM_INLINE void sines(const X (&theta)[N], SinCos<X> (&turn)[N]) {
     if constexpr (N <= kUnrollNested) {
       for_each<N>([&](auto i) __attribute__((always_inline)) { turn[i] = sincos(theta[i]); });

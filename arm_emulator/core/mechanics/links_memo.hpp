@@ -1,5 +1,4 @@
-// The links' part at the place where it was asked for last: the end of a step is the start of the
-// next one.
+// Cache of the links' part at the last state: the end of a step is the start of the next.
 #pragma once
 
 #include "mechanics/links.hpp"
@@ -12,7 +11,7 @@ class LinksMemo {
  public:
   using Dynamics = typename Links<S, X>::Dynamics;
 
-  // By the same instructions, whether it is known or not.
+  // The same instructions whether cached or not.
   const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
     Mask<X> same = where(known_, X{} == X{});
     for (int j = 0; j < S::N; ++j) same &= (q_[j] == x.q[j]) & (v_[j] == x.v[j]);

@@ -1,5 +1,5 @@
 // Modes of the joints at an instant: a link slides or is locked (coulomb.hpp), and each part with
-// modes is in one (mode.hpp). They follow from state and commands alone: nothing is remembered.
+// modes is in one (mode.hpp). They follow from state and commands alone.
 #pragma once
 
 #include "mechanics/at_once.hpp"
@@ -17,7 +17,7 @@ class Modes {
   using Dynamics = typename Links<S>::Dynamics;
   using Friction = Coulomb<S, double>;
 
-  // Whether this scene has any modes but one.
+  // Whether this scene has more than one mode.
   static constexpr bool present = Friction::present || M > 0;
 
   typename Friction::Modes friction;
@@ -78,8 +78,8 @@ class Modes {
     return least;
   }
 
-  // Put x where its modes hold it: joints that have come to rest are at rest, a current is not
-  // beyond its limit, and without inductance it is what the voltage makes it.
+  // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a
+  // current without inductance follows the voltage.
   void settle(State<S>& x, const double* u) const {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;

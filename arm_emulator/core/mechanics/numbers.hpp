@@ -1,8 +1,8 @@
-// The numbers of a machine: constants of its scene, and those that the scene lists as varied, which
-// every machine has for itself and which may be set between two steps.
+// The numbers of a machine: constants of its scene, and varied numbers of each machine, which may
+// be set between two steps.
 //
-// Numbers here are constants unless a varied number affects them; a trial shows which of the
-// links' base parameters it affects.
+// Numbers here are constants unless a varied number affects them; a trial at compile time finds the
+// links' base parameters that it affects.
 #pragma once
 
 #include "mechanics/base_parameters.hpp"
@@ -15,7 +15,7 @@ template <class S>
 struct Sheet {
   decltype(S::drives(nullptr)) drives;
   BaseParameters<S::L> base;
-  double carried[S::N] = {};  // inertia of the rotors that turn with their links, as these feel it
+  double carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
   double Dc[S::N] = {}, Ds[S::N] = {};
 
   constexpr explicit Sheet(const double* p) : drives(S::drives(p)), base(S::links(p).at) {
@@ -32,7 +32,7 @@ struct Sheet {
   }
 };
 
-// A sheet of some values of the varied numbers, with one of them changed; -1: none. All brakes are
+// The numbers at some values of the varied ones, one of them changed; -1: none. All brakes are
 // open.
 template <class S>
 constexpr Sheet<S> sheet_with(int changed) {
@@ -111,7 +111,7 @@ class Numbers<S, double> {
     for (int k = S::parameters; k < kOwnNumbers<S>; ++k) open = open && p_.p[k] == 0.0;
     return open;
   }
-  // Set a varied number: the caller has seen to its bounds.
+  // Set a varied number; the caller has checked its bounds.
   void set(int k, double value) {
     p_.p[k] = value;
     sheet_ = Sheet<S>(p_.p);

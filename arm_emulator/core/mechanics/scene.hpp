@@ -57,13 +57,13 @@ struct Parameter {
   double least, most;
 };
 
-// Numbers that every machine has for itself: those that the scene lists as varied, and after them
-// whether its brakes are closed (brakes.hpp).
+// Numbers of each machine: the scene's varied ones, then whether its brakes are closed
+// (brakes.hpp).
 template <class S>
 inline constexpr int kOwnNumbers = S::parameters + S::brakes;
 
-// Values of them with which the structure of a scene is decided: none of them is zero, nor what is
-// left of a number by a fault of that share.
+// Values that decide the structure of a scene: none of them is zero, nor a number under a fault of
+// that share.
 template <class S>
 struct SomeValues {
   double p[kOwnNumbers<S> + 1] = {};

@@ -1,5 +1,5 @@
-// The sensors of a scene, and those of one machine: they look at every tick, whoever takes the
-// machine there, and hold what they saw until the next one.
+// The sensors of a scene, and those of one machine: they measure at every tick and hold the
+// readings until the next.
 #pragma once
 
 #include <tuple>
@@ -17,7 +17,7 @@ template <class Measured, int N>
 struct AnalogRow {
   using Quantity = Measured;
   static constexpr bool always = Quantity::field == Field::current;
-  int first = 0, stride = 0;  // who draws the noise of joint j: first + stride j
+  int first = 0, stride = 0;  // noise stream of joint j: first + stride j
   AnalogSensor at[N];
 
   constexpr bool reads(int j) const { return always || at[j].present; }
@@ -44,7 +44,7 @@ struct SensorSuite {
   }
 };
 
-// All that was seen at one look; K: kinds of analog sensors.
+// All readings of a tick; K: kinds of analog sensors.
 template <int N, int M, int K>
 struct SensorReadings {
   EncoderReading encoder[N], link_encoder[N];
@@ -61,7 +61,7 @@ struct SensorReadings {
   }
 };
 
-// A scene without such sensors: what is measured is what is there now.
+// A scene without such sensors: the present values are measured.
 template <class S>
 class Sensors {
  public:
@@ -85,8 +85,8 @@ class Sensors<S> {
   static constexpr int N = structure.N, M = structure.M, K = structure.K;
   using Readings = SensorReadings<N, M, K>;
 
-  // Begin at the machine's state at a tick: with nothing lost if `anew`, and as if everything had
-  // been so for long.
+  // Start at the machine's state at a tick, as if it had always rested there; with no missed counts
+  // if `anew`.
   template <class Machine>
   void begin(const Machine& machine, std::int64_t tick, bool anew) {
     see(machine, tick, false,
@@ -96,7 +96,7 @@ class Sensors<S> {
     for (Readings& one : line_) one = line_[place(0)];
   }
 
-  // Look, if the machine has come to another tick since.
+  // Measure if the machine has reached another tick.
   template <class Machine>
   void look(const Machine& machine, std::int64_t tick) {
     if (tick == newest_) return;
@@ -209,7 +209,7 @@ class Sensors<S> {
     }
   }
 
-  std::int64_t newest_ = 0;  // tick of the newest look
+  std::int64_t newest_ = 0;  // tick of the newest readings
   EncoderMemory motor_disc_[N], link_disc_[N];
   Readings line_[kLength];  // of the newest ticks, each at its tick modulo their number
 };

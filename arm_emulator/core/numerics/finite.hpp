@@ -1,5 +1,5 @@
-// Whether a number is one. Reads bit patterns, since a scene's unit is compiled for finite
-// arithmetic and may take a comparison with NaN as it likes.
+// Test for finite numbers by bit patterns, since scenes are compiled for finite arithmetic, where
+// comparisons with NaN are undefined.
 #pragma once
 
 #include <bit>
@@ -11,9 +11,8 @@ namespace arm {
 
 inline constexpr std::int64_t kExponent = 0x7ff0000000000000;
 
-// Under these flags a compiler may take for granted that no number is infinite or NaN, and answer
-// questions about bits that it has seen computed. (clang does since version 18.) It knows nothing
-// of what has been through this.
+// Under these flags a compiler may assume that no number is infinite or NaN, and fold tests of bits
+// that it has seen computed (clang does since version 18). This hides a number from it.
 template <class Bits>
 ARM_INLINE Bits unforeseen(Bits bits) {
   if constexpr (std::is_arithmetic_v<Bits>)

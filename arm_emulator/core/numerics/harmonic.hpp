@@ -1,4 +1,4 @@
-// One wave of what goes with the angle of a shaft: amplitude sin(k angle + phase).
+// One wave over the angle of a shaft: amplitude sin(k angle + phase).
 #pragma once
 
 #include "numerics/sincos.hpp"
@@ -10,8 +10,8 @@ struct Harmonic {
   double amplitude;  // of the quantity of the part
   double phase;      // rad
 
-  // Its sine and cosine at an angle, times the amplitude. What is worked out while a scene is
-  // compiled is the machine at rest, where no wave matters.
+  // Its sine and cosine at an angle, times the amplitude. Compile-time evaluation is only of the
+  // machine at rest, where waves do not matter.
   template <class X>
   ARM_INLINE constexpr SinCos<X> at(const X& angle) const {
     if (__builtin_is_constant_evaluated()) return {X{}, X{}};

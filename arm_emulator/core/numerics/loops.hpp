@@ -6,7 +6,7 @@
 
 namespace arm {
 
-// Above this count unrolled code costs more (compile time, instruction cache) than folding saves.
+// Above this count unrolling costs more (compile time, instruction cache) than folding saves.
 inline constexpr int kUnrollLimit = 24;
 // The same for loops with long loops inside.
 inline constexpr int kUnrollNested = 12;
@@ -21,8 +21,8 @@ inline constexpr int kUnrollNested = 12;
 #define ARM_APART __attribute__((noinline, noclone))
 #endif
 
-// For what no step runs: compiled for size, and once, not for each joint with its constants. The
-// compiler would take longer over it than over the step.
+// For code outside of steps: compiled for size, and once, not for each joint with its constants, to
+// save compile time.
 #define ARM_ONCE __attribute__((cold)) ARM_APART
 
 // body(i) for i = 0 .. N-1; `i` converts to int and, when unrolled, is a compile-time constant.
@@ -37,7 +37,7 @@ ARM_INLINE void for_each(Body&& body) {
   }
 }
 
-// Beyond it the inner loops run over whole groups of so many.
+// Above it the inner loops run over whole groups of this size.
 inline constexpr int kLanes = 8;
 template <int N>
 inline constexpr int kPadded = N <= kUnrollNested ? N : (N + kLanes - 1) / kLanes * kLanes;

@@ -1,7 +1,6 @@
-// Random numbers by counting: each is a function of a seed, of who draws it and of its number. So
-// nothing but these decides on it, neither what was drawn before nor by whom, and there is no state
-// to be saved. Logarithm and sine are the core's own, as those of another system may round
-// otherwise.
+// Counter-based random numbers: each is a function of seed, stream and index. There is no state to
+// save, and no dependence on other draws. Logarithm and sine are the core's own, since other
+// systems may round differently.
 #pragma once
 
 #include <bit>
@@ -36,7 +35,7 @@ inline double logarithm(double x) {
   return static_cast<double>(n) * 0.69314718055994531 + 2.0 * artanh((m - 1.0) / (m + 1.0));
 }
 
-// One who draws. `number`: of the draw, from 0 on.
+// A stream of draws. `number`: index of the draw, from 0.
 struct Noise {
   std::uint64_t key;
 
@@ -60,7 +59,8 @@ struct Noise {
   }
 };
 
-// Whether the look of that number gives the reading before, by draws apart from all others.
+// Whether the sample of that number repeats the previous reading; its draws are independent of all
+// others.
 inline bool is_held(double probability, const Noise& noises, std::int64_t number) {
   return probability > 0.0 && Noise{mixed(noises.key + 1)}.uniform(number) <= probability;
 }

@@ -1,13 +1,13 @@
 // The number types of the core: `double`, and lanes, which are several machines side by side in one
-// vector register. Branches on data are written as `select`, since each lane may go its own way.
+// vector register. Branches on data are written as `select`, since lanes may differ.
 #pragma once
 
 #include <type_traits>
 
 #include "numerics/loops.hpp"
 
-// On processors with narrower registers the compiler splits the vectors. How it would pass them to
-// a function, of which it warns, does not matter: what takes or returns them is inlined.
+// On processors with narrower registers the compiler splits the vectors. Its warning about how
+// vectors are passed does not matter: functions that take or return them are inlined.
 #pragma GCC diagnostic ignored "-Wpsabi"
 
 namespace arm {
@@ -54,7 +54,7 @@ ARM_INLINE bool all(const M& mask) {
   return holds;
 }
 
-// A mask where a condition that all lanes share holds, too.
+// A mask, combined with a condition that all lanes share.
 ARM_INLINE constexpr bool where(bool condition, bool mask) { return condition && mask; }
 template <class M>
   requires(!std::is_arithmetic_v<M>)
@@ -98,7 +98,7 @@ ARM_INLINE X square_root(X x) {
   return x;
 }
 
-// e^x. At compile time, where not every compiler knows it, it is asked for at 0 alone.
+// e^x. At compile time it is evaluated at 0 only, since not every compiler supports it.
 ARM_INLINE constexpr double exponential(double x) {
   if (std::is_constant_evaluated() && x == 0.0) return 1.0;
   return __builtin_exp(x);

@@ -34,7 +34,7 @@ struct Row {
       *reinterpret_cast<Vector*>(numbers + g * group) = at[g];
     });
   }
-  // Of numbers that were worked out one by one, and would have to wait for each other in memory.
+  // From numbers computed one by one, without a round trip through memory.
   ARM_INLINE static Row gather(const X* numbers) {
     if constexpr (kWidth<X> > 1 || N > kUnrollLimit) {
       return load(numbers);

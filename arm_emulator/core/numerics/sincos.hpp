@@ -18,8 +18,8 @@ inline constexpr double kReducible = -1.0;  // none is
 
 #ifdef __FMA__
 
-// a b + c, rounded once, and the whole number next to x. Both are out of reach of the reassociation
-// that this unit is compiled with.
+// a b + c, rounded once, and the whole number next to x. Both are safe from the reassociation that
+// this unit is compiled with.
 ARM_INLINE double fused(double a, double b, double c) { return __builtin_fma(a, b, c); }
 ARM_INLINE double nearest(double x) { return __builtin_rint(x); }
 ARM_INLINE long whole(double x) { return static_cast<long>(x); }
@@ -31,7 +31,7 @@ ARM_INLINE X fused(const X& a, double b, const X& c) {
   asm("" : "+x"(result));
   return result;
 }
-inline constexpr double kOnes = 0x1.8p52;  // beside it the last bit of a number is worth 1
+inline constexpr double kOnes = 0x1.8p52;  // added to a number, it makes the last bit worth 1
 template <class X>
 ARM_INLINE X nearest(const X& x) {
   X beside = x + kOnes;
@@ -42,7 +42,7 @@ template <class X>
 ARM_INLINE Mask<X> whole(const X& x) {
   X beside = x + kOnes;
   asm("" : "+x"(beside));
-  return __builtin_bit_cast(Mask<X>, beside);  // but for its first bits
+  return __builtin_bit_cast(Mask<X>, beside);  // all but the first bits
 }
 
 // Within 1 ulp of the correctly rounded value up to kReducible.

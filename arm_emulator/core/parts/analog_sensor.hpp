@@ -1,5 +1,5 @@
-// A sensor of one quantity x that an amplifier and a converter follow: of a current, a torque, an
-// axis of an inertial measurement unit.
+// A sensor of one quantity x with amplifier and converter: a current, a torque, an axis of an
+// inertial measurement unit.
 //
 //   y = (1 + gain_error) x + offset + noise n, limited to +-range, rounded to a multiple of
 //   `resolution`

@@ -1,6 +1,5 @@
-// An elastic gear with play: while the twist w = Ng tm - q is within +-play/2 the teeth touch
-// nothing and T = 0; beyond, the tooth that touches pushes (one_sided.hpp) with the depth |w| -
-// play/2.
+// An elastic gear with play: while the twist w = Ng tm - q is within +-play/2 no tooth touches and
+// T = 0; beyond, a tooth pushes (one_sided.hpp) with the depth |w| - play/2.
 //
 // Its mode is `held` while a tooth pushes, and the mode's number is the twist where it began to
 // touch: then T = Kg (w - offset) + Dg dw/dt.
@@ -43,7 +42,7 @@ struct BacklashGear {
   }
   constexpr double margin(double tm, double wm, double q, double v, const Mode& mode) const {
     const double w = Ng * tm - q, rate = Ng * wm - v;
-    // While no tooth pushes, that on the nearer side is looked at.
+    // While no tooth pushes, the margin is that of the nearer one.
     const double way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
     return tooth().margin(mode.held, way * w - gap(), way * rate,
                           kRounding * Kg * (gap() + magnitude(q)));

@@ -1,9 +1,8 @@
-// A brake on a motor's shaft: friction that comes and goes.
+// A brake on a motor's shaft: friction that is switched.
 //
-// While it is closed, its torque is added to what the rotor's friction has while it slides, and to
-// what holds it at rest (rotor_friction.hpp). So a rotor that is caught by it comes to rest within
-// a finite time and then stays where it is exactly; what moves behind it is the wind-up of the
-// gear. When it closes and opens stands in brakes.hpp.
+// While it is closed, its torque adds to the sliding and to the breakaway torque of the rotor
+// (rotor_friction.hpp). The rotor stops within a finite time and then rests exactly; the link still
+// moves by the gear's wind-up. brakes.hpp has the times at which it closes and opens.
 #pragma once
 
 #include <type_traits>
@@ -14,7 +13,7 @@ namespace arm {
 
 struct Brake {
   double torque;                      // N m, at the motor's shaft
-  double close_delay, release_delay;  // s, from what is wanted to what is
+  double close_delay, release_delay;  // s, from the request to the change
 };
 
 template <class Law>

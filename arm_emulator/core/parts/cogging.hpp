@@ -1,4 +1,4 @@
-// Cogging of a motor: magnets that are drawn to the teeth of the stator, with or without current.
+// Cogging of a motor: magnets attracted by the teeth of the stator, with or without current.
 //
 //   torque on the rotor  -sum a sin(k tm + phi)      stored  sum a / k (1 - cos(k tm + phi))
 #pragma once

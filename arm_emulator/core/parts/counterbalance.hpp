@@ -1,15 +1,16 @@
-// A spring between the link and what carries it, as a gas spring that takes the weight of an arm.
+// A spring between the link and its parent, such as a gas spring that balances the weight of an
+// arm.
 //
 // One end is at the distance a from the joint's axis, the other, on the link, at b; at q = phi they
-// are on the same side of it. The spring is l long and pushes with F, or pulls with -F:
+// are on the same side of it. The spring has the length l and the force F, > 0 if it pushes:
 //
 //   l^2 = a^2 + b^2 - 2 a b cos(q - phi)      T = F dl/dq
 //   F = F0 - k (l - l0)                       of a straight characteristic
 //   F = F0 h / (h + sign(F0) (l - l0))        of a gas column that is h long at l0, at one
 //                                             temperature (Boyle)
 //
-// It takes nothing, and stores what brings it from the length at which it is least strained, the
-// greatest or the smallest one, to l.
+// It dissipates nothing. Its energy is the work from its least strained length, the greatest or the
+// smallest one, to l.
 #pragma once
 
 #include "numerics/number.hpp"
@@ -18,7 +19,7 @@
 
 namespace arm {
 
-// In the matrix A of the schemes: a counterbalance is soft beside the inertia that it balances.
+// Replaces it in the matrix A of the schemes: it is soft against the inertia that it balances.
 struct NoSpring {
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;

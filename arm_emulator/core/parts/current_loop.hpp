@@ -1,14 +1,14 @@
-// A motor whose drive closes a current loop, far faster than a servo: its command u is a current
-// [A]. The controller is a PI in continuous time that knows the induced voltage,
+// A motor whose drive closes a current loop: its command u is a current [A]. The controller is a PI
+// controller in continuous time with feed-forward of the induced voltage,
 //
 //   V* = P (u - i) + x + E wm          dx/dt = I (u - i)
 //
-// and V, what the winding gets, is V* within the supply U. Beyond it x is drawn to where V* = V,
+// and the voltage V of the winding is V* within the supply U. Beyond it, against wind-up,
 //
 //   dx/dt = I (u - i) + I/P (V - V*) = I/P (V - x - E wm)
 //
-// so that it cannot wind up. Its mode (mode.hpp) is `held` there, and the mode's number is V. Both
-// modes give the same rates where V* = V: nothing jumps.
+// The mode (mode.hpp) is `held` there, and its number is V. Both modes give the same rates where V*
+// = V: nothing jumps.
 //
 // With a bandwidth f, P = 2 pi f L and I = 2 pi f R: the zero of the PI cancels the winding's pole,
 // and within the supply 1 / (2 pi f) di/dt = u - i.
@@ -27,7 +27,7 @@ struct CurrentControl {
   double feedforward = 1.0;  // share of the induced voltage
 };
 
-// R, L and Kb may be varied and heated; the drive was set up for the data sheet.
+// R, L and Kb may vary with faults and heat; the gains follow from the data sheet.
 struct DataSheet {
   double R, L, Kb;  // ohm, H, V s/rad
   double supply;    // V
@@ -57,7 +57,7 @@ struct CurrentLoop : Motor {
     f[0] = V - this->R * z[0] - this->Kb * wm;
     f[1] = held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
   }
-  // A current that is put there flows on.
+  // The integral is set to hold a current that is set by hand.
   constexpr void put_current(double* z, double current) const {
     z[0] = current, z[1] = this->R * current;
   }

@@ -1,8 +1,8 @@
-// A motor whose current control is taken for granted: its current follows the command u [A].
+// A motor with ideal current control: its current follows the command u [A].
 //
 //   1 / (2 pi f) di/dt = u - i          torque  Kt i          f: bandwidth of that control
 //
-// Without a bandwidth it follows at once. The supply gives what winding and shaft take.
+// Without a bandwidth it follows at once. The supply delivers the power of winding and shaft.
 #pragma once
 
 #include "numerics/number.hpp"

@@ -2,9 +2,9 @@
 //
 //   (1)  L di/dt = V - R i - Kb wm          torque  Kt i
 //
-// With L = 0 the current follows at once. A current at its limit follows no voltage: the drive
-// takes back as much of it as holds the limit. Its mode (mode.hpp) is `held` there, and the mode's
-// number is the limit, with the current's sign.
+// With L = 0 the current follows at once. At its limit the drive reduces the voltage so that the
+// current stays there. Its mode (mode.hpp) is `held` there, and the mode's number is the limit,
+// with the current's sign.
 #pragma once
 
 #include "numerics/number.hpp"
@@ -117,7 +117,7 @@ struct DcMotorOf {
 using DcMotor = DcMotorOf<false>;
 using LimitedDcMotor = DcMotorOf<true>;
 
-// A joint that nothing drives.
+// A joint without a motor.
 struct NoMotor {
   static constexpr bool present = false;
   static constexpr int states = 0, modes = 0;

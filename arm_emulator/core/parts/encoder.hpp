@@ -1,4 +1,4 @@
-// An encoder: a disc on a shaft, whose counts a reading head gives.
+// An encoder: counts of a disc on a shaft.
 //
 //   alpha = theta + offset + eccentricity sin(t + eccentricity_phase)
 //         + ripple sin(ripple_order t + ripple_phase) + noise n,   t the angle theta as 2 pi a turn
@@ -65,10 +65,10 @@ struct Encoder {
 // State of an encoder between samples.
 struct EncoderMemory {
   EncoderReading now;
-  std::int64_t disc = 0;    // what the disc showed
-  std::int64_t lost = 0;    // by how much the counter lags behind it
+  std::int64_t disc = 0;    // counts of the disc
+  std::int64_t lost = 0;    // counts that the counter has missed
   std::int64_t misses = 0;  // that were drawn
-  double until_miss = 0.0;  // what edges may use up until one is missed, see `pass`
+  double until_miss = 0.0;  // budget until an edge is missed, see `pass`
 
   template <class Number>
   void for_each_number(Number&& number) {
@@ -76,8 +76,8 @@ struct EncoderMemory {
     number(disc), number(lost), number(misses), number(until_miss);
   }
 
-  // Begin at the shaft's angle: with nothing lost, or, after the machine was moved by hand, with
-  // what was lost and seen before.
+  // Start at the shaft's angle, with no missed counts; or, after the machine was moved by hand,
+  // with those of before.
   void begin(const Encoder& e, double theta, const Noise& noises, std::int64_t number, bool anew) {
     if (anew) {
       *this = {};
@@ -124,9 +124,9 @@ struct EncoderMemory {
     pass(e, c, noises);
   }
 
-  // Each edge uses up `rate` of what is left until one is missed. What a new one begins with is
-  // exponentially distributed, and then edges are missed independently of each other with
-  // probability 1 - exp(-rate) = e.missed, whatever that has been before.
+  // Each edge uses `rate` of a budget; an edge is missed when it is used up. Budgets are
+  // exponentially distributed, so edges are missed independently with probability 1 - exp(-rate) =
+  // e.missed, also when that changes.
   void pass(const Encoder& e, std::int64_t to, const Noise& noises) {
     const std::int64_t way = to > disc ? 1 : -1;
     double edges = static_cast<double>(way * (to - disc));

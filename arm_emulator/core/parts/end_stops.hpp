@@ -1,7 +1,7 @@
-// Stops at both ends of a joint's way: beyond `lower` or `upper` the link presses a spring and a
-// damper that push it back and never hold it (one_sided.hpp).
+// Stops at both ends of a joint: beyond `lower` or `upper` a spring and a damper push the link back
+// and never hold it (one_sided.hpp).
 //
-// Its mode is `held` while a stop pushes, and the mode's number is where that stop begins.
+// Its mode is `held` while a stop pushes; the mode's number is the position of that stop.
 #pragma once
 
 #include "parts/mode.hpp"
@@ -42,7 +42,7 @@ struct EndStops {
     return {};
   }
   constexpr double margin(double q, double v, const double*, const Mode& mode) const {
-    // While no stop pushes, the nearer one is looked at.
+    // While no stop pushes, the margin is that of the nearer one.
     const bool above = mode.held ? mode.offset == upper : q - upper > lower - q;
     const double u = above ? q - upper : lower - q, du = above ? v : -v;
     const double size = magnitude(lower) + magnitude(upper);

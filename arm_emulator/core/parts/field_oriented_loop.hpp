@@ -1,13 +1,13 @@
 // A synchronous motor whose drive closes current loops in the frame of the rotor: its command u is
-// the current across the flux [A], and a further one, ud, that along it. Each axis has a PI in
-// continuous time that knows what speed induces there,
+// the current across the flux [A], and a further one, ud, that along it. Each axis has a PI
+// controller in continuous time with feed-forward of the induced voltage,
 //
 //   V*q = Pq (u - iq) + xq + F p wm (Ld id + psi)     dxq/dt = I (u - iq)      Pq = Lq / Ld Pd
 //   V*d = Pd (ud - id) + xd - F p wm Lq iq            dxd/dt = I (ud - id)
 //
-// The inverter reaches the amplitude U. Of that circle V*d has what it asks for, and V*q what is
-// left; beyond, each x is drawn to where V* = V, as in current_loop.hpp. Rates do not jump at the
-// circle, so that stages evaluate it (a part without modes), and order 2 stays.
+// The inverter reaches the amplitude U. V*d has priority, and V*q the rest of that circle; beyond,
+// each x is drawn to where V* = V, as in current_loop.hpp. Rates are continuous at the circle, so
+// stages evaluate it (a part without modes), and order 2 holds.
 //
 // With a bandwidth f, P = 2 pi f L and I = 2 pi f R: within the circle both axes are of first order
 // at any speed, 1 / (2 pi f) di/dt = u - i.
@@ -20,7 +20,8 @@
 
 namespace arm {
 
-// Numbers of the motor may be varied and heated; the drive was set up for these.
+// Numbers of the data sheet, which set up the drive; those of the motor may vary with faults and
+// heat.
 struct SynchronousDataSheet {
   double R, Ld, Lq, psi, p;
   double amplitude;  // V
@@ -49,12 +50,12 @@ struct FieldOrientedLoop : Motor {
     f[3] = I() * (z[2] - z[0]) + I() / P(nominal.Ld) * (V.d - asked.d);
     f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - asked.q);
   }
-  // A current that is put there flows on.
+  // The integral is set to hold a current that is set by hand.
   constexpr void put_current(double* z, double current) const {
     z[1] = current, z[4] = this->R * current;
   }
 
-  // Of the circle of the current limit, too, ud has what it asks for.
+  // ud has priority in the circle of the current limit, too.
   constexpr double largest_current() const { return this->current_limit; }
   constexpr void put_further(int, double* z, double ud, double) const {
     z[2] = clamp(ud, limit_or_none(this->current_limit));

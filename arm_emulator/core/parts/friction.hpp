@@ -1,8 +1,8 @@
 // Friction of a shaft, of a rotor or of a link: viscous, and Coulomb's.
 //
-// A shaft that turns feels -Dv w - Dc sign(w). One at rest is held while the torque on it is at
-// most Ds >= Dc: it stays at rest exactly, without regularisation and at any step size. Of a link
-// see coulomb.hpp, which solves for all links at once; of a rotor rotor_friction.hpp.
+// The torque on a turning shaft is -Dv w - Dc sign(w). A shaft at rest stays at rest exactly while
+// the torque on it is at most Ds >= Dc, without regularisation and at any step size. coulomb.hpp
+// solves for all links together, rotor_friction.hpp for a rotor.
 #pragma once
 
 #include "numerics/number.hpp"
@@ -13,16 +13,16 @@ struct Friction {
   double Dv = 0.0;            // N m s/rad, viscous
   double Dc = 0.0, Ds = 0.0;  // N m, while the shaft slides, and what holds it at rest
 
-  // Whether the torque of sliding depends on anything. Then it is taken at a step's start, and how
-  // it changes enters the second stage.
+  // Whether the sliding torque varies. Then its value at a step's start enters the first stage, its
+  // change the second.
   static constexpr bool varies = false;
-  // Whether what holds a shaft goes with the torque of the gear.
+  // Whether the breakaway torque depends on the torque of the gear.
   static constexpr bool loaded = false;
 
   // See drive.hpp.
   constexpr const Friction& linear() const { return *this; }
 
-  // Whether it can hold a shaft at rest. The holding torque at an instant may still be 0.
+  // Whether it can hold a shaft at rest; the breakaway torque may still be 0 at times.
   constexpr bool is_dry() const { return Dc > 0.0; }
   // Torques against sliding at the speed w, and that hold at rest, under the torque T of the gear
   // on that shaft.

@@ -1,11 +1,11 @@
-// An elastic gear whose teeth are not quite where they should be: beside the ratio, the twist has
-// an error e that goes with the angles of motor and link,
+// An elastic gear with errors of its teeth: the twist has an error e that depends on the angles of
+// motor and link,
 //
 //   w = Ng tm - q + e      e = sum a sin(k tm + phi)  +  sum b sin(k q + psi)
 //   F = Kg w + Dg dw/dt
 //
 // Its forces follow from the twist by virtual work: F (1 - de/dq) on the link and F (Ng + de/dtm)
-// against the rotor, so that the gear stores Kg w^2 / 2, dissipates Dg (dw/dt)^2 and nothing else.
+// against the rotor, The gear stores Kg w^2 / 2 and dissipates Dg (dw/dt)^2.
 #pragma once
 
 #include <array>
@@ -53,7 +53,7 @@ struct KinematicErrorGear {
     return Dg * rate * rate;
   }
 
-  // The rotor behind a link at (q, v) with nothing wound up.
+  // Rotor state for a link at (q, v) without wind-up.
   constexpr void unload(double q, double v, double& tm, double& wm) const {
     const Turn<double> by_link = error(link, q);
     for (int round = 0; round < 20; ++round) {

@@ -1,6 +1,5 @@
-// Friction by bristles: the surfaces of a shaft hold on to each other by hairs that bend by z
-// before they slip. Before it slides a shaft yields as on a spring, which is what Coulomb friction
-// leaves out.
+// Friction by bristles that bend by z before they slip: a shaft yields like a spring before it
+// slides, which Coulomb friction neglects.
 //
 //   dz/dt = w - s0 |w| z / g(w)      g(w) = Dc + (Ds - Dc) exp(-(w / vs)^2)
 //   torque on the shaft  -s0 z - s1 dz/dt
@@ -8,8 +7,8 @@
 // C. Canudas de Wit, H. Olsson, K. J. Astrom and P. Lischinsky, IEEE Trans. Automatic Control 40,
 // 1995; viscous friction has a section of its own.
 //
-// |w| has a corner where the shaft reverses. The mode's number is the way it turns, so that steps
-// are cut there where events are located; nothing else depends on it.
+// |w| has a corner where the shaft reverses. The mode's number is the direction of motion, so that
+// located events cut steps there; nothing else depends on it.
 #pragma once
 
 #include "parts/mode.hpp"
@@ -52,8 +51,8 @@ struct LuGre {
   }
   template <class X>
   ARM_INLINE constexpr X torque(X, X w, const X* z, X, bool) const {
-    // Bristles never bend beyond Ds / s0, by far. Where they do the step is too long, and this
-    // ends as a divergence.
+    // Bristles never bend far beyond Ds / s0. If they do, the step is too long, and the machine
+    // diverges.
     const X most = X{} + 5.0 * Ds / s0;
     const X bent = select(magnitude(z[0]) > most, z[0] * 1e30, z[0]);
     return -s0 * bent - s1 * (w - slip(w, z[0]));
@@ -70,7 +69,7 @@ struct LuGre {
   constexpr Mode mode_at(double, double w, const double*) const {
     return {false, w < 0.0 ? -1.0 : 1.0};
   }
-  // A shaft that hardly moves may do so either way.
+  // The direction of a shaft that hardly moves is arbitrary.
   constexpr double margin(double, double w, const double*, const Mode& mode) const {
     return mode.offset * w + 1e-6 * vs;
   }

@@ -1,14 +1,14 @@
-// Non-smooth behaviour of a part of a drive: a current at its limit, a stuck rotor, a tooth
-// that touches. In each of its modes the part is smooth.
+// Non-smooth behaviour of a part of a drive: a current at its limit, a stuck rotor, a contact. The
+// part is smooth in each of its modes.
 //
-// A mode states which of two equations holds, and gives one number that enters there: the limit,
-// the torque of sliding, where a contact begins. Such a part states
+// A mode selects one of two equations and has one number that enters it: the limit, the sliding
+// torque, the position of a contact. Such a part has
 //
 //   mode_at(...)         the mode that a state calls for,
 //   wanted(...)          the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
 //   settle(...)          and puts a state where its mode holds it, against rounding.
-//   is_usual(...)        Where it has one that is quicker than these: whether a state, as the start
+//   is_usual(...)        Optional and faster: whether a state, as the start
 //                        and as the end of a step, surely calls for the usual mode, number 0.
 #pragma once
 
@@ -47,7 +47,7 @@ constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
 
 constexpr bool is_held(unsigned held, int m) { return held >> m & 1u; }
 
-// Beyond by rounding is not beyond.
+// Tolerance for rounding.
 inline constexpr double kRounding = 1e-12;
 
 }  // namespace arm

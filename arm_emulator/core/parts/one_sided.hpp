@@ -1,6 +1,6 @@
 // A spring and a damper that push and never pull: a tooth on a tooth, a link on its stop.
 //
-// With the depth u, how far one is pressed into the other:
+// With the depth u of contact,
 //
 //   T = max(0, K u + D du/dt) where u > 0, else 0
 //

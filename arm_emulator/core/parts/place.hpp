@@ -1,5 +1,5 @@
-// Place of a part that is neither motor nor gear: the rotor, whose angle and speed are then its
-// inputs, or the link.
+// Place of a part that is neither motor nor gear: rotor or link, whose angle and speed are its
+// inputs.
 #pragma once
 
 namespace arm {

@@ -5,8 +5,8 @@
 //   Lq diq/dt = uq - R iq - p wm (Ld id + psi)
 //   torque      3/2 p (psi iq + (Ld - Lq) id iq)
 //
-// An inverter with space vectors reaches the amplitude supply / sqrt(3). Of that circle ud has what
-// it asks for, and uq what is left.
+// An inverter with space vectors reaches the amplitude supply / sqrt(3). ud has priority, and uq
+// the rest of that circle.
 #pragma once
 
 #include "numerics/number.hpp"
@@ -51,7 +51,7 @@ struct PmsmOf {
     return 1.5 * p * psi * z[1];
   }
 
-  // Of the currents, iq stands where other motors have their one; id is reported beside it.
+  // iq is the motor's current; id is reported separately.
   template <class X>
   ARM_INLINE constexpr X current(const X* z) const {
     return z[1];
@@ -61,7 +61,7 @@ struct PmsmOf {
   constexpr double largest_current() const { return 0.0; }
   constexpr void follow(double*, double, double) const {}
 
-  // A further input is a state that rests: held from one command to the next, and saved with them.
+  // A further input is a constant state: held between commands, and saved with the states.
   constexpr void put_further(int, double* z, double ud, double supply) const {
     z[2] = clamp(ud, amplitude(supply));
   }
@@ -84,7 +84,7 @@ struct PmsmOf {
   ARM_INLINE constexpr X given(const X* z, X uq, X, bool) const {
     return 1.5 * (z[2] * z[0] + uq * z[1]);
   }
-  // At most, for the best currents.
+  // Upper bound, at the best currents.
   template <class X>
   ARM_INLINE constexpr X given_at_most(const X* z, X uq, X) const {
     return 0.375 / R * (z[2] * z[2] + uq * uq);

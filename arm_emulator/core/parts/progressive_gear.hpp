@@ -17,7 +17,7 @@ struct ProgressiveGear {
   static constexpr int states = ElasticGear::states;
   static constexpr int modes = 0;
 
-  // The same gear but for the cube.
+  // The same gear without the cubic term.
   constexpr ElasticGear linear() const { return {Ng, Kg, Dg}; }
 
   template <class X>

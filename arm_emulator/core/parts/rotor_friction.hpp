@@ -1,8 +1,8 @@
-// Dry friction of a rotor behind an elastic gear (of one behind a rigid gear it is the link's).
+// Dry friction of a rotor behind an elastic gear (behind a rigid gear it acts on the link).
 //
-// Its mode is `held` where the rotor is stuck: then 0 = wm takes the place of eq. (2). Else it
-// slides, and the mode's number is the torque of sliding, with the sign of the motion. Any law of
-// friction.hpp's kind can be `Law`; one that is not dry never holds, and has no mode but the usual.
+// Its mode is `held` where the rotor sticks: then 0 = wm replaces eq. (2). Else the mode's number
+// is the sliding torque, with the sign of the motion. `Law` is any law with the interface of
+// friction.hpp; a law without dry friction has the usual mode only.
 #pragma once
 
 #include "parts/friction.hpp"
@@ -14,7 +14,7 @@ namespace arm {
 struct OnRotor {
   double torque;    // N m, of all
   double of_gear;   // N m, of the gear alone
-  double rounding;  // N m, which may be there because angles are rounded
+  double rounding;  // N m, uncertainty by rounding of angles
 };
 
 template <class Law = Friction>
@@ -51,8 +51,8 @@ struct RotorFriction {
   constexpr Mode wanted(double began, double wm, const OnRotor& on, const Mode& mode) const {
     if (mode.held) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
     if (is_free()) return mode;
-    // A rotor that reverses comes to rest at the step's end, or has rested all along if it stopped
-    // in the first half: friction that goes on beyond would wind up the gear.
+    // A rotor that reverses rests at the step's end, or in the whole step if it stopped in the
+    // first half: longer friction would wind up the gear.
     const bool stops_early = magnitude(began) < magnitude(wm);
     return wm * mode.offset < 0.0 && stops_early ? Mode{true, 0.0} : mode;
   }
@@ -72,14 +72,14 @@ struct RotorFriction {
     return law.holding(on.of_gear) * (1.0 + kRounding) + on.rounding - magnitude(on.torque);
   }
   constexpr Mode slide(double way, double wm, double T) const {
-    // The way is kept in the sign, also of a torque of 0.
+    // The sign is the direction of motion, also for a torque of 0.
     const double dry = law.sliding(wm, T);
     const double some = dry > 0.0 ? dry : 1e-300;
     return {false, way < 0.0 ? -some : some};
   }
 };
 
-// A rotor without.
+// A rotor without friction.
 struct FreeRotor {
   static constexpr int modes = 0;
   static constexpr bool varies = false, loaded = false;

@@ -10,7 +10,7 @@ namespace arm {
 
 struct Stribeck {
   double Dv, Dc, Ds;  // as of Friction
-  double vs;          // rad/s, at which 63 % of the fall are done
+  double vs;          // rad/s, at 63 % of the fall
 
   static constexpr bool varies = true, loaded = false;
   constexpr Friction linear() const { return {Dv, Dc, Ds}; }

@@ -1,9 +1,9 @@
-// A motor whose torque control is taken for granted: its torque tau follows the command u [N m].
+// A motor with ideal torque control: its torque tau follows the command u [N m].
 //
 //   1 / (2 pi f) dtau/dt = u - tau          f: bandwidth of that control
 //
-// Without a bandwidth it follows at once. The supply gives what the shaft takes; no current is
-// known.
+// Without a bandwidth it follows at once. The supply delivers the shaft's power; there is no
+// current.
 #pragma once
 
 #include "numerics/number.hpp"

@@ -1,9 +1,9 @@
-// Torque ripple: what a motor makes of its current goes with the angle of its rotor, by the factor
+// Torque ripple: the torque per current varies with the angle of the rotor, by the factor
 //
 //   s = 1 + sum a sin(k tm + phi)
 //
-// Torque s Kt i and induced voltage s Kb wm go together, so that no power is lost between them: the
-// motor's equations are those of one whose rotor turns with s wm.
+// Torque s Kt i and induced voltage s Kb wm have the same factor, so that no power is lost: the
+// motor's equations are those at the rotor speed s wm.
 #pragma once
 
 #include <array>

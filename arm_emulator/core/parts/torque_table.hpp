@@ -1,11 +1,11 @@
-// A torque on the link that goes with its angle as a table gives it: a counterbalance as it was
-// measured, the drag of hoses. Between two points of the table it is a cubic,
+// A torque on the link as a table over its angle: a measured counterbalance, the drag of hoses. A
+// cubic joins two points of the table,
 //
 //   T = T0 + T1 s + T2 s^2 + T3 s^3      s = q - q0
 //
-// with coefficients (parts/torque_table.py) for which torque and slope go on from one to the next.
-// Beyond its ends the table holds their torque, or comes again with its period. It takes nothing;
-// its potential, the integral of -T, is 0 at the first point and may become negative, as gravity's.
+// with coefficients (parts/torque_table.py) that make torque and slope continuous. Beyond its ends
+// the table keeps their torque, or repeats with its period. It dissipates nothing; its potential,
+// the integral of -T, is 0 at the first point and may become negative, like gravity's.
 #pragma once
 
 #include <array>
@@ -71,7 +71,7 @@ struct TorqueTable {
     const X beyond = periodic ? turns * U_end : (within - angle) * torque;
     return {torque, U0 - work + beyond};
   }
-  // The last piece that begins at or before an angle, by halves.
+  // The last piece that begins at or before an angle, by bisection.
   ARM_INLINE constexpr int piece_of(double angle) const {
     int first = 0;
     for (int count = n; count > 1;) {

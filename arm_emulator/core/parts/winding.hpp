@@ -5,9 +5,8 @@
 //   R = R0 (1 + alpha (T - Tref))          T = ambient + Theta
 //   Kt, Kb (psi) = those at Tref times (1 + beta (T - Tref)), at least 0
 //
-// One temperature stands for copper and magnets. Resistance and constants meet currents in
-// products: the schemes' matrix has them at fixed temperatures (`linear`), the rest enters each
-// stage.
+// One temperature stands for copper and magnets. Products with currents are nonlinear: the schemes'
+// matrix has resistance and constants at fixed temperatures (`linear`), the rest enters each stage.
 #pragma once
 
 #include "numerics/number.hpp"
@@ -82,7 +81,7 @@ struct HeatedMotor : Motor {
     return Motor::given_at_most(z, u, magnets(z) * wm) / resistance(z);
   }
 
-  // For one machine, the motor at this temperature answers.
+  // `motor` with its numbers at this temperature.
   constexpr double given(const double* z, double u, double wm, bool held) const {
     return now(z).given(z, u, wm, held);
   }
@@ -101,7 +100,7 @@ struct HeatedMotor : Motor {
   constexpr bool too_hot(const double* z) const { return temperature(z) > winding.limit; }
 
  private:
-  // Resistance and constants, of those at the reference.
+  // Factors of resistance and constants, relative to the reference.
   template <class X>
   ARM_INLINE constexpr X resistance(const X* z) const {
     return 1.0 + winding.alpha * (winding.ambient - winding.reference + z[rise]);

@@ -1,9 +1,8 @@
-// A drive's part of a step as a table of numbers, worked out from what the drive states of itself.
+// A drive's part of a step as a table of numbers, computed from its f and g.
 //
-// f = F (z, q, v, u, offset) + n and g = G (z, q, v) + n_g: asking the drive's linear parts for f
-// and g at one unit of each input gives the columns of F and G. The rest n, of parts that are not
-// linear, is an input of its own. With s = gamma h, a stage (I - s A) k = r of a linearly implicit
-// scheme reads, for one joint,
+// f = F (z, q, v, u, offset) + n and g = G (z, q, v) + n_g: f and g of the linear parts at a unit
+// of each input are the columns of F and G. The rest n of nonlinear parts is an input of its own.
+// With s = gamma h, a stage (I - s A) k = r of a linearly implicit scheme reads, for one joint,
 //
 //   D k_z - s (F_z k_z + F_q k_q + F_v k_v) = r_z
 //                                       k_q = r_q + s k_v
@@ -14,8 +13,8 @@
 //   k_z = E (r_z + s F_q r_q) + e k_v,                   e = s E (F_v + s F_q)
 //   (M + s b) k_v = r_v + s (G_z E (r_z + s F_q r_q) + G_q r_q),  b = -(G_z e + s G_q + G_v)
 //
-// Nothing is divided by an inductance or a stiffness, so that D may have zeros and a gear may be as
-// stiff as it likes.
+// There is no division by an inductance or a stiffness, so D may have zeros and a gear may be
+// arbitrarily stiff.
 #pragma once
 
 #include "mechanics/numbers.hpp"
@@ -36,14 +35,14 @@ struct StepInput {
   static constexpr int k1 = rest + R, change = k1 + 1, k2 = change + R, count = k2 + 1;
 };
 
-// F and G of one drive, its states in rows of K; a state that it does not have rests. Of numbers X
-// that are several joints side by side, those of several drives.
+// F and G of one drive, its states in rows of K; a missing state is constant. Of numbers X that are
+// several joints side by side, those of several drives.
 template <int K, int M, class X = double>
 struct LinearDrive {
   static constexpr int kRows = K > 0 ? K : 1, kColumns = K + 3 + M;
   X D[kRows], F[kRows][kColumns], G[kColumns];
 
-  // Drives that rest.
+  // Drives at rest.
   static constexpr LinearDrive none() {
     LinearDrive rests = {};
     for (X& d : rests.D) d = X{} + 1.0;
@@ -74,8 +73,8 @@ struct LinearDrive {
     return linear;
   }
 
-  // Whether what a drive's parts call linear is, with all parts held that may be, and with none:
-  // asked at a sum of inputs it gives the sum of its answers.
+  // Check that a drive's linear parts are linear, with all modes held and with none: f and g of a
+  // sum of inputs are the sums of theirs.
   template <class TheDrive>
   static constexpr bool is_sound(const TheDrive& whole) {
     for (unsigned held = 0; held < 1u << TheDrive::modes; ++held)
@@ -154,7 +153,7 @@ struct LinearDrive {
   }
 };
 
-// One joint's part of a step of size h: what each row is, to one unit of each input.
+// One joint's part of a step of size h: each row per unit of each input.
 template <int K, int M, int R, class X = double>
 struct DriveTable {
   using In = StepInput<K, M, R>;
@@ -171,8 +170,8 @@ inline constexpr double kSqrt2 = 1.4142135623730951;
 // gamma of the scheme with so many stages: implicit Euler's, and ROS2's.
 constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
-// The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp). It is worked
-// out anew for each trial of an event's time (located.hpp), so it is not compiled for size.
+// The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp). It is
+// recomputed for each trial of an event's time (located.hpp), so it is not compiled for size.
 template <int R, int K, int M, class X>
 ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& drive, double h,
                                                 int stages) {
@@ -247,7 +246,7 @@ struct MakeImplicit {
 };
 
 // The table of the paper's scheme: backward Euler of the drive with the link held; `rhs_1` is the
-// torque on the link at the states after it. The drive's rest stays what it is at the step's start.
+// torque on the link at the states after it. The drive's rest is that at the step's start.
 template <int R, int K, int M>
 ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, double h) {
   using In = StepInput<K, M, R>;
@@ -281,14 +280,14 @@ struct MakePaper {
   }
 };
 
-// The tables of all joints, side by side, so that a row is worked out for all of them at once.
-// `Make` makes a joint's table of its linear drive.
+// The tables of all joints, side by side in vectors. `Make` makes a joint's table of its linear
+// drive.
 template <class S, class X, class Make>
 class DriveTables {
  public:
   static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
   static constexpr int width = kWidth<X>;
-  // Lanes know the usual modes alone (smooth_together.hpp).
+  // Lanes have the usual modes only (smooth_together.hpp).
   static constexpr int M = width == 1 ? most_modes<S>() : 0;
   static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
   static constexpr int R = linear ? 0 : K + 1;
@@ -306,7 +305,7 @@ class DriveTables {
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker) : make_(maker), n_(numbers) {
     fill();
   }
-  // With joints in modes that are given.
+  // With joints in the given modes.
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, const Modes (&modes)[N])
       : make_(maker), n_(numbers) {
     rest();
@@ -347,7 +346,7 @@ class DriveTables {
     });
   }
 
-  // Have joint j in these modes.
+  // Put joint j into these modes.
   void serve(int j, const Modes& modes) {
     const unsigned held = modes.held();
     if (held != now_[j].held()) change_table(j, held);
@@ -437,7 +436,7 @@ class DriveTables {
     return end;
   }
 
-  // Have x where the modes in use hold it, against rounding.
+  // Set x to the values that the modes in use hold, against rounding.
   void settle(State<S, X>& x, const X (&u)[row]) const {
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
@@ -463,7 +462,7 @@ class DriveTables {
     return out;
   }
 
-  // Whether any drive of this scene takes notice of an input.
+  // Whether any drive of this scene depends on an input.
   static constexpr bool matters(int input) {
     switch (input) {
       case In::q:

@@ -20,12 +20,12 @@
 // error is O(h^2), which order 2 allows.)
 //
 //   rosenbrock    works it out at y: one inverse dynamics with the accelerations k1.
-//   extrapolated  takes what it was from the last step to this one: each step evaluates the links
+//   extrapolated  takes its change from the last step: each step evaluates the links
 //                 only once. The error is O(h^2) again; where an acceleration jumps it is O(h),
 //                 but in the one step after it, which keeps the order.
 //
 // Drives that are not linear add their rest n (drive.hpp) to f, and n(y) - n(x) to d: both schemes
-// work it out, joint by joint.
+// evaluate it, joint by joint.
 #pragma once
 
 #include "mechanics/coulomb.hpp"
@@ -80,7 +80,7 @@ class LinearlyImplicit {
       for (int j = 0; j < N; ++j) number(a[j]), number(torque[j]);
     }
   };
-  using Memory = Accelerations;  // what a step takes from the one before, beside the state
+  using Memory = Accelerations;  // data of the last step, besides the state
 
   // Begin at a state with no past.
   void reset(const State<S, X>& x) {
@@ -93,10 +93,10 @@ class LinearlyImplicit {
   const Memory& memory() const { return past_; }
   void restore(const Memory& memory) { past_ = memory; }
 
-  // Whether what a stage takes from the step before is there, and one as long as this.
+  // Whether the last step's data exists and has this step's length.
   enum class Past { used, unknown };
 
-  // A step in modes that are given, whether they hold or not (located.hpp).
+  // A step in the given modes, whether they hold or not (located.hpp).
   void step_in(const Modes<S>& modes, State<S>& x, const double (&u)[row], const Dynamics& links,
                Past from) {
     if constexpr (Tables::modal)
@@ -118,7 +118,7 @@ class LinearlyImplicit {
     given_ = {};
   }
 
-  // Make a past of a step that led from `start` to x otherwise.
+  // Set the past for a step from `start` to x that was taken otherwise.
   void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
     if constexpr (extrapolates) {
       Dynamics links;
@@ -201,8 +201,8 @@ class LinearlyImplicit {
     if constexpr (stages == 2) second_stage(links, change, in);
   }
 
-  // x with the drives as they are in the first stage while the links rest: there a command that has
-  // jumped has its torque, and so must friction that goes with it.
+  // x with the drives after the first stage, the links at rest: the torque of a command that has
+  // jumped acts there, and load friction must follow it.
   ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) const {
     State<S, X> pulled = x;
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
@@ -330,11 +330,11 @@ class LinearlyImplicit {
   }
 
   // A step is taken with the modes that hold at its end: a current has not passed its limit, one at
-  // the limit is not drawn back by its own circuit, a stuck rotor is not overloaded. Where a joint
-  // changes its mind within the step there may be none: then the step is taken in halves. In the
-  // shortest of these the modes that its start calls for stay, so that a mode changes by at most
-  // 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that a wound-up gear
-  // begins to pull gathers its speed with h^3, which the error of a step exceeds at any h.)
+  // the limit is not drawn back by its own circuit, a stuck rotor is not overloaded. If none are
+  // consistent, the step is halved. The shortest parts keep the modes of their start, so a mode
+  // changes at most 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that
+  // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
+  // any h.)
   void step_in_modes(State<S>& x, const double (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past_;
     const bool begins_usual = usual_ && is_usual(n_, x, u);
@@ -408,7 +408,7 @@ class LinearlyImplicit {
 
   // Whether all modes hold at the end y of a step from x; those that do not are changed.
   bool modes_hold(const State<S>& x, const State<S>& y, const double (&u)[row]) {
-    if (!is_finite(y.v[0])) return true;  // it has diverged, whatever its modes
+    if (!is_finite(y.v[0])) return true;  // diverged, whatever its modes
     bool hold = true;
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {

@@ -3,14 +3,13 @@
 // the motion is smooth, and the scheme keeps its order.
 //
 // A step is first taken whole, with the modes that its start calls for (modes.hpp). If they hold at
-// its end, that was it. If not, the length of step at whose end the first of them ceases to hold is
-// found between 0 and the whole: each trial is a step of its own, with tables for its length. From
-// there the rest of the step goes on with the modes that are called for there, so that the grid of
-// steps stays as it is. A mode that ceases to hold and holds again within one step is not seen:
-// that costs O(h^3).
+// its end, the step is done. If not, a search finds the length at whose end the first of them
+// ceases to hold: each trial is a step with tables for its length. The rest of the step continues
+// with the modes of that state, so the grid of steps is unchanged. A mode that ceases to hold and
+// holds again within one step is missed, at a cost of O(h^3).
 //
-// After kMostEvents events in one step, its rest is taken as without location: events that come so
-// thick (a motor far faster than the step) are not resolved by it anyway.
+// After kMostEvents events in one step, its rest is taken without location: the step does not
+// resolve events that dense (a motor far faster than the step).
 #pragma once
 
 #include "mechanics/energy_flow.hpp"
@@ -45,7 +44,7 @@ class Located {
   // The links' part at x.
   const Dynamics& links_at(const State<S>& x) { return memo_.at(n_, x); }
 
-  // Pass the smooth parts of steps to a meter, or to nobody.
+  // Meter for the smooth parts of steps, or null.
   void watch(EnergyMeter<S>* by) { meter_ = by; }
 
   template <class Exchange>
@@ -143,7 +142,7 @@ class Located {
                other.margin / (before.margin - other.margin);
   }
 
-  // Stands where the thread of the links would.
+  // Replaces the exchange with the thread of the links.
   struct Nobody {
     void take(Dynamics&) {}
     void give(const State<S>&) {}

@@ -1,5 +1,5 @@
-// Motors and links in the calling thread: the sequential reference, and the quicker way for an arm
-// whose links take less time than two cores need to talk. The same face as TwoThreads.
+// Motors and links in the calling thread: the sequential reference, and faster where the links take
+// less time than an exchange between two cores. Same interface as TwoThreads.
 #pragma once
 
 #include <cstdint>

@@ -17,7 +17,7 @@ class PaperScheme {
   using Tables = DriveTables<S, X, MakePaper>;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
-  // Drives find the modes that hold at the step's end, the link held where it was.
+  // Drives find the modes that hold at the step's end, with the link held.
   static constexpr bool holds_links = true;
 
   PaperScheme(double step, const Numbers<S, X>& numbers)
@@ -28,7 +28,7 @@ class PaperScheme {
   void renew(int lane) { tables_.renew(lane); }
   void renew() { tables_.fill(); }
 
-  // It takes nothing from the past.
+  // It has no past.
   struct Memory {
     template <class Number>
     void for_each_number(Number&&) {}
@@ -50,7 +50,7 @@ class PaperScheme {
   }
 
  private:
-  // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
+  // Eq. (3), the links held at sample k; `torque`: of the drives on the links after it.
   ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
     if constexpr (kJumps<S>) begin_at_once(n_, x, u);
     typename Tables::Inputs in;

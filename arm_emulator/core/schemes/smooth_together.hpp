@@ -2,9 +2,8 @@
 //
 // A step is smooth for a machine whose drives are in their usual modes at its start and at its end,
 // whose brakes are open and, where events are located, whose links slide or rest all along. Such a
-// step is the one that the machine would take alone: it is decided for all lanes at once, and most
-// steps are smooth. A machine that meets its current's limit, a stop, a brake or, where that is
-// located, comes to rest or breaks away, takes that step by its own scheme and goes on in its lane.
+// step equals the one of a single machine. Most steps are smooth. A machine that meets a current
+// limit, a stop, a brake or a located event takes that step alone and continues in its lane.
 #pragma once
 
 #include "mechanics/at_once.hpp"
@@ -29,7 +28,7 @@ class SmoothTogether {
   SmoothTogether(double step, const Numbers<S, X>& numbers)
       : n_(numbers), method_(step, numbers), coulomb_(numbers) {}
 
-  // The machine of a lane; null where nobody is there, and whatever the lane does is right.
+  // The machine of a lane; null for an unused lane.
   void put(int lane, Machine* machine) {
     machine_[lane] = machine;
     there_[lane] = machine ? -1 : 0;
@@ -70,7 +69,7 @@ class SmoothTogether {
   static constexpr bool locates = kLocates<S>;
   using Friction = Coulomb<S, X>;
 
-  // A step together. Where it was smooth.
+  // A step of all lanes. Returns where it was smooth.
   template <class Exchange>
   ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
     State<S, X> drives_end = x;
@@ -82,7 +81,7 @@ class SmoothTogether {
       drives_end = x;
     return is_usual(n_, drives_end, u);
   }
-  // The same with events that are looked for.
+  // The same with location of events.
   Mask<X> locate(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     typename Friction::Modes modes = {};
     if constexpr (Friction::present) modes = friction_at(x, u, links);

@@ -6,21 +6,20 @@
 //                           uses links(k-2) | uses links(k-1)   | uses links(k)
 //   Newton-Euler thread     links(k-1)      | links(k)          | links(k+1)
 //
-// So every step takes M and nle from D samples ago. With Exchange::lag they are those of that
-// sample, as in the paper: an error of first order in the step. With Exchange::predict they are
-// those of the state to which that sample's speeds and accelerations lead: the error is of second
-// order.
+// Every step uses M and nle of D samples ago. With Exchange::lag they are those of that sample, as
+// in the paper: an error of first order in the step. With Exchange::predict they are those of the
+// state to which that sample's speeds and accelerations lead: the error is of second order.
 //
-// A sample goes to the other core, becomes the links' part there, comes back and ends in a sample
-// D + 1 steps later. So a step takes no less than (both parts + both ways) / (D + 1), and no less
-// than the longer part: a deeper exchange hides the ways between the cores.
+// A sample goes to the other core, becomes the links' part there, returns and is used D + 1 steps
+// later. A step therefore takes at least (both parts + both transfers) / (D + 1), and at least the
+// longer part: a deeper exchange hides the transfers between the cores.
 //
-// A sample goes out as soon as its links have moved, and the links' part comes in when a step has
-// done what it can without it: the motors' work overlaps with the ways between the cores.
+// A sample is sent as soon as its links have moved, and the links' part is received as late as a
+// step can: the motors' work overlaps with the transfers.
 //
-// The threads are kept in step by two counters. Which results are exchanged depends on the number
-// of the step alone, never on who was faster, so the motion is the same to the last bit on every
-// run. Within a burst both threads spin; between bursts the Newton-Euler thread sleeps.
+// The threads are kept in step by two counters. The exchanged results depend on the step number
+// alone, never on timing, so runs are equal to the last bit. Within a burst both threads spin;
+// between bursts the Newton-Euler thread sleeps.
 #pragma once
 
 #include <pthread.h>
@@ -36,7 +35,7 @@
 
 namespace arm {
 
-// Spin politely: after a while let others run, who may be what is waited for if there is one core.
+// Spin, then yield: on a single core the other thread needs it.
 class Spin {
  public:
   void operator()() {
@@ -57,7 +56,7 @@ class TwoThreads {
   static constexpr int N = S::N, D = S::exchange_depth;
   using Dynamics = typename Links<S>::Dynamics;
 
-  // `core`: of the Newton-Euler thread; -1, and other systems than Linux: wherever these put it.
+  // `core`: of the Newton-Euler thread; -1, and on systems other than Linux: any.
   TwoThreads(double step, int core, const Numbers<S>& numbers)
       : h_(step), n_(numbers), stepper_(step, numbers), place_(core), newton_euler_([this] {
           work();
@@ -70,8 +69,8 @@ class TwoThreads {
     wake();
   }
 
-  // Schedule the Newton-Euler thread as the caller is. It must not be less urgent than who waits
-  // for it. False if the system does not permit it.
+  // Schedule the Newton-Euler thread as the caller is. It must not be less urgent than the thread
+  // that waits for it. False if the system does not permit it.
   bool join_schedule() {
     int policy = SCHED_OTHER;
     sched_param priority = {};
@@ -81,7 +80,7 @@ class TwoThreads {
 
   // In a forked child, which has not got the Newton-Euler thread, between two bursts: begin one.
   void begin_thread() {
-    // The handle is of a thread of the parent: nobody may wait for it.
+    // The handle is of the parent's thread and must not be joined.
     new (&newton_euler_) std::jthread([this] { work(); });
     put_on_core();
   }
