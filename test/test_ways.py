@@ -12,10 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way_controller import LOST, WayController
 from arm_emulator.runs.offline import load_offline_run
 
@@ -121,6 +124,36 @@ def test_limits_hold_whatever_is_asked(seed: int) -> None:
             low, high = arm.lower - 1e-8, arm.upper + 1e-8
             assert ((one.q >= low) & (one.q <= high)).all(), "position"
         q = controller.coming.q
+
+
+@pytest.mark.parametrize("seed", some(range(20), 4))
+def test_a_line_keeps_position_limits_between_its_nodes(seed: int) -> None:
+    """A limit between what the nodes reach and what the curve through them reaches."""
+    rng = np.random.default_rng(seed)
+    tried = 0
+    for _ in range(20):
+        arm = random_arm(rng, 6, slide=0.0)
+        start = drawn(rng, arm)
+        end = np.clip(start + rng.normal(size=6) * 0.3, arm.lower, arm.upper)
+        tree, ends = ArmTree(arm, (0.0, 0.0, 0.0)), (pose_of(arm, start), pose_of(arm, end))
+        curve = joints_along(tree, start, *ends, None)
+        if not isinstance(curve, JointCurve):
+            continue
+        nodes = curve.derivatives(curve.breaks)[0]
+        dense = curve.derivatives(np.linspace(0.0, 1.0, 20_001))[0]
+        for j in np.flatnonzero(dense.max(axis=0) > nodes.max(axis=0) + 1e-6):
+            before = arm.upper[j]
+            arm.upper[j] = 0.5 * (dense[:, j].max() + nodes[:, j].max())
+            assert curve.leaves(arm.lower, arm.upper) is not None
+            again = joints_along(tree, start, *ends, None)
+            if isinstance(again, JointCurve):  # of more nodes
+                most = again.derivatives(np.linspace(0.0, 1.0, 20_001))[0][:, j].max()
+                assert most <= arm.upper[j] + 2e-9
+            arm.upper[j] = dense[:, j].max() + 1e-7  # between the samples
+            assert curve.leaves(arm.lower, arm.upper) is None
+            arm.upper[j] = before
+            tried += 1
+    assert tried, "no curve had an extreme between its nodes"
 
 
 # Arriving

@@ -9,11 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.build.c_header import pointer
+from arm_emulator.motion.polynomials import beyond
 from arm_emulator.motion.way_library import way_library
 
 FloatArray = npt.NDArray[np.float64]
 
 DERIVATIVES = 4  # the curve itself among them
+ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that begins outside
 
 
 class JointCurve:
@@ -58,6 +60,13 @@ class JointCurve:
     def end(self) -> FloatArray:
         """Its end (N,)."""
         return np.asarray(self.derivatives(np.ones(1))[0, 0])
+
+    def leaves(self, low: FloatArray, high: FloatArray) -> tuple[float, int, float] | None:
+        """Return place, joint and angle where it leaves a range (N,) first; None: nowhere."""
+        low = np.minimum(low, self.coefficients[0, 0]) - ROUNDING
+        high = np.maximum(high, self.coefficients[0, 0]) + ROUNDING
+        found = beyond(self.coefficients, np.diff(self.breaks), 0, low, high)
+        return None if found is None else (float(self.breaks[found[0]]), *found[1:])
 
     def derivatives(self, s: FloatArray) -> FloatArray:
         """Return q and its first three derivatives at places (K,), (4, K, N)."""

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.polynomials import beyond
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -275,7 +276,7 @@ class JointTrajectory:
                 "rad/s",
             ),
         ):
-            found = _beyond(pieces, seconds, order, low, high)
+            found = beyond(pieces, seconds, order, low, high)
             if found is not None:
                 piece, at, value = found
                 rule = f"keep the limits of {self._name(at)}, {self._range(at, field)} {unit}"
@@ -375,35 +376,6 @@ def _hermite(times_ns: Sequence[int], q: FloatArray, v: FloatArray, a: FloatArra
     c[:, 4] = np.where(quintic, fourth, 0.0)
     c[:, 5] = np.where(quintic, fifth, 0.0)
     return c
-
-
-# Row i: the weights that make the i-th Bernstein coefficient of degree 5 from those of s^0 .. s^5.
-_BERNSTEIN = np.array(
-    [[math.comb(i, k) / math.comb(5, k) if k <= i else 0.0 for k in range(6)] for i in range(6)]
-)
-
-
-def _beyond(
-    pieces: FloatArray, seconds: FloatArray, order: int, low: FloatArray, high: FloatArray
-) -> tuple[int, int, float] | None:
-    """Return piece, joint and value where a derivative leaves its range first, None if nowhere.
-
-    A polynomial stays within its Bernstein coefficients; only where these leave the range are its
-    extremes looked for.
-    """
-    c = pieces * seconds[:, None, None] ** np.arange(6)[:, None]  # in s = t / T, from 0 to 1
-    if order == 1:
-        c = np.concatenate([c[:, 1:] * np.arange(1, 6)[:, None], np.zeros_like(c[:, :1])], axis=1)
-        c /= seconds[:, None, None]
-    hull = np.einsum("ik,skm->sim", _BERNSTEIN, c)
-    for piece, joint in np.argwhere((hull.min(axis=1) < low) | (hull.max(axis=1) > high)):
-        poly = np.polynomial.Polynomial(c[piece, :, joint])
-        turns = np.clip(poly.deriv().trim().roots().real, 0.0, 1.0)
-        values = poly(np.concatenate([[0.0, 1.0], turns]))
-        for value in (float(values.min()), float(values.max())):
-            if not low[joint] <= value <= high[joint]:
-                return int(piece), int(joint), value
-    return None
 
 
 def _beside(own: JointMotion, moved: npt.NDArray[np.int64], rest: JointMotion) -> JointMotion:

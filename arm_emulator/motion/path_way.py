@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.take_over import Rest
 from arm_emulator.motion.timed_distance import TimedDistance
-from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along, outside
+from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along
 from arm_emulator.motion.tool_path import WHERE, ToolPath
 from arm_emulator.motion.way import AlongLimits, Way
 from arm_emulator.motion.way_controller import Motion, WayController
@@ -239,6 +239,8 @@ def _joints(
     """
     x = np.concatenate(nodes)
     poses, arm, kinematics = path.curve.poses(x), law.arm, law.kinematics
+    low = np.minimum(kinematics.lower, start) - ROUNDING
+    high = np.maximum(kinematics.upper, start) + ROUNDING
     q = arm.trace(start, poses.p, poses.R)
     if len(q) == len(x) + 1 and len(start) > kinematics.rows:
         goal = JointGoal(kinematics)  # redundant joints end where they began after a cycle
@@ -247,25 +249,24 @@ def _joints(
         goal.approach(_SETTLING_STEPS)
         if goal.reached:
             again = arm.trace(start, poses.p, poses.R, goal.q)
-            q = again if len(again) == len(q) and not outside(arm, again) else q
+            inside = (again >= low) & (again <= high)
+            q = again if len(again) == len(q) and inside.all() else q
     if len(q) <= len(x):
         rule = "be where the arm can follow"
         raise Refusal(WHERE, "the path", rule, f"a place beyond, {path.place(x[len(q) - 1])}")
-    low = np.minimum(kinematics.lower, start) - 1e-9
-    high = np.maximum(kinematics.upper, start) + 1e-9
-    beyond = np.argwhere((q < low) | (q > high))
-    if len(beyond):
-        node, j = beyond[0]
-        name = kinematics.joint_names[j]
-        rule = f"keep {name} within [{kinematics.lower[j]:.4g}, {kinematics.upper[j]:.4g}]"
-        raise Refusal(
-            WHERE, "the path", rule, f"{q[node, j]:.4g} {path.place(x[max(0, node - 1)])}"
-        )
     return q
 
 
 def _check_between(law: WayController, path: ToolPath, joints: JointCurve, measure) -> None:  # type: ignore[no-untyped-def]
-    """Refuse a spline that leaves the path between its nodes: the arm would flip there."""
+    """Refuse a spline that leaves limits of position, or the path: the arm would flip there."""
+    kinematics = law.kinematics
+    beyond = joints.leaves(kinematics.lower, kinematics.upper)
+    if beyond is not None:
+        place, j, angle = beyond
+        name = kinematics.joint_names[j]
+        rule = f"keep {name} within [{kinematics.lower[j]:.4g}, {kinematics.upper[j]:.4g}]"
+        got = f"{angle:.6g} {path.place(float(measure(np.array([place]))[0]))}"
+        raise Refusal(WHERE, "the path", rule, got)
     breaks = joints.breaks
     s = 0.5 * (breaks[1:] + breaks[:-1])
     x = measure(s)

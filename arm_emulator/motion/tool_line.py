@@ -37,10 +37,11 @@ def joints_along(
             if nodes < NODES[-1] and len(q) > 1:
                 continue  # a finer one may pass where the arm moves fast
             return why
-        why = outside(arm, q)
-        if why:
-            return why
         curve = JointCurve.spline(q)
+        beyond = curve.leaves(arm.kinematics.lower, arm.kinematics.upper)
+        if beyond is not None:
+            name = arm.kinematics.joint_names[beyond[1]]
+            return f"{name} would leave its limits at {beyond[0]:.0%} of its length"
         between = (np.arange(nodes) + 0.5) / nodes
         wanted = along_a_line(begin, end, between)
         off = errors(arm, curve.derivatives(between)[0], wanted)
@@ -60,16 +61,3 @@ def errors(arm: ArmTree, q: FloatArray, wanted: Poses) -> FloatArray:
         apart = wanted.R @ np.swapaxes(R, 1, 2)
         off = off + np.linalg.norm(apart - np.swapaxes(apart, 1, 2), axis=(1, 2)) / np.sqrt(8.0)
     return np.asarray(off)
-
-
-def outside(arm: ArmTree, q: FloatArray) -> str:
-    """Return which joint leaves its limits first on a way (K + 1, N) and where; empty: none."""
-    kinematics = arm.kinematics
-    low = np.minimum(kinematics.lower, q[0]) - 1e-9
-    high = np.maximum(kinematics.upper, q[0]) + 1e-9
-    beyond = np.argwhere((q < low) | (q > high))
-    if not len(beyond):
-        return ""
-    node, joint = beyond[0]
-    name = kinematics.joint_names[joint]
-    return f"{name} would leave its limits at {node / (len(q) - 1):.0%} of its length"
