@@ -184,6 +184,38 @@ def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
     assert reached >= len(arms) - 1, f"{reached} of {len(arms)}"
 
 
+@pytest.mark.parametrize("seed", some(range(12), 3))
+def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) -> None:
+    """To other configurations and by singular poses: where it goes is announced before."""
+    rng = np.random.default_rng(seed)
+    free = 0
+    for _ in range(20):
+        arm = random_arm(rng, int(rng.integers(6, 8)), slide=0.0)
+        start, end = drawn(rng, arm), drawn(rng, arm)
+        target = pose_of(arm, end)
+        controller = law_of(arm, PERIOD)
+        controller.begin(start)
+        for _ in range(100):
+            controller.update(controller.coming.q, target)
+            if controller.way:
+                break
+        assert controller.way
+        times = np.linspace(0.0, controller.motion.duration, 400)
+        p = np.array([arm.forward(controller.motion.at(t).q)[1] for t in times])
+        line = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
+        past = float(((p - p[-1]) @ line).max())
+        off = np.linalg.norm(p - p[0] - np.outer((p - p[0]) @ line, line), axis=1).max()
+        if "turning as the joints do" in controller.way:
+            free += 1
+            assert past < 1e-9 and off < 2e-5 * arm.reach, f"{past} {off}: {controller.way}"
+        elif controller.way.startswith("along the joints' line"):
+            announced = "past its end" in controller.way
+            assert announced or past < 1.1e-3, f"{past}: {controller.way}"
+            assert past > 0.9e-3 or not announced, f"{past}: {controller.way}"
+        assert past < 1e-9 or "joints' line" in controller.way
+    assert free
+
+
 def test_the_same_questions_have_the_same_answers_to_the_last_bit() -> None:
     rng = np.random.default_rng(2)
     arm = random_arm(rng, 7)

@@ -12,7 +12,13 @@ import pinocchio as pin
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.build.c_header import NULL, pointer
-from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics, arm_model, tool_frame
+from arm_emulator.motion.kinematics import (
+    POSE_ROWS,
+    POSITION_ROWS,
+    Kinematics,
+    arm_model,
+    tool_frame,
+)
 from arm_emulator.motion.kinematics_model import JOINT, WHERE
 from arm_emulator.motion.way_library import WAY, way_library
 
@@ -109,7 +115,12 @@ class ArmTree:
         return np.asarray(tau @ self._coupling)
 
     def trace(
-        self, start: FloatArray, p: FloatArray, R: FloatArray, goal: FloatArray | None = None
+        self,
+        start: FloatArray,
+        p: FloatArray,
+        R: FloatArray,
+        goal: FloatArray | None = None,
+        turns: bool = True,
     ) -> FloatArray:
         """Return joint angles along poses of the tool, (1 + those that were reached, N).
 
@@ -118,6 +129,7 @@ class ArmTree:
             p: positions (K, 3) [m].
             R: rotations (K, 3, 3).
             goal: angles (N,) towards which joints go that the poses leave free; None: nowhere.
+            turns: whether the rotations are asked for.
         """
         q = np.empty((len(p) + 1, len(start)))
         q[0] = start
@@ -125,7 +137,7 @@ class ArmTree:
         p, R = np.ascontiguousarray(p), np.ascontiguousarray(R)
         reached = self._law.way_trace(
             self._arm,
-            self.kinematics.rows,
+            self.kinematics.rows if turns else POSITION_ROWS,
             len(p),
             pointer(p),
             pointer(R),

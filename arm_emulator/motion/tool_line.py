@@ -17,7 +17,12 @@ OFF_THE_LINE = 1e-5  # rad, or m per reach: between nodes
 
 
 def joints_along(
-    arm: ArmTree, start: FloatArray, begin: Pose, end: Pose, goal: FloatArray | None
+    arm: ArmTree,
+    start: FloatArray,
+    begin: Pose,
+    end: Pose,
+    goal: FloatArray | None,
+    turns: bool = True,
 ) -> JointCurve | str:
     """Return the joints' curve along a line of the tool, or why no such curve exists.
 
@@ -27,11 +32,12 @@ def joints_along(
         begin: pose of the tool there.
         end: pose of the tool at the end.
         goal: angles of the joints at the end (N,); None: whichever the line leads to.
+        turns: whether the tool turns evenly; else it turns as the joints go to the goal.
     """
     why = ""
     for nodes in NODES:
         poses = along_a_line(begin, end, np.arange(1, nodes + 1) / nodes)
-        q = arm.trace(start, poses.p, poses.R, goal)
+        q = arm.trace(start, poses.p, poses.R, goal, turns)
         if len(q) <= nodes:
             why = f"the arm cannot follow it at {(len(q) - 1) / nodes:.0%} of its length"
             if nodes < NODES[-1] and len(q) > 1:
@@ -44,19 +50,19 @@ def joints_along(
             return f"{name} would leave its limits at {beyond[0]:.0%} of its length"
         between = (np.arange(nodes) + 0.5) / nodes
         wanted = along_a_line(begin, end, between)
-        off = errors(arm, curve.derivatives(between)[0], wanted)
+        off = errors(arm, curve.derivatives(between)[0], wanted, turns)
         if float(off.max()) <= OFF_THE_LINE:
             return curve
         why = f"the joints would jump at {between[int(np.argmax(off))]:.0%} of its length"
     return why
 
 
-def errors(arm: ArmTree, q: FloatArray, wanted: Poses) -> FloatArray:
+def errors(arm: ArmTree, q: FloatArray, wanted: Poses, turns: bool = True) -> FloatArray:
     """Return how far the tool is from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
     p, R = arm.forward(q)
     off = np.linalg.norm(p - wanted.p, axis=1) / kinematics.reach
-    if kinematics.turns_tool:
+    if turns and kinematics.turns_tool:
         # Of a small rotation the vector is the antisymmetric part; a large one is far off anyway.
         apart = wanted.R @ np.swapaxes(R, 1, 2)
         off = off + np.linalg.norm(apart - np.swapaxes(apart, 1, 2), axis=(1, 2)) / np.sqrt(8.0)

@@ -45,9 +45,13 @@ _STEPS = 6  # of the joint goal per motion period
 _LONGEST_SEEK = 20  # periods, for which the arm waits
 _FAR, _NEARER = 1.0, 0.8  # rad, and parts of it: then nearer joint angles are looked for
 _FAR_STEPS = 30  # of the joint goal, for them
+_LONGEST_SEARCH = 0.3  # s, for which the arm waits until a target is taken as beyond reach
 _SEARCH_TIME = 3e-3  # s of logical time for a step of the search
+BEYOND_REACH = "the target is beyond reach"  # as far as is known
 MUCH_LONGER = 1.5  # times the joints' line takes, and
 LONGER = 0.1  # s: then the joints' line is taken
+TOLD = 1e-3  # m past its end, that a way of the joints may take the tool without a word
+_LOOKS = np.linspace(0.0, 1.0, 65)  # along such a way
 _STILL = 1e-9  # rad/s, rad/s2 and per reach
 _SAME = 1e-9  # m, and of a rotation's entries: the same target once more
 
@@ -89,8 +93,8 @@ class WayController:
         self.way = ""
         """Kind of the way to the target and the reason, as text; empty: unknown yet."""
         self._began = False
-        self._target: Pose | None = None
-        self._seeking, self._looking = 0, False
+        self._target: Pose | None
+        self._forget()
         self._motion: Motion
         self._time = 0.0
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
@@ -177,7 +181,7 @@ class WayController:
 
     def follow(self, motion: Motion) -> None:
         """Go along a motion that begins as the joints are commanded to move, from now on."""
-        self._target, self._seeking, self._looking = None, 0, False
+        self._forget()
         self._follow(motion, "")
 
     def go_on(self, q: FloatArray, end: Pose) -> Instruction:
@@ -208,9 +212,12 @@ class WayController:
     def _take(self, now: Reference) -> None:
         """Let the reference be as the joints move, and come to rest."""
         self._goal.begin(now.q)
-        self._target = None
-        self._seeking, self._looking = 0, False
+        self._forget()
         self._follow(self.stopping(now), "")
+
+    def _forget(self) -> None:
+        self._target = None
+        self._seeking, self._looking, self._waits = 0, False, 0
 
     def _follow(self, motion: Motion, way: str) -> None:
         self._motion, self._time, self.way = motion, 0.0, way
@@ -239,7 +246,7 @@ class WayController:
 
     def _aim(self, target: Pose, now: Reference) -> None:
         self._goal.aim(target, now.q)
-        self._looking = False
+        self._looking, self._waits = False, 0
         self._seeking = 1
         self._followed: JointCurve | str = ""
         if self._is_still(now) and len(now.q) <= self.kinematics.rows:
@@ -279,7 +286,13 @@ class WayController:
         if goal.reached and not isinstance(line, JointCurve):
             redundant = len(now.q) > self.kinematics.rows
             line = self._tool_line(now, self._target, goal.q) if redundant else line
-        self._set_out(now, line if goal.reached else "the target is beyond reach", notices)
+        if goal.reached:
+            self._set_out(now, line, notices)
+        elif goal.settled:  # another configuration may reach it, and is better taken from here
+            self._search_begins(now)
+            self._waits = math.ceil(_LONGEST_SEARCH / self.period)
+        else:
+            self._set_out(now, BEYOND_REACH, notices)
 
     def _tool_line(self, now: Reference, target: Pose, goal: FloatArray | None) -> JointCurve | str:
         R_WT, p_WT = self.kinematics.forward(now.q)
@@ -296,24 +309,46 @@ class WayController:
     def _set_out(self, now: Reference, line: JointCurve | str, notices: list[str]) -> None:
         """Go to the joint goal from rest, along the tool's line or the reason why not."""
         end = self._goal.q
-        if not isinstance(line, JointCurve):
-            joints = self._way(JointCurve.line(now.q, end), notices)
-            self._follow(joints, f"along the joints' line: {line}")
-            return
-        straight = self._way(line, notices)
         least = joints_duration(end - now.q, self.limits)
-        if straight.duration <= MUCH_LONGER * least + LONGER:
-            self._follow(straight, "along the tool's line")
-            return
+        straight: Way | None = None
+        if isinstance(line, JointCurve):
+            straight = self._way(line, notices)
+            if straight.duration <= MUCH_LONGER * least + LONGER:
+                self._follow(straight, "along the tool's line")
+                return
         joints = self._way(JointCurve.line(now.q, end), notices)
-        if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
-            self._follow(straight, "along the tool's line")
-            return
-        self._follow(
-            joints,
-            f"along the joints' line: the tool's passes near a singular pose and would take "
-            f"{straight.duration:.3g} s instead of {joints.duration:.3g} s",
-        )
+        longest = MUCH_LONGER * joints.duration + LONGER
+        if straight is not None:
+            if straight.duration <= longest:
+                self._follow(straight, "along the tool's line")
+                return
+            line = (
+                f"the tool's passes near a singular pose and would take {straight.duration:.3g} s "
+                f"instead of {joints.duration:.3g} s"
+            )
+        free = self._turning_with_the_joints(now, end)
+        if isinstance(free, JointCurve):
+            straight = self._way(free, notices)
+            if straight.duration <= longest:
+                self._follow(straight, f"along the tool's line, turning as the joints do: {line}")
+                return
+        past = self._past(now.q, end)
+        if past > TOLD:
+            line = f"{line}; the tool goes {past * 1e3:.3g} mm past its end on the way"
+        self._follow(joints, f"along the joints' line: {line}")
+
+    def _turning_with_the_joints(self, now: Reference, end: FloatArray) -> JointCurve | str:
+        """Return the joints' curve to their angles at the end on which the tool goes straight."""
+        if len(now.q) <= POSITION_ROWS:
+            return "the tool's place alone determines the joints"
+        p, R = self.arm.forward(np.stack([now.q, end]))
+        return joints_along(self.arm, now.q, Pose(p[0], R[0]), Pose(p[1], R[1]), end, False)
+
+    def _past(self, start: FloatArray, end: FloatArray) -> float:
+        """Return how far the tool goes past its end along its line, on the joints' line [m]."""
+        p = self.arm.forward(start + _LOOKS[:, None] * (end - start))[0]
+        line = p[-1] - p[0]
+        return float(((p - p[-1]) @ line).max()) / max(float(np.linalg.norm(line)), 1e-9)
 
     def _way(self, curve: JointCurve, notices: list[str]) -> Way:
         try:
@@ -323,20 +358,27 @@ class WayController:
             return Way(curve, self.limits)
 
     def _look_elsewhere(self, now: Reference, notices: list[str]) -> None:
-        """Search for a configuration that reaches, while the arm rests at the nearest point."""
-        assert self._target is not None
+        """Search for a configuration that reaches; while it takes long, at the nearest point."""
         if not self._looking:
-            if self._time <= self._motion.duration:
-                return
-            self._looking = True
-            self._elsewhere.begin(self._target, now.q)
+            if self._time > self._motion.duration:
+                self._search_begins(now)
+            return
         # As many per time whatever the period: it takes some 5 s.
         found = self._elsewhere.search(max(3, round(self.period / _SEARCH_TIME)))
+        self._waits -= 1
         if found is not None:
             self._goal.take(found)
             self._set_out(now, "another configuration reaches the target", notices)
+        elif self._waits == 0 or (self._waits > 0 and self._elsewhere.over):
+            self._looking, self._waits = False, 0
+            self._set_out(now, BEYOND_REACH, notices)
         elif self.searching:
             notices.append("looks for another configuration")
+
+    def _search_begins(self, now: Reference) -> None:
+        assert self._target is not None
+        self._looking = True
+        self._elsewhere.begin(self._target, now.q)
 
     def _unreachable(self) -> str:
         goal, kinematics = self._goal, self.kinematics
