@@ -1,4 +1,4 @@
-"""Where polynomials, piece by piece, leave a range: between their ends, too."""
+"""Polynomials, piece by piece: whether they leave a range, between their ends, too."""
 
 from __future__ import annotations
 

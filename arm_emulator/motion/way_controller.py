@@ -50,7 +50,7 @@ _SEARCH_TIME = 3e-3  # s of logical time for a step of the search
 BEYOND_REACH = "the target is beyond reach"  # as far as is known
 MUCH_LONGER = 1.5  # times the joints' line takes, and
 LONGER = 0.1  # s: then the joints' line is taken
-TOLD = 1e-3  # m past its end, that a way of the joints may take the tool without a word
+QUIETLY_PAST = 1e-3  # m past its end, that a way of the joints may take the tool without a word
 _LOOKS = np.linspace(0.0, 1.0, 65)  # along such a way
 _STILL = 1e-9  # rad/s, rad/s2 and per reach
 _SAME = 1e-9  # m, and of a rotation's entries: the same target once more
@@ -333,7 +333,7 @@ class WayController:
                 self._follow(straight, f"along the tool's line, turning as the joints do: {line}")
                 return
         past = self._past(now.q, end)
-        if past > TOLD:
+        if past > QUIETLY_PAST:
             line = f"{line}; the tool goes {past * 1e3:.3g} mm past its end on the way"
         self._follow(joints, f"along the joints' line: {line}")
 
