@@ -26,11 +26,13 @@ from arm_emulator.identification.synthetic import make_record
 from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.friction import RotorFriction
 from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
-from arm_emulator.machine.scene import Joint, Scene, could_vary, load_scene
+from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import of_child
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import truth as three_axis

@@ -24,8 +24,9 @@ from arm_emulator.analysis.reference import links_model, reference
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import ORDERS, SCHEMES, Scene, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from bench.measure import side_by_side
 from bench.motion import Array
 

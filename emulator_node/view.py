@@ -5,8 +5,8 @@ from __future__ import annotations
 from geometry_msgs.msg import PoseStamped
 
 from arm_emulator.machine.outputs import reported_by_parts
-from arm_emulator.machine.scene import example_robot_data
 from arm_emulator.machine.session import Session
+from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.view.rerun_stream import RerunStream
 

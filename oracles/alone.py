@@ -22,7 +22,8 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.scene import LOCATING_SCHEMES, Scene, load_scene
+from arm_emulator.machine.integrator import LOCATING_SCHEMES
+from arm_emulator.machine.scene import Scene, load_scene
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run, scaled
 from oracles.random_chain import moving_joints, random_chain_urdf

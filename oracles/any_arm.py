@@ -22,7 +22,8 @@ from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.cli.new import write_new
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.scene import Scene, example_robot_data, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.pose import Pose

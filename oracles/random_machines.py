@@ -26,8 +26,9 @@ import yaml
 from arm_emulator.analysis.reference import ReferenceMachine
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.integrator import LOCATING_SCHEMES, ORDERS
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import LOCATING_SCHEMES, ORDERS, Scene, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from oracles.event_reference import reference_with_events
 from oracles.random_chain import random_chain_urdf
 

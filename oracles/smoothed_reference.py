@@ -22,6 +22,7 @@ from scipy.integrate import solve_ivp
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop
@@ -34,7 +35,7 @@ from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.lugre import LinkLuGre, LuGre, RotorLuGre
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 
 KNOWN = (
     DcMotor, CurrentLoop, TorqueMotor, CurrentMotor, RigidGear, ElasticGear, ProgressiveGear,

@@ -24,12 +24,12 @@ from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_m
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.stability import attempts, what_holds
 from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
+from arm_emulator.bags.recorded_commands import read_commands
 from arm_emulator.base.config_files import BESIDE, check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.advise import advise_scene, demo_commands
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.new import write_new
-from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.cli.tune import tune
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.identification.fitted_scene import write_fitted

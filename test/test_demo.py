@@ -15,7 +15,7 @@ from draws import some
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.machine.scene import example_robot_data
+from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import load_offline_run

@@ -13,8 +13,9 @@ from machines import GRAVITY, Oracle, random_chain
 from scipy.spatial.transform import Rotation
 
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, example_robot_data, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_chain import lock_joints
+from arm_emulator.machine.urdf_file import example_robot_data
 
 needs_robots = pytest.mark.skipif(
     example_robot_data() is None, reason="needs the package example-robot-data (make robots)"

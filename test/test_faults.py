@@ -18,7 +18,8 @@ from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.thermometer import Thermometer
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, could_vary, load_scene
+from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from bench import faults, pages
 from oracles.random_chain import LINK

@@ -18,7 +18,8 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import read_urdf
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import Kinematics

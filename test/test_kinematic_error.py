@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import ORDERS, SCHEMES, load_scene
+from arm_emulator.machine.scene import load_scene
 
 PERIOD = 1e-2  # s, over which a voltage is held
 VISCOUS = 0.2

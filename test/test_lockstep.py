@@ -30,7 +30,8 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.run import run as run_command
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.node_shell import NANOSECONDS, stamp

@@ -19,10 +19,11 @@ from arm_emulator.core import CORE
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import FLAGS
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import ORDERS, SCHEMES, Scene, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 
 PERIOD = 1e-2  # s, over which a voltage is held

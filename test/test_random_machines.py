@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from draws import some
 
-from arm_emulator.machine.scene import LOCATING_SCHEMES, ORDERS
+from arm_emulator.machine.integrator import LOCATING_SCHEMES, ORDERS
 from oracles.random_machines import judge
 
 

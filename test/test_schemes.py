@@ -24,8 +24,9 @@ from scipy.linalg import expm
 
 from arm_emulator.analysis.reference import links_model, reference, reference_states
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 PERIOD = 1e-2  # s, over which a voltage is held

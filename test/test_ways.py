@@ -11,7 +11,8 @@ from draws import some
 from scipy.spatial.transform import Rotation
 
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import directions

@@ -28,8 +28,9 @@ from arm_emulator.analysis.true_motion import (
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.integrator import EVENTS, ORDERS, SCHEMES, odds
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import EVENTS, ORDERS, SCHEMES, Scene, odds
+from arm_emulator.machine.scene import Scene
 
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
 SHARE = 0.05  # of the requested error, permitted in the truth

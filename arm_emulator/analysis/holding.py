@@ -9,9 +9,10 @@ import numpy as np
 
 from arm_emulator.analysis.link_loads import Array, LinkLoads
 from arm_emulator.analysis.servo_loop import poses
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.counterbalance import Counterbalance
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 
 POSES = 400
 NEARLY = 1.0 - 1e-9  # a motor with just the torque of the weight holds it

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
@@ -25,7 +26,7 @@ from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.parts.friction import LinkFriction
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 
 Array = NDArray[np.float64]
 

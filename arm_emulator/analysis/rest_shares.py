@@ -13,11 +13,12 @@ import numpy.typing as npt
 
 from arm_emulator.analysis.stability import at_rest
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share, Stuck
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig
 
 FloatArray = npt.NDArray[np.float64]

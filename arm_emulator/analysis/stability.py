@@ -17,9 +17,10 @@ import numpy as np
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.integrator import LOCATING_SCHEMES, SCHEMES, Integrator
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import LOCATING_SCHEMES, SCHEMES, Integrator, Scene
+from arm_emulator.machine.scene import Scene
 
 GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.

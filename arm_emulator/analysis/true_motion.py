@@ -21,8 +21,9 @@ import numpy as np
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.integrator import Integrator
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Integrator, Scene
+from arm_emulator.machine.scene import Scene
 
 # Differences that fall by less when a step is halved show no convergence.
 LEAST_FALL = 1.4

@@ -15,11 +15,11 @@ from arm_emulator.analysis.advice import Advice, Judge, Setting, advise, check_e
 from arm_emulator.analysis.judged_motions import FINE, Motion, judged_motions
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.true_motion import Method
+from arm_emulator.bags.recorded_commands import read_commands
 from arm_emulator.base.config_files import check_own, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.output import Output
-from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.machine.diverged import Diverged

@@ -87,7 +87,7 @@ def identify(
         task = bar.add_task("read", total=None)
         late = _delays(delays)
         if data.is_dir():
-            from arm_emulator.cli.bag_run import read_bag_run  # ROS, where it is needed
+            from arm_emulator.bags.bag_run import read_bag_run  # ROS, where it is needed
 
             run = read_bag_run(data, scene).shifted(late)
         else:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.scene import Joint
 from arm_emulator.motion.drive_numbers import DriveNumbers
 
 

@@ -16,8 +16,9 @@ from arm_emulator.analysis.servo_at_rest import swing_at_rest
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_plant
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Joint, Scene, load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig

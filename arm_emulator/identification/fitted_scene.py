@@ -16,7 +16,8 @@ from arm_emulator.base.text_file import read_text
 from arm_emulator.base.yaml_edit import edited
 from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
 from arm_emulator.machine.chain import Body, Frame
-from arm_emulator.machine.scene import Scene, load_scene, override
+from arm_emulator.machine.overrides import override
+from arm_emulator.machine.scene import Scene, load_scene
 
 
 def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:

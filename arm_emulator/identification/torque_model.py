@@ -24,9 +24,10 @@ from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.link_regressor import LinkRegressor
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 
 LINK = ("log_mass", "log_x", "log_y", "log_z", "xy", "yz", "xz", "x", "y", "z")  # log-Cholesky
 EVERYTHING = "*"

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 
 Array = npt.NDArray[np.float64]
 

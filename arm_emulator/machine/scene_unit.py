@@ -11,11 +11,12 @@ from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, text, vector
 from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.inputs import further_inputs, input_at
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.parts.decorator import CxxMotor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import measured_kinds, suite
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import Varied
 from arm_emulator.machine.varied_body import AXES, TENSOR, expressions
 

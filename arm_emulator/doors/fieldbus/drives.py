@@ -17,9 +17,10 @@ from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.inputs import modes_of
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import Rows

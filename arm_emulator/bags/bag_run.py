@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_bag import read_topics
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.read_run import run_of
 from arm_emulator.machine.plant_state import link_angle_per_count
@@ -24,7 +24,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     t = list[float]()
     counts, current, command, at_link = (list[list[float]]() for _ in range(4))
     tick = -1
-    for _, state in read_topics(Bag(path), ("motor_states",)):
+    for _, state in RecordedTopics(Bag(path)).read("motor_states"):
         if state.tick == tick:
             continue  # published again, as no answer came
         tick = state.tick

@@ -43,12 +43,12 @@ def _from_table(path: Path, scene: Scene) -> Array:
 def _from_bag(path: Path, scene: Scene) -> Array:
     """Return the applied commands in motor states: those of the servo period before each."""
     # They need ROS, which is optional here.
-    from arm_emulator.cli.check_bag import read_topics
+    from arm_emulator.bags.recorded_topics import RecordedTopics
     from arm_emulator.ros.bag import Bag
 
     applied_further = rows_of(scene)[FURTHER]
     rows, tick, gap = list[list[float]](), -1, ""  # of the newest run
-    for _, state in read_topics(Bag(path), ("motor_states",)):
+    for _, state in RecordedTopics(Bag(path)).read("motor_states"):
         if state.tick == tick:
             continue  # published again, as no answer came
         if state.tick == 0:

@@ -1,4 +1,4 @@
-"""Results of `arm_emulator check-bag`: compared and omitted messages."""
+"""Counts of the messages of a bag that were compared, and of those that were not."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""Bags of our network, read, repeated and compared."""

@@ -1,0 +1,82 @@
+"""A bag compared with the machine that is driven again under its commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.repetition import Difference, Repetition
+from arm_emulator.bags.tally import Tally
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.bag import Bag
+
+COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What of a bag was compared, and the first difference.
+
+    Attributes:
+        scene: name of the machine's scene.
+        lockstep: whether the bag is of lock-step.
+        tally: counts of compared and omitted messages.
+        fields: compared topics, with the compared fields of their messages.
+        left_out: what could not be compared, a sentence each.
+        others: topics that are not compared.
+        difference: the first one; None: all is equal to the last bit.
+        hints: what may explain it.
+    """
+
+    scene: str
+    lockstep: bool
+    tally: Tally
+    fields: dict[str, str]
+    left_out: list[str]
+    others: list[str]
+    difference: str | None
+    hints: list[str]
+
+
+def compare(path: Path, scene_name: str | None = None) -> Comparison:
+    """Drive the machine again with the commands of a bag, up to the first bit that differs.
+
+    Args:
+        path: the bag.
+        scene_name: scene file or name; None: the one that the bag names.
+
+    Raises:
+        Refusal: the bag is damaged or contains nothing to check, or there is no scene.
+    """
+    bag = Bag(path)
+    topics = RecordedTopics(bag)
+    scene = load_scene(scene_name or topics.scene)
+    lockstep = not topics.in_real_time
+    repetition = Repetition(Session(scene, "lockstep", "first_answer"), bag, lockstep)
+    tally = repetition.tally
+    difference: str | None = None
+    try:
+        for name, message in topics.read(*COMPARED):
+            repetition.take(name, message)
+    except Difference as found:
+        difference = str(found)
+    if not tally.runs:
+        rule, got = "hold a run from tick 0 on", f"{tally.before} states of later ticks"
+        raise Refusal(str(path), "the bag", rule, got, "record, then call emulator/reset")
+    if difference is None and not tally.periods:
+        rule, got = "hold a servo period of a run", f"{tally.states} states of tick 0"
+        raise Refusal(str(path), "the bag", rule, got, "record while the machine runs")
+    taken = {topics.names[name] for name in COMPARED if name in topics.names}
+    return Comparison(
+        scene=scene.name,
+        lockstep=lockstep,
+        tally=tally,
+        fields={name: of for name, of in repetition.fields.items() if name in topics.names},
+        left_out=[*tally.left_out, *topics.missing],
+        others=sorted(set(bag.topics) - taken),
+        difference=difference,
+        hints=[] if difference is None else list(topics.hints(scene)),
+    )

@@ -1,0 +1,142 @@
+"""The topics of our network in a bag, which may stand in a namespace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.machine.scene import Scene
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.message_types import definition_of, fields
+from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
+
+# Topic -> class and type of its messages.
+TYPES: dict[str, tuple[Any, str]] = {
+    "motor_commands": (MotorCommand, "arm_emulator_msgs/msg/MotorCommand"),
+    "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
+    "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
+    "emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
+    "emulator/status": (EmulatorStatus, "arm_emulator_msgs/msg/EmulatorStatus"),
+    "robot_description": (String, "std_msgs/msg/String"),
+    "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
+}
+
+
+class RecordedTopics:
+    """Our topics in one bag.
+
+    Attributes:
+        bag: the bag.
+        names: full names in the bag, by the names of TYPES; those without messages are left out.
+
+    Args:
+        bag: the bag.
+
+    Raises:
+        Refusal: it has no motor states, or its messages are of another version.
+    """
+
+    def __init__(self, bag: Bag) -> None:
+        self.bag = bag
+        where = str(bag.path)
+        states = [name for name in bag.topics if name.endswith("/motor_states")]
+        if len(states) != 1:
+            known = ", ".join(states or sorted(bag.topics)) or "no topics"
+            raise Refusal(where, "the bag", "have one topic motor_states", known)
+        namespace = states[0].removesuffix("motor_states")
+        self.names: dict[str, str] = {}
+        for name, (_, kind) in TYPES.items():
+            topic = bag.topics.get(namespace + name)
+            if topic is None or not topic.count:
+                if name == "motor_states":
+                    raise Refusal(where, "the bag", f"have messages on {name}", "none")
+                continue
+            if topic.type != kind:
+                raise Refusal(where, f"type of {topic.name}", f"be {kind}", topic.type)
+            if topic.definition and fields(topic.definition) != fields(definition_of(kind)):
+                rule = f"be the {kind} of this version"
+                raise Refusal(where, f"definition of {topic.name}", rule, "other fields")
+            self.names[name] = topic.name
+
+    def read(self, *wanted: str) -> Iterator[tuple[str, Any]]:
+        """Yield name and message of some topics, in the order of publication.
+
+        Raises:
+            Refusal: a message cannot be read.
+        """
+        names = {self.names[name]: name for name in wanted if name in self.names}
+        for one in self.bag.as_published(names):
+            name = names[one.topic]
+            try:
+                yield name, deserialize_message(one.data, TYPES[name][0])
+            except RuntimeError as error:
+                rule = "be readable"
+                raise Refusal(str(self.bag.path), f"messages on {name}", rule, error) from None
+
+    @property
+    def in_real_time(self) -> bool:
+        """Whether the emulator was paced by the clock."""
+        return any(
+            status.worst_lateness > 0.0 or status.overruns
+            for _, status in self.read("emulator/status")
+        )
+
+    @property
+    def scene(self) -> str:
+        """The scene that the emulator named, or the only one that has these joints.
+
+        Raises:
+            Refusal: there is no such scene, or more than one.
+        """
+        folder = config_folder()
+        for _, array in self.read("diagnostics"):
+            for status in array.status:
+                if status.name.split("/")[-1] == "emulator" and status.hardware_id:
+                    name = status.hardware_id.split("/")[-1]  # after the namespace
+                    if (folder / f"{name}.yaml").is_file():
+                        return str(name)
+                    got = f"none, and {name} is not shipped"
+                    raise Refusal("check-bag", "--scene", "name the scene's file", got)
+        _, state = next(self.read("motor_states"))
+        fitting = [
+            file.stem
+            for file in sorted(folder.glob("*.yaml"))
+            if sorted(read_yaml(file).get("joints", {})) == sorted(state.joint_names)
+        ]
+        if len(fitting) != 1:
+            rule = f"name the scene with the joints {', '.join(state.joint_names)}"
+            raise Refusal("check-bag", "--scene", rule, "none", ", ".join(fitting) or None)
+        return fitting[0]
+
+    @property
+    def missing(self) -> Iterator[str]:
+        """What the bag lacks, a sentence each."""
+        if not self.bag.complete:
+            yield "messages after the bag's end: its recorder did not close it"
+        for name, what in (
+            ("motor_commands", "what was commanded"),
+            ("emulator/joint_states", "the true state of the machine"),
+            ("emulator/events", "whether the machine was changed by hand"),
+            ("emulator/status", "whether this was lock-step, as assumed"),
+        ):
+            if not any(known.endswith(f"/{name}") for known in self.bag.topics):
+                yield f"{what}: the bag has no {name}"
+
+    def hints(self, scene: Scene) -> Iterator[str]:
+        """Yield what may explain a difference, a sentence each."""
+        for _, description in self.read("robot_description"):
+            if description.data != scene.urdf:
+                yield f"the recorded robot_description is not that of scene {scene.name}"
+            break
+        if "emulator/events" not in self.names:
+            yield "without emulator/events changes by hand are unknown"
+        if "emulator/status" not in self.names:
+            yield "without emulator/status the clock is unknown, lock-step is assumed"

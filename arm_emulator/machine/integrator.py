@@ -1,0 +1,83 @@
+"""The integrator of a scene: scheme, step, exchange between threads, location of events."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+
+from arm_emulator.base.number import number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import LARGEST_COUNT, Section
+
+# Of the error between events; the first scheme is the default.
+ORDERS = {"rosenbrock": 2, "extrapolated": 2, "implicit": 1, "paper": 1}
+SCHEMES = tuple(ORDERS)
+EXCHANGES = ("predict", "lag")
+DEEPEST_EXCHANGE = 4
+EVENTS = ("step", "located")
+LOCATING_SCHEMES = tuple(scheme for scheme, order in ORDERS.items() if order > 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Integrator:
+    """Scheme and step [s]."""
+
+    scheme: str
+    dt: float = number("s", at_least=1e-9, at_most=1.0)
+    exchange: str  # between two threads, see core/schemes/two_threads.hpp
+    # Samples from which a step takes the links' part of two threads.
+    exchange_depth: int = number(at_least=1, at_most=DEEPEST_EXCHANGE, whole=True, default=1)
+    events: str  # where modes of joints change, see core/schemes/located.hpp
+
+    @classmethod
+    def read(cls, section: Section) -> Integrator:
+        """Read the section."""
+        return cls(
+            scheme=section.choice("scheme", SCHEMES, default=SCHEMES[0]),
+            exchange=section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
+            events=section.choice("events", EVENTS, default=EVENTS[0]),
+            **section.numbers(cls),
+        )
+
+
+def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
+    """Return what of an integrator does not go together: key, rule, value, what would be valid."""
+    scheme = integrator.scheme
+    if threads == 2 and scheme == "rosenbrock":
+        rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
+        return "threads", rule, 2, "2 with another scheme"
+    if integrator.events != "located":
+        return None
+    if scheme not in LOCATING_SCHEMES:
+        rule = f"be step with scheme {scheme}, of first order at any event"
+        valid = f"step, or located with scheme {' or '.join(LOCATING_SCHEMES)}"
+    elif threads == 2:
+        rule = "be step with 2 threads, whose links come from an earlier sample"
+        valid = "step, or located with threads: 1"
+    else:
+        return None
+    return "integrator.events", rule, "located", valid
+
+
+def dividing(servo_period: float, dt: float, where: str) -> float:
+    """Return the step [s] of which whole steps make a servo period, for one that has few digits."""
+    nanoseconds = servo_period * 1e9
+    # But for the rounding of a number that stands for whole nanoseconds.
+    if abs(nanoseconds - round(nanoseconds)) > 4.0 * sys.float_info.epsilon * nanoseconds:
+        nearest = f"{round(nanoseconds) * 1e-9:.10g} s, for example"
+        rule = "be a whole number of nanoseconds"
+        raise Refusal(where, "servo_period", rule, servo_period, nearest)
+    steps = servo_period / dt
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+        fitting = servo_period / max(1, math.ceil(steps - 1e-9))
+        raise Refusal(
+            where,
+            "integrator.dt",
+            f"divide the servo period of {servo_period:g} s",
+            dt,
+            f"{fitting!r} s, for example",
+        )
+    if steps > LARGEST_COUNT:
+        raise Refusal(where, "integrator.dt", f"be >= {servo_period / LARGEST_COUNT:g} s", dt)
+    return servo_period / round(steps)

@@ -1,0 +1,212 @@
+"""A moving joint of a scene: its motor, its gear, its sensors, its friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from arm_emulator.base.number import LARGEST, number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import Section
+from arm_emulator.machine.chain import Chain
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
+from arm_emulator.machine.parts.end_stops import put_limits
+from arm_emulator.machine.parts.friction import Friction, LinkFriction
+from arm_emulator.machine.parts.gear import Gear, RigidGear
+from arm_emulator.machine.parts.input import VOLTAGE, Input
+from arm_emulator.machine.parts.known import (
+    LINK_FRICTIONS,
+    ROTOR_FRICTIONS,
+    read_decorators,
+    read_extras,
+    read_friction,
+    read_gear,
+    read_motor,
+)
+from arm_emulator.machine.parts.motor import Motor, ServoData
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
+
+Kind = TypeVar("Kind", bound=Part)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """Section of one moving joint in a scene. A joint without a motor swings freely."""
+
+    name: str
+    start: float = number("rad or m", at_least=-1e4, at_most=1e4, default=0.0)
+    motor: Motor | None
+    gear: Gear
+    sensors: JointSensors
+    friction: Friction
+    rotor_friction: Friction | None = None
+    decorators: tuple[Decorator, ...] = ()  # around its motor, innermost first
+    brake: Brake | None = None
+    extras: tuple[Part, ...] = ()  # that stand in sections of their own
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """All parts of its drive."""
+        motor = () if self.motor is None else (self.motor,)
+        rotor = () if self.rotor_friction is None else (self.rotor_friction,)
+        brake = () if self.brake is None else (self.brake,)
+        of_motor = (*motor, *self.decorators)
+        return (*of_motor, self.gear, self.friction, *rotor, *brake, *self.extras)
+
+    def find(self, kind: type[Kind]) -> Kind | None:
+        """Return its part of a kind, None if it has none."""
+        return next((part for part in self.parts if isinstance(part, kind)), None)
+
+    def torque_driven(self) -> Joint:
+        """Return the joint with a motor that gives what torque it is commanded, all else kept.
+
+        Parts between a voltage or a current and the torque of the windings are left out.
+        """
+        if self.motor is None or self.inputs == TorqueMotor.inputs:
+            return self
+        motor = TorqueMotor(rotor_inertia=self.motor.inertia)
+        kept = tuple(one for one in self.decorators if not one.electrical)
+        return replace(self, motor=motor, decorators=kept)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Inputs of its motor: the command first, then further ones."""
+        of_motor = self.motor.inputs if self.motor else (VOLTAGE,)
+        return next((one.inputs for one in self.decorators[::-1] if one.inputs), of_motor)
+
+    @property
+    def unit(self) -> str:
+        """Unit of its command: V, N m or A."""
+        return self.inputs[0].unit
+
+    @property
+    def current_bandwidth(self) -> float:
+        """Bandwidth of its drive's current loop [Hz]; 0: it has none."""
+        if self.motor is None:
+            return 0.0
+        return max((one.bandwidth_around(self.motor) for one in self.decorators), default=0.0)
+
+    @property
+    def servo_data(self) -> ServoData | None:
+        """Data of motor and drive for a servo; None: ours cannot drive them."""
+        data = None if self.motor is None else self.motor.servo_data
+        if data is None or self.current_bandwidth == 0.0:
+            return data
+        return replace(data, current_bandwidth=self.current_bandwidth)
+
+    @property
+    def torque_per_command(self) -> float:
+        """Torque of the link at rest for a unit of command, of its sign; 0 without a motor."""
+        if self.motor is None:
+            return 0.0
+        return self.motor.torque_per_command * self._of_motor_per_command / self.gear.ratio
+
+    def largest_command(self, supply_voltage: float) -> float | None:
+        """Return what its drive can be commanded in either direction; None: anything.
+
+        Args:
+            supply_voltage: of the scene [V].
+        """
+        largest = 0.0 if self.motor is None else self.motor.largest_command(supply_voltage)
+        return None if largest is None else largest / self._of_motor_per_command
+
+    @property
+    def _of_motor_per_command(self) -> float:
+        """Command of the motor itself at rest, per unit of the joint's command."""
+        if self.motor is None:
+            return 1.0
+        return math.prod(one.inner_per_command(self.motor) for one in self.decorators)
+
+    @property
+    def encoder(self) -> Encoder | None:
+        """Of its motor."""
+        return self.sensors.encoder
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Counts of the encoder in a turn of the motor; without one, of the finest there is."""
+        return self.encoder.counts_per_turn if self.encoder else IDEAL_COUNTS_PER_TURN
+
+
+def read_joints(
+    root: Section, chain: Chain, urdf_name: str, limits: Mapping[str, tuple[float, float]]
+) -> tuple[Joint, ...]:
+    """Read the section of every moving joint, base to tool.
+
+    Args:
+        root: the scene.
+        chain: its links.
+        urdf_name: their file.
+        limits: of joints, by name [rad or m].
+
+    Raises:
+        Refusal: a joint is missing, does not move, or breaks a rule.
+    """
+    section = root.required_section("joints")
+    names = {joint.name: joint.kind for joint in chain.joints}
+    for key in section.keys():
+        if key not in names:
+            raise Refusal(
+                root.where,
+                f"joints.{key}",
+                f"be a moving joint of {urdf_name}",
+                key,
+                ", ".join(names),
+            )
+    joints = []
+    for name, kind in names.items():
+        one = section.section(name)
+        if one is None:
+            raise Refusal(
+                root.where,
+                f"joints.{name}",
+                f"be given, {urdf_name} moves it",
+                "nothing",
+                "a section, or its position under `locked`",
+            )
+        joints.append(_joint(name, kind, one, limits.get(name)))
+    return tuple(joints)
+
+
+def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
+    motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
+    of_rotor = None if motor is None else motor.section("friction")
+    brake, stops = one.section("brake"), one.section("end_stops")
+    for key, part in (("gear", gear), ("brake", brake)):
+        if motor is None and part is not None:
+            raise one.refusal(key, "belong to a joint with a motor", "no motor section")
+    if stops is not None:
+        put_limits(stops, limits)
+    driven = None if motor is None else read_motor(motor)
+    joint = Joint(
+        name=name,
+        **one.numbers(Joint),
+        motor=driven,
+        gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
+        sensors=JointSensors.read(one, kind),
+        friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
+        rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
+        decorators=read_decorators(driven, motor) if driven and motor else (),
+        brake=None if brake is None else Brake.read(brake),
+        extras=read_extras(one),
+    )
+    one.finish()
+    if joint.motor is not None:
+        for decorator in joint.decorators:
+            decorator.check_motor(joint.motor, one)
+        _check_reflected(joint.motor, joint.gear.ratio, one)
+    return joint
+
+
+def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
+    """Refuse a gear that makes of sound numbers unsound ones at the link."""
+    for what, value in motor.felt_at_link(ratio).items():
+        if value > LARGEST:
+            rule = f"make the {what} at the link at most {LARGEST:g}"
+            raise one.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")

@@ -1,0 +1,52 @@
+"""Numbers of a scene that may be varied, and faults that it may have."""
+
+from __future__ import annotations
+
+from arm_emulator.machine.chain import Chain
+from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
+from arm_emulator.machine.joint import Joint
+from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.varied import Varied
+from arm_emulator.machine.varied_body import varied_body
+
+
+def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -> list[Varied]:
+    """Return the numbers of joints, measurement units and links that may be varied."""
+    of_joints = [
+        one
+        for joint in joints
+        for part in (*joint.parts, *joint.sensors.parts.values())
+        for one in part.could_vary(joint.name)
+    ]
+    of_imus = [one for imu in imus for one in imu.could_vary()]
+    of_links = [one for joint in chain.joints for one in varied_body(joint)]
+    return of_joints + of_imus + of_links
+
+
+def possible_faults(
+    joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...], payload: float | None
+) -> dict[str, SceneFault]:
+    """Return the faults that a scene could list, by their names; `payload` is its mass [kg]."""
+    # Only where they are asked for: most scenes have none and are loaded in less time.
+    from arm_emulator.machine.faults.known import FAULTS
+
+    parts = [
+        *((joint.name, part) for joint in joints
+          for part in (*joint.parts, *joint.sensors.parts.values())),
+        *((imu.name, part) for imu in imus for part in imu.parts),
+    ]  # fmt: skip
+    numbers = {
+        f"{part.owners}.{name}.{part.section}.{key}": value
+        for name, part in parts
+        for key, value in part.own_numbers().items()
+    }
+    numbers |= {one.name: one.value for joint in chain.joints for one in varied_body(joint)}
+    numbers |= {f"joints.{joint.name}.brake.closed": 0.0 for joint in joints if joint.brake}
+    if payload is not None:
+        numbers["payload.mass"] = payload
+    owners = {
+        "joints": [joint.name for joint in joints],
+        "links": [joint.link for joint in chain.joints],
+        "imus": [imu.name for imu in imus],
+    }
+    return faults_of(FAULTS, owners, numbers)
