@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from arm_emulator.analysis.stability import explain
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.session import EndOfTime, Phase
+from arm_emulator.machine.phase import Phase
+from arm_emulator.machine.session import EndOfTime
 from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, stamp
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.context import Context

@@ -8,9 +8,9 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
-from arm_emulator.machine.session import Needless
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import taking
 from arm_emulator.ros.node_shell import COMMAND_SUB_QOS

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import rclpy
 
-from arm_emulator.machine.session import Phase
+from arm_emulator.machine.phase import Phase
 from arm_emulator.ros.node_shell import wall_timer
 from emulator_node.context import Context
 from emulator_node.health import Health

@@ -7,7 +7,6 @@ pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `
 from __future__ import annotations
 
 import copy
-import enum
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,18 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.bound import COMMAND
-from arm_emulator.base.count import LARGEST, check_count
-from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.machine.answers import Answers
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, RealTimeFigures
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.firmware_loop import FirmwareLoop
-from arm_emulator.machine.inputs import further_inputs, further_rows
 from arm_emulator.machine.measured import Measured
+from arm_emulator.machine.phase import Phase
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene, scene_of
@@ -34,28 +31,6 @@ from arm_emulator.machine.scene import Scene, scene_of
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
 STARTS = ("free_run", "first_answer", "paused")
-
-
-class Phase(enum.IntEnum):
-    """Phase of the session; the values are those of EmulatorStatus."""
-
-    FREE_RUNNING = 0
-    WAITING = 1
-    RUNNING = 2
-    PAUSED = 3
-    STOPPED = 4
-
-
-class Needless(Refusal):
-    """A command that is not taken, and need not be: nothing is wrong with it.
-
-    Attributes:
-        kind: which one it is, in two or three words.
-    """
-
-    def __init__(self, kind: str, rule: str, got: str) -> None:
-        super().__init__("motor_commands", "tick", rule, f"{got} ({kind})")
-        self.kind = kind
 
 
 class EndOfTime(RuntimeError):
@@ -107,9 +82,7 @@ class Session(Turns):
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop goes on where it was
         self._start = start
-        self._order = JointOrder("motor_commands", scene.joint_names)
-        self._inputs = further_inputs(scene)
-        self._zero = np.zeros((1 + len(self._inputs), len(scene.joint_names)))
+        self._answers = Answers(scene, self.lockstep)
         self.tick = -1
         self.reset()
 
@@ -154,13 +127,10 @@ class Session(Turns):
         """Begin anew at tick 0, as after construction. Power stays as it is."""
         with self.between_ticks():
             self.plant.reset()
-            self._left_tick = self.tick  # where the run before was
+            self._answers.begin(self.tick)
             self.tick = 0
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
-            self._commanded: Array | None = None  # newest accepted command
-            self._answered_tick = -1  # the tick that it answers
-            self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
             self._look()
             self._clock.begin()
             self._goes_on = False
@@ -334,7 +304,7 @@ class Session(Turns):
     @property
     def answered(self) -> bool:
         """Whether a command that answers this tick is there."""
-        return self._answered_tick == self.tick
+        return self._answers.tick == self.tick
 
     @property
     def phase(self) -> Phase:
@@ -343,7 +313,7 @@ class Session(Turns):
             return Phase.STOPPED
         if self.paused:
             return Phase.PAUSED
-        if self._commanded is None:
+        if self._answers.newest is None:
             return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING
         return Phase.WAITING if self.lockstep and not self.answered else Phase.RUNNING
 
@@ -376,55 +346,9 @@ class Session(Turns):
             Refusal: wrong tick, names, length, an input that no motor has, or a number that is not
                 finite or too large.
         """
-        check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
-        if tick > self.tick:
-            rule, got = f"be at most {self.tick}", f"{tick} (future)"
-            if self._commanded is None and tick <= self._left_tick:
-                raise Needless("before the reset", rule, f"{tick}")
-            raise Refusal("motor_commands", "tick", rule, got)
-        newest = self._answered_tick
-        if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
-            at_least = self.tick if self.lockstep else newest
-            rule = f"be at least {at_least}"
-            if self._is_repeated(tick, self.arranged(joint_names, command, further or {})):
-                raise Needless("repeated", rule, f"{tick}")
-            raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
-        rows = self.arranged(joint_names, command, further or {})
-        if tick == newest and self._is_repeated(tick, rows):
-            raise Needless("repeated", "be answered once", f"{tick}")
-        if tick != newest:
-            self._before = (newest, self._commanded)
-        self._commanded = rows
-        self._answered_tick = tick
+        rows = self._answers.take(self.tick, tick, joint_names, command, further or {})
         self._clock.command(tick, rows)
         self._follow_phase()
-
-    def arranged(
-        self,
-        joint_names: Sequence[str],
-        command: Sequence[float],
-        further: Mapping[str, Sequence[float]],
-    ) -> Array:
-        """Return commands and further inputs (1 + I, N) in the scene's order of joints.
-
-        Raises:
-            Refusal: see `offer`.
-        """
-        row = self._order.arrange(joint_names, command, COMMAND)
-        if not further and not self._inputs:
-            return row[np.newaxis]
-        given = {
-            name: self._order.arrange(joint_names, values, COMMAND.named(name))
-            for name, values in further.items()
-        }
-        others = further_rows("motor_commands", self.scene, given)
-        return np.vstack([row, self._zero[1:] if others is None else others])
-
-    def _is_repeated(self, tick: int, command: Array) -> bool:
-        for answered, known in ((self._answered_tick, self._commanded), self._before):
-            if tick == answered and known is not None and known.tobytes() == command.tobytes():
-                return True
-        return False
 
     @in_turn
     def advance(self) -> None:
@@ -432,8 +356,7 @@ class Session(Turns):
 
         After a `fault`, and only then, tick and state stay as they were.
         """
-        commanded = self._commanded
-        self.advance_under(self._zero if commanded is None else commanded, self._answered_tick)
+        self.advance_under(self._answers.rows, self._answers.tick)
 
     @in_turn
     def advance_under(self, command: Array, answered: int = -1) -> None:
@@ -447,8 +370,8 @@ class Session(Turns):
             self.fault = EndOfTime()
             return
         try:
-            rows = command if command.ndim > 1 else command[np.newaxis]
-            further = dict(zip(self._inputs, rows[1:], strict=False))
+            rows = np.atleast_2d(command)
+            further = dict(zip(self._answers.inputs, rows[1:], strict=False))
             self.plant.exchange(rows[0], answered, **further)
         except Diverged as fault:
             self.fault = fault
@@ -475,8 +398,7 @@ class Session(Turns):
             self.fault = fault
         finally:
             self._look()
-            self._before = (-1, None)
-            self._commanded, self._answered_tick = self.plant.commanded, loop.tick - 1
+            self._answers.put(loop.tick - 1, self.plant.commanded)
             self.tick = loop.tick
 
     @in_turn
@@ -519,7 +441,7 @@ class Session(Turns):
             return f"stopped, reset first: {self.fault}"
         if not self.paused:
             return "not paused, pause first"
-        if self.lockstep and self._commanded is not None and not self.answered:
+        if self.lockstep and self._answers.newest is not None and not self.answered:
             return f"no motor command answers tick {self.tick} yet"
         self.advance()
         return "" if self.fault is None else f"stopped: {self.fault}"

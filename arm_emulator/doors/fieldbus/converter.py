@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
+from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.parts.output import AXES, Output
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Needless, Session
+from arm_emulator.machine.session import Session
 
 MAP_VERSION = 1
 # First addresses of the blocks of registers.
