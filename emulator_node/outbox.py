@@ -76,7 +76,7 @@ def own_record(
         Refusal: the folder cannot be written.
     """
     # Imported only if needed: a stock ROS 2 machine may have no package for bags.
-    from arm_emulator.ros.bag import Topic
+    from arm_emulator.ros.bag_metadata import Topic
     from arm_emulator.ros.message_types import definition_of
     from arm_emulator.ros.run_record import RunRecord
 

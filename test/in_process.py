@@ -18,7 +18,8 @@ from network import bits_of, question
 from rclpy.serialization import deserialize_message, serialize_message
 
 from arm_emulator.base.config_files import find_config
-from arm_emulator.ros.bag import BagWriter, Topic
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorState

@@ -11,7 +11,8 @@ from std_msgs.msg import Header
 
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
-from arm_emulator.ros.bag import BagWriter, Topic
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of
 from arm_emulator.ros.node_shell import stamp
 from arm_emulator_msgs.msg import MotorCommand, MotorState

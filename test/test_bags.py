@@ -36,7 +36,9 @@ from arm_emulator.cli.command_line import main
 from arm_emulator.cli.record import request
 from arm_emulator.cli.replay import offer
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.ros.bag import Bag, BagMessage, BagWriter, Topic
+from arm_emulator.ros.bag import Bag, BagMessage
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import message_class
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand, MotorState

@@ -21,7 +21,9 @@ from rclpy.serialization import deserialize_message
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.check_bag import check
 from arm_emulator.ros import run_record
-from arm_emulator.ros.bag import Bag, BagWriter, Topic, repair
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter, repair
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.recorded_runs import Numbered
 from arm_emulator.ros.recorder_presence import RecorderPresence, recorders_of

@@ -28,7 +28,9 @@ from std_msgs.msg import String
 from arm_emulator.base.mcap_end import write_all
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
-from arm_emulator.ros.bag import Bag, BagWriter, Topic, repair
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter, repair
 from arm_emulator.ros.message_types import definition_of
 
 CUTS = 60 if FULL else 20
@@ -215,7 +217,7 @@ def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.Monk
 
         bag = tmp_path / f"full{case}"
         with monkeypatch.context() as patch:
-            patch.setattr("arm_emulator.ros.bag.Path.open", open_full)
+            patch.setattr("arm_emulator.ros.bag_writer.Path.open", open_full)
             with pytest.raises(OSError, match="No space left"):
                 talk(bag, 300)
         kept = words_of(bag)
@@ -289,7 +291,7 @@ def test_after_the_first_failure_nothing_is_written_behind_it(
         writes = _Writes(draw, number, draw.randrange(200, size), heals)
         bag = tmp_path / f"{case}"
         with monkeypatch.context() as patch:
-            patch.setattr("arm_emulator.ros.bag.write_all", writes)
+            patch.setattr("arm_emulator.ros.bag_writer.write_all", writes)
             patch.setattr("arm_emulator.base.unbuffered_file.write_all", writes)
             if number is None:
                 talk(bag, 100, case)

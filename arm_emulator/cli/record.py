@@ -18,7 +18,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.bag import BagWriter, Topic
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.message_types import definition_of, message_class

@@ -16,7 +16,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.bag import NANOSECONDS, Bag
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import NANOSECONDS
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.message_types import message_class
 

@@ -13,7 +13,8 @@ from collections import deque
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.bag import BagWriter, Topic
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
 
 CAPACITY = 10_000  # messages between the machine and the disk: some seconds
 SMALL = 10  # messages written at a time, some 0.1 ms of Python's lock

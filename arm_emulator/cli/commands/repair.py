@@ -16,7 +16,7 @@ def repair(bag: Path, /) -> int:
         bag: folder of the bag.
     """
     from arm_emulator.ros.bag import Bag
-    from arm_emulator.ros.bag import repair as mend
+    from arm_emulator.ros.bag_writer import repair as mend
 
     try:
         mended = mend(bag)
