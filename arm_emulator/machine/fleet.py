@@ -33,13 +33,14 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.chosen_arms import chosen_arms
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
+from arm_emulator.machine.core_machine import Borrowed
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.fleet_frame import FleetFrame
 from arm_emulator.machine.inputs import further_rows
 from arm_emulator.machine.measured import Measured, MeasuredPlace
-from arm_emulator.machine.plant import Borrowed, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares

@@ -1,0 +1,250 @@
+"""One machine of a compiled core: all that is asked of it and set between its steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.given import as_flag
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.build.c_header import NULL, CData, Library, pointer
+from arm_emulator.machine.call_arguments import options_of, refusal_of, truth_at
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.compiler import library_of
+from arm_emulator.machine.core_calls import ARM, REFUSED
+from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.linear_drive import LinearDrive
+from arm_emulator.machine.plant_state import ROWS, SET, PlantState, bounds_of
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.varied import varied_number
+
+
+@dataclass(frozen=True)
+class Borrowed:
+    """A machine that belongs to somebody else, a `Fleet`."""
+
+    owner: Turns
+    core: Library
+    machine: CData
+    began: tuple[Array, Array]  # positions and speeds to which it was reset
+
+
+class CoreMachine(Turns):
+    """A machine as the core keeps it: its numbers, its true state, what acts on it from outside.
+
+    How it goes on under commands is `Plant`'s.
+
+    Attributes:
+        scene: the machine.
+        bounds: how large what is set may be, by its name in `PlantState`.
+        core: the compiled core (core/boundary/arm.h).
+        machine: the core's handle of this machine.
+
+    Args:
+        scene: the machine.
+        of: a machine of this scene that belongs to a fleet; None: a new one.
+        core: its compiled core with something beside it, see `compiler.library_with`.
+
+    Raises:
+        Refusal: the scene's core cannot be compiled.
+    """
+
+    def __init__(self, scene: Scene, of: Borrowed | None, core: Library | None) -> None:
+        super().__init__(of.owner if of else None)
+        self.scene = scene
+        self.core = of.core if of else core or library_of(scene)
+        self._N = N = len(scene.joints)
+        self._owner = of.owner if of else None  # it must not go before
+        self.machine = of.machine if of else self._new()
+        self._rows = np.zeros((len(ROWS), N))
+        self._energy = np.zeros(1)
+        # Separate requests: quantities without an output array are not computed.
+        self._clock = truth_at()
+        self._energy_alone = truth_at(energy=self._energy)
+        self._truth = truth_at(**dict(zip(ROWS, self._rows, strict=True)))
+        self.bounds = bounds_of(scene)
+
+    def _new(self) -> CData:
+        values = np.array([one.value for one in self.scene.varied], np.float64)
+        return self.core.arm_new(options_of(self.scene, values))
+
+    def __del__(self) -> None:
+        machine, self.machine = getattr(self, "machine", NULL), NULL
+        if machine and self._owner is None:
+            self.core.arm_delete(machine)
+
+    def renew_threads(self) -> None:  # noqa: D102
+        self.core.arm_begin_threads(self.machine)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        with self.turn:
+            return getattr(self.core, name)(self.machine, *arguments)
+
+    @property
+    @in_turn
+    def parameters(self) -> dict[str, float]:
+        """The numbers that the scene lists as varied, by name, with this machine's values."""
+        return {one.name: self._parameter(one.name) for one in self.scene.varied}
+
+    @in_turn
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
+
+        Raises:
+            Refusal: the scene does not list it as varied, or a value out of its range.
+        """
+        where = "Plant.set_parameter"
+        one = varied_number(self.scene.varied, name, where)
+        taken = one.number.take(where, value)
+        if self.core.arm_set_parameter(self.machine, name.encode(), taken) == REFUSED:
+            raise self._refusal(where, "another value")
+
+    def _parameter(self, name: str) -> float:
+        value = np.zeros(1)
+        self.core.arm_get_parameter(self.machine, name.encode(), pointer(value))
+        return float(value[0])
+
+    @in_turn
+    def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
+        """Let a force and a moment act on a link, until set anew or reset.
+
+        There is one wrench per joint, the one set last.
+
+        Args:
+            link: any link of the URDF that moves; the wrench is about a point of it.
+            wrench: what acts.
+
+        Raises:
+            Refusal: the scene has no `external_wrench`, no such link, or numbers that are not
+                finite or too large; nothing has changed.
+        """
+        where = "Plant.set_external_wrench"
+        joint, wrench = on_moving_link(self.scene, where, link, wrench)
+        vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
+        one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
+        if self.core.arm_set_external_wrench(self.machine, joint, one) == REFUSED:
+            raise self._refusal(where, "another one")
+
+    @property
+    @in_turn
+    def external_wrenches(self) -> dict[str, ExternalWrench]:
+        """External wrench on the link of each joint, by its name; empty in a scene without."""
+        wrenches = {}
+        for index, joint in enumerate(self.scene.chain.joints):
+            if self.scene.external_wrench:
+                one = ARM.new("arm_wrench")
+                self.core.arm_get_external_wrench(self.machine, index, one)
+                force, moment, point = map(tuple, (one.force, one.moment, one.point))
+                wrenches[joint.link] = ExternalWrench(force, moment, point, AXES[one.axes])
+        return wrenches
+
+    @in_turn
+    def save(self) -> bytes:
+        """Return all that decides how the machine goes on, as bytes that may be kept."""
+        size = self.core.arm_saved_size()
+        saved = np.zeros(size, np.uint8)
+        self.core.arm_save(self.machine, pointer(saved), size)
+        return saved.tobytes()
+
+    @in_turn
+    def restore(self, saved: bytes) -> None:
+        """Continue from what `save` of a plant of the same scene has returned, to the last bit.
+
+        Raises:
+            Refusal: it is of another scene, core, step or servo period, or it was spoiled; nothing
+                has changed.
+        """
+        if not isinstance(saved, bytes | bytearray | memoryview):
+            raise Refusal("Plant.restore", "saved machine", "be bytes of `save`", saved)
+        saved = bytes(saved)
+        if self.core.arm_restore(self.machine, saved, len(saved)) == REFUSED:
+            raise self._refusal("Plant.restore", "another one")
+
+    @property
+    @in_turn
+    def t(self) -> float:
+        """Logical time [s]."""
+        return float(self._look(self._clock).time)
+
+    @property
+    @in_turn
+    def energy(self) -> float:
+        """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
+        self._look(self._energy_alone)
+        return float(self._energy[0])
+
+    @property
+    @in_turn
+    def state(self) -> PlantState:
+        """The true state now, as a copy. It can be set: its time and torques are not read.
+
+        A motor behind a rigid gear turns with its link, and a joint without a motor has no current.
+        The scheme begins with no past; time goes on.
+
+        Raises:
+            Refusal: wrong shapes, not finite, too large, or a motor that contradicts its link;
+                nothing has changed.
+        """
+        self._look(self._truth)
+        current, theta_m, omega_m, q, v, gear_torque = self._rows.copy()
+        t = self._truth.time
+        return PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
+
+    @state.setter
+    def state(self, state: PlantState) -> None:
+        if not isinstance(state, PlantState):
+            raise Refusal("Plant.state", "state", "be a PlantState", state)
+        self.put("Plant.state", {name: getattr(state, name) for name in SET})
+
+    @in_turn
+    def put(self, where: str, given: Mapping[str, ArrayLike]) -> None:
+        """Set some quantities of the state, see `state`; all others stay as they are.
+
+        Args:
+            where: name for refusals.
+            given: (N,) each, by names of `PlantState`: current, theta_m, omega_m, q, v. A motor
+                behind a rigid gear moves with its link if it is not given.
+
+        Raises:
+            Refusal: as setting `state`.
+        """
+        rows = {}
+        for name, values in given.items():
+            rows[name] = self.bounds[name].row(where, values, self._N)
+        if self.core.arm_set_truth(self.machine, truth_at(**rows)) == REFUSED:
+            raise self._refusal(where, "another one")
+
+    @property
+    @in_turn
+    def winding_temperatures(self) -> Array:
+        """Of the motors' windings (N,) [degC]; NaN where the scene has none."""
+        temperatures = np.empty(self._N)
+        self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
+        return temperatures
+
+    @in_turn
+    def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
+        """Return what each joint's drive is for small motions, base to tool.
+
+        Args:
+            loaded: whether a tooth is in contact in gears with play.
+        """
+        loaded = as_flag(loaded, "Plant.linear_drives", "loaded")
+        K = self.core.arm_linear_drives(self.machine, loaded, NULL)
+        numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
+        self.core.arm_linear_drives(self.machine, loaded, pointer(numbers))
+        return [LinearDrive.of(row, K) for row in numbers]
+
+    def _refusal(self, where: str, otherwise: str) -> Refusal:
+        """Return why the core has refused a call."""
+        return refusal_of(self.core, self.machine, self.scene, where, otherwise)
+
+    def _look(self, truth: CData) -> CData:
+        """Have what has a place in `truth` written there."""
+        self.core.arm_get_truth(self.machine, truth)
+        return truth
