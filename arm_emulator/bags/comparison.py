@@ -18,7 +18,7 @@ COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator
 
 @dataclass(frozen=True)
 class Comparison:
-    """What of a bag was compared, and the first difference.
+    """Outcome of a comparison: what was compared, and the first difference.
 
     Attributes:
         scene: name of the machine's scene.

@@ -118,7 +118,7 @@ class RecordedTopics:
 
     @property
     def missing(self) -> Iterator[str]:
-        """What the bag lacks, a sentence each."""
+        """Data that the bag lacks, a sentence each."""
         if not self.bag.complete:
             yield "messages after the bag's end: its recorder did not close it"
         for name, what in (

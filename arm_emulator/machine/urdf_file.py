@@ -25,7 +25,7 @@ def find_urdf(text: str, scene_file: Path) -> Path:
     """Return the file that a scene names: beside it, or in a package.
 
     Raises:
-        Refusal: there is none.
+        Refusal: it does not exist.
     """
     package, colon, rest = text.partition(":")
     if colon and package == "example-robot-data":
