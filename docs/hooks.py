@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import posixpath
 import re
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable
@@ -89,11 +90,25 @@ def _of_campaigns(what: str) -> str:
     return TABLES[what]()
 
 
+def _of_parts(table: str) -> Callable[[str], str]:
+    """Return the generator of a table in tables.py beside this file."""
+
+    def text(argument: str) -> str:
+        made: str = runpy.run_path(str(DOCS / "tables.py"))[table](argument)
+        return made
+
+    return text
+
+
 GENERATORS: dict[str, Callable[[str], str]] = {
     "campaign": _of_campaigns,
     "commands": _help,
     "file": _code,
+    "inputs": _of_parts("inputs"),
     "interfaces": _interfaces,
+    "outputs": _of_parts("outputs"),
+    "parts": _of_parts("parts"),
+    "sensors": _of_parts("sensors"),
 }
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import math
 import random
+import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from draws import FULL
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command_line import main
+from arm_emulator.doors.fieldbus.declared import COUNT, FIRST
 from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, Aborted, Drives, Entry, dictionary
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
@@ -143,23 +145,28 @@ def test_units_are_those_of_the_scene() -> None:
     assert drives.read(0, 0x60C2, 2) == -3, "interpolation time is in ms"
 
 
-def expected_abort(one: Entry | None, known_object: bool, size: int, value: int) -> int:
+def expected_abort(one: Entry | None, known_object: bool, raw: bytes, value: int) -> int:
     """Return the result of a write by CiA 301."""
     if one is None:
         return 0x06090011 if known_object else 0x06020000
     if one.access in ("const", "ro"):
         return 0x06010002
+    size = len(raw)
     if size != one.bits // 8:
         return 0x06070012 if size > one.bits // 8 else 0x06070013
+    if one.type == "REAL32" and not math.isfinite(*struct.unpack("<f", raw)):
+        return 0x06090030
     if value > one.most:
         return 0x06090031
     return 0x06090032 if value < one.least else 0
 
 
-# Objects with rules beside the range: mappings, histories, stores, modes, methods.
+OF_PARTS = range(FIRST, FIRST + COUNT)
+# Objects with rules beside the range: mappings, histories, stores, modes, methods, inputs that not
+# every motor has.
 SPECIAL = {0x1003, 0x1010, 0x1011, 0x1C12, 0x1C13, MODE, 0x6098, *range(0x1600, 0x1604)} | {
-    *range(0x1A00, 0x1A04)
-}
+    *range(0x1A00, 0x1A04), *OF_PARTS
+}  # fmt: skip
 
 
 def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None:
@@ -192,7 +199,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
         raw = rng.choice((rng.randbytes(size), bytes(size), b"\x01" + bytes(max(0, size - 1))))
         raw = raw[:size]
         value = int.from_bytes(raw, "little", signed=bool(one and one.type.startswith("INT")))
-        expected = expected_abort(one, key[0] in objects, size, value)
+        expected = expected_abort(one, key[0] in objects, raw, value)
         try:
             drives.download(0, *key, raw)
             code = 0
@@ -1181,7 +1188,10 @@ def test_the_same_words_give_the_same_bits() -> None:
 
 
 def dictionary_rows() -> list[str]:
-    """The dictionary as drives.md lists it: objects of the buses, entries of the drive."""
+    """The dictionary as drives.md lists it: objects of the buses, entries of the drive.
+
+    Objects that parts declare stand on the page of quantities.
+    """
     drives = make()
     rows = ["| index | object | sub-indices | on |", "|---|---|---|---|"]
     for one in dictionary():
@@ -1194,7 +1204,7 @@ def dictionary_rows() -> list[str]:
         "|---|---|---|---|---|---|---|---|",
     ]
     for one in dictionary():
-        if one.index < 0x2000:
+        if one.index < 0x2000 or one.index in OF_PARTS:
             continue
         where = f"0x{one.index:04X}" + (f":{one.sub}" if one.last_sub else "")
         name = one.object if not one.sub else f"{one.object}: {one.name}"

@@ -145,7 +145,7 @@ def test_registers_drive_the_machine_as_a_session_does(scene: Scene, seed: int) 
     N = len(scene.joints)
     words, volt = [0] * N, scene.supply_voltage / 32768
     for tick in range(60):
-        count = 3 + 11 * N
+        count = 3 + 6 * N
         first = draw.randrange(N)
         new = [draw.randrange(0x10000) for _ in range(draw.randrange(1, N - first + 1))]
         reported = None
@@ -165,15 +165,16 @@ def test_registers_drive_the_machine_as_a_session_does(scene: Scene, seed: int) 
         state = truth.measured
         assert reported[:3] == [registers.POWERED | registers.RUNNING, 0, tick + 1]
         assert long_of(reported[3 : 3 + 2 * N]) == state.encoder_counts.tolist()
-        assert long_of(reported[3 + 2 * N : 3 + 4 * N]) == np.rint(state.current * 1e6).tolist()
-        assert reported[3 + 4 * N : 3 + 5 * N] == words, "the command of the period that has passed"
+        current, applied = np.array(reported[3 + 2 * N :], ">u2").view(">f4").reshape(2, N)
+        assert current.tolist() == state.current.astype(np.float32).tolist()
+        assert applied.tolist() == (signed * volt).astype(np.float32).tolist()
         assert master.read(2001, N, function=3) == words
     assert converter.session.plant.save() == truth.plant.save()
 
 
 def test_description_reports_scales(scene: Scene) -> None:
     master = Master(line_of(scene)[0])
-    assert master.read(0, 4) == [1, 3, 15, 16960]  # 1 000 000 ns
+    assert master.read(0, 4) == [2, 3, 15, 16960]  # 1 000 000 ns
     for joint, it in enumerate(scene.joints):
         raw = struct.pack(">48H", *master.read(10000 + 48 * joint, 48))
         kind, mode, full, counts, wrap, ratio, link, link_wrap = struct.unpack(
@@ -475,7 +476,7 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
         else:
             assert converter.session.fault is None
     assert refused > MALFORMED // 8
-    assert Master(line).read(0, 2) == [1, 3], "it still answers"
+    assert Master(line).read(0, 2) == [2, 3], "it still answers"
 
 
 @pytest.mark.parametrize(

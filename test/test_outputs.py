@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +12,31 @@ import pytest
 from documents import DOCS
 from machines import GRAVITY, LINK, write_scene
 from rclpy.serialization import deserialize_message
-from torque_modes import enabled
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import text
 from arm_emulator.core import BOUNDARY
+from arm_emulator.design.tuned import data_sheet
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
-from arm_emulator.doors.fieldbus.drives import dictionary
+from arm_emulator.doors.fieldbus.declared import index_of
+from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
 from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.outputs import KNOWN, SYMBOLS, outputs_of, readings_of, reported_by_parts
-from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.parts.output import FURTHER, READINGS, Output
+from arm_emulator.machine.outputs import (
+    ALWAYS,
+    KNOWN,
+    SYMBOLS,
+    outputs_of,
+    readings_of,
+    reported_by_parts,
+)
+from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.sensors import ANALOG, SENSORS
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.plant import Plant
@@ -36,7 +46,7 @@ from arm_emulator.machine.session import Session
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.runs.gains import load_gains
 from arm_emulator_msgs.msg import MotorState
-from bench import pages, quantities
+from docs import tables
 
 PMSM = {
     "kind": "pmsm", "resistance": 0.4, "inductance_d": 2e-3, "inductance_q": 3e-3, "flux": 0.05,
@@ -63,7 +73,7 @@ def everything(folder: Path, **more: Any) -> Scene:
         "link_encoder": {"counts_per_turn": 4096, "index": "latch"},
         **analog,
     }
-    imus = {"hand": {"link": "slide_link"}}
+    imus = {name: {"link": "slide_link"} for name in ("hand", "other")}
     joints = {"turn": joint, "slide": joint}
     file = write_scene(
         folder, text + "</robot>", joints, imus=imus, seed=3, gravity=GRAVITY, **more
@@ -173,20 +183,24 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
     converter = Converter(session, 0)
     for _ in range(20):
         session.advance_under(np.array([30.0, -20.0]))
-    N, measured = len(scene.joints), session.measured
-    rows = [one for one in blocks(scene) if 1003 + 11 * N <= one.address < 2000]
-    names = [name for name in KNOWN if name in ("current_d", "link_index_counts",
-             "link_index_pulses", "torque", "specific_force", "angular_rate")
-             or KNOWN[name].symbol in (READINGS, FURTHER)]  # fmt: skip
+    rows = [one for one in blocks(scene) if 1003 <= one.address < 2000]
+    units = len(scene.imus)
+    names = [
+        (one.name, unit)
+        for one in dict.fromkeys((*ALWAYS, *KNOWN.values()))
+        for unit in (range(units) if one.per_unit else (...,))
+    ]
     assert len(rows) == len(names), [one.name for one in rows]
-    for name, block in zip(names, rows, strict=True):
+    at = 1003
+    for (name, unit), block in zip(names, rows, strict=True):
+        assert block.address == at, name
         words = np.array(converter.read(block.address, block.count), ">u2")
-        kind = {"float32": ">f4", "int32": ">i4"}[block.kind]
-        expected = getattr(measured, name).ravel()
+        kind = {"float32": ">f4", "int32": ">i4", "uint16": ">u2"}[block.kind]
+        expected = getattr(session.measured, name)[unit]
         np.testing.assert_allclose(words.view(kind), expected, rtol=1e-7, atol=0, err_msg=name)
-    end = max(one.address + one.count for one in rows)
+        at += block.count
     with pytest.raises(ModbusException):
-        converter.read(end, 1)
+        converter.read(at, 1)
 
 
 def test_real_time_hands_over_the_same(scene: Scene) -> None:
@@ -220,46 +234,75 @@ def test_a_faultless_sensor_has_the_bits_of_the_truth() -> None:
         assert plant.measured.current.tobytes() == plant.state.current.tobytes()
 
 
-def test_drives_on_a_bus_have_the_outputs_that_have_an_object() -> None:
-    """In the unit of the output or a thousandth; what a drive sends of its own is an output."""
-    entries = {one.index: one for one in dictionary() if one.sub == 0}
-    shown = {one.cia: one for one in KNOWN.values() if one.cia}
-    assert len(shown) == sum(one.cia > 0 for one in KNOWN.values()), "an object each"
-    own = {index for index, one in entries.items() if 0x2000 <= index < 0x3000 and one.tx}
-    assert own == {index for index in shown if index < 0x3000}
-    file = find_scene("ur5")
-    drives = enabled(load_scene(file), load_gains(file).servo)
-    drives.write(2, 0x607A, drives.read(2, 0x6064) + 200)
-    drives.write(5, 0x60FE, 1, 2)
-    drives.write(5, 0x60FE, 1, 1)
-    changed = dict.fromkeys(shown, 0)
-    for _ in range(40):
+def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
+    """In the unit of the output or a thousandth, at each joint, also after a restart."""
+    known = load_gains(find_scene("three_axis")).servo
+    servo = dataclasses.replace(
+        known,
+        period=scene.servo_period,
+        supply_voltage=scene.supply_voltage,
+        joints=tuple(
+            dataclasses.replace(
+                known.joints[0], name=joint.name, **data_sheet(joint, scene.supply_voltage)
+            )
+            for joint in scene.joints
+        ),
+    )
+    plant = Plant(scene)
+    plant.reset([2.0 * np.pi - 1e-3, 2.001])  # before a turn of the link, and 2 m
+    drives = Drives(plant, servo, CANOPEN)
+    entries = {(one.index, one.sub): one for one in drives.entries}
+    assert len({index_of(one) for one in KNOWN.values()}) == len(KNOWN), "an object each"
+    changed = dict.fromkeys(KNOWN, 0)
+    further = [joint.inputs[1:] for joint in scene.joints]
+    for tick in range(160):
+        # Both in torque; the brake of the second one closes.
+        for j, sign in enumerate((1, -1)):
+            drives.set(j, 0x6502, 1 << 9)  # these gains are not for it
+            drives.write(j, 0x6060, 10)
+            drives.write(j, 0x6071, sign * 1000)
+            for one in further[j]:
+                drives.give(j, index_of(one), 0.5 * sign)
+            drives.write(j, 0x6040, (6, 7, 15)[min(tick, 2)])
+        if tick == 140:
+            drives.write(1, 0x60FE, 1, 2)
+            drives.write(1, 0x60FE, 1, 1)
         drives.period()
-        for index, output in shown.items():
-            assert entries[index].access == "ro" and entries[index].tx, hex(index)
-            times = 1e3 if entries[index].unit.startswith("m") else 1.0
-            row = times * np.asarray(getattr(drives.plant.measured, output.name), float)
-            for j, value in enumerate(row):
-                assert abs(drives.read(j, index) - value) <= 0.5, f"{output.name} of joint {j}"
-            changed[index] += len(np.unique(row)) > 1
-    assert min(changed.values()) > 10, "joints differ"
+        if tick == 150:
+            drives.restart(0)
+        elif 3 < tick < 140:
+            for one in further[0]:
+                assert getattr(drives.plant.measured, one.applied).tolist() == [0.5, -0.5]
+        for name, output in KNOWN.items():
+            measured = np.asarray(getattr(drives.plant.measured, name), float)
+            index = index_of(output)
+            if output.per_unit:
+                shown = [drives.reading(1, index, sub) for sub in range(1, 7)]
+                assert shown == measured.astype(np.float32).ravel().tolist(), name
+                assert drives.reading(0, index, 1) == 0.0, "no unit on its link"
+                continue
+            entry = entries[index, 0]
+            assert entry.access == "ro" and entry.tx, name
+            whole = entry.type != "REAL32"
+            times = 1e3 if whole and entry.unit.startswith("m") else 1.0
+            for j, value in enumerate(times * measured):
+                off = abs(drives.reading(j, index) - value)
+                assert off <= (0.5 if whole else 1e-7 * abs(value)), f"{name} of joint {j}"
+            changed[name] += len(np.unique(measured)) > 1
+    same = {name for name, one in KNOWN.items() if not one.per_unit and not changed[name]}
+    assert same <= {"faults"}
 
 
-def test_the_page_of_quantities_has_all_of_them() -> None:
-    """As `make pages` writes it from what parts declare."""
-    page = pages.tables()["quantities"]
-    table = quantities.report(quantities.run(quick=True))
-    assert page.read_text() == pages.put(page.read_text(), "quantities", table)
-
-
-def test_lists_of_parts_and_sensors_have_all_of_them() -> None:
-    """A part whose page no list leads to is one that nobody finds."""
-    folder = DOCS / "reference" / "parts"
-    names = {one.__module__.rsplit(".", 1)[1] for one in PARTS}
-    listed = (DOCS / "concepts" / "parts.md").read_text()
-    for name in names:
-        assert f"parts/{name}.md" in listed or not (folder / f"{name}.md").exists(), name
-    rows = (folder / "sensors.md").read_text()
+def test_tables_of_the_site_have_all_of_them() -> None:
+    """As they are generated from what parts declare; each line leads to a page that is there."""
+    rows = tables.outputs("")
+    assert all(f"| `{name}` |" in rows for name in KNOWN)
+    rows = tables.inputs("")
+    assert all(f"| `{one.name}` |" in rows for kind in MOTORS for one in kind.inputs)
+    rows = tables.sensors("")
     for one in SENSORS:
-        place = f"| `joints.NAME.{one.section}` |" if one.owners == "joints" else "| `imus.NAME` |"
-        assert place in rows, one.section
+        assert "| `imus` |" in rows if one.owners == "imus" else one.section in rows, one.section
+    rows = tables.parts("../reference/scene.md")
+    for page in re.findall(r"\]\((\S+)\)", rows):
+        assert (DOCS / "concepts" / page).is_file(), page
+    assert all(f"`{one.section}`" in rows for one in PARTS if one not in MOTORS)

@@ -65,7 +65,7 @@ def test_a_servo_loop_over_the_line_reaches_its_target(tmp_path: Path, errors: f
     """
     session = Session(load_scene("three_axis"), "lockstep", "first_answer")
     with master_of(tmp_path, "--error-rate", str(errors), "--seed", "3") as master:
-        assert master.read_holding_registers(0, count=2).registers == [1, 3]
+        assert master.read_holding_registers(0, count=2).registers == [2, 3]
         per_volt, rad_per_count, ratio = [], [], []
         for joint in range(3):
             words = master.read_input_registers(10000 + 48 * joint, count=48).registers

@@ -20,19 +20,18 @@ from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.outputs import outputs_of, units_of
+from arm_emulator.machine.outputs import ALWAYS, outputs_of, units_of
 from arm_emulator.machine.parts.output import AXES, Output
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
 
-MAP_VERSION = 1
+MAP_VERSION = 2
 # First addresses of the blocks of registers.
 MACHINE, MEASURED, COMMANDED, SETTINGS, JOINTS = 0, 1000, 2000, 3000, 10000
 PER_JOINT = 48  # registers of a joint's description
 
-# Bits of the status, and of a joint's status.
+# Bits of the status.
 POWERED, WATCHDOG, FAULT, RUNNING = 1, 2, 4, 8
-JOINT_FAULT, JOINT_HOT, JOINT_BRAKED = 1, 2, 4
 # Bits of the control word.
 POWER, ACKNOWLEDGE, RESET = 1, 2, 4
 
@@ -67,42 +66,33 @@ def full_scale(scene: Scene, joint: Joint) -> float:
     return limit
 
 
-# Measurements of every machine: words per joint, name, kind, unit.
-_ALWAYS = (
-    (2, "encoder at the motor, modulo 2^32", "int32", "counts"),
-    (2, "motor current", "int32", "uA"),
-    (1, "command of the period that has passed", "int16", "full scale / 32768"),
-    (1, "joint status", "bits", ""),
-    (2, "encoder at the link, modulo 2^32", "int32", "counts"),
-    (2, "encoder at the motor at its newest index pulse", "int32", "counts"),
-    (1, "index pulses, modulo 2^16", "uint16", "1"),
-)
-# The outputs that these have, and the joint status.
-REPORTED = (
-    "encoder_counts", "current", "applied", "faults", "brake_closed",
-    "link_encoder_counts", "index_counts", "index_pulses",
-)  # fmt: skip
+def measured_outputs(scene: Scene) -> tuple[Output, ...]:
+    """Return what is measured in the order of its registers: first what every machine reports."""
+    return tuple(dict.fromkeys((*ALWAYS, *outputs_of(scene))))
 
 
-def further(scene: Scene) -> tuple[Output, ...]:
-    """Return what the scene's parts report beside what every machine has."""
-    return tuple(one for one in outputs_of(scene) if one.name not in REPORTED)
+# Words of a value and its type, by the kind of an output.
+_WORDS = {
+    "number": (2, "float32"),
+    "count": (2, "int32"),
+    "flag": (1, "uint16"),
+    "bits": (1, "uint16"),
+}
 
 
 def measured_blocks(scene: Scene) -> list[Block]:
     """Return the registers of what is measured, in their order, without addresses."""
-    N = len(scene.joints)
-    rows = [Block(0, per * N, per, name, kind, unit) for per, name, kind, unit in _ALWAYS]
-    for output in further(scene):
-        counts = output.kind == "count"
-        kind, unit = ("int32", "counts") if counts else ("float32", output.unit)
+    rows, N = [], len(scene.joints)
+    for output in measured_outputs(scene):
+        per, kind = _WORDS[output.kind]
+        unit = "counts, modulo 2^32" if output.kind == "count" else output.unit
         if output.per_unit:
             for unit_of_scene in scene.imus:
                 name = f"{unit_of_scene.name}: {output.about}, x, y, z"
-                rows.append(Block(0, 2 * AXES, 0, name, kind, unit))
+                rows.append(Block(0, per * AXES, 0, name, kind, unit))
         else:
             units = " or ".join(dict.fromkeys(units_of(scene, output))) or unit
-            rows.append(Block(0, 2 * N, 2, output.about, kind, units))
+            rows.append(Block(0, per * N, per, output.about, kind, units))
     return rows
 
 
@@ -183,7 +173,7 @@ class Converter:
         if measured > COMMANDED - MEASURED:
             rule = f"fill at most {COMMANDED - MEASURED} registers with what is measured"
             raise Refusal(scene.where, "joints and their sensors", rule, measured)
-        self._further = further(scene)
+        self._outputs = measured_outputs(scene)
         self.session = session
         self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
@@ -263,31 +253,17 @@ class Converter:
 
     def _measured(self, count: int) -> Sequence[int]:
         """Return at least the first `count` words of what was measured."""
-        session, N = self.session, self._N
+        session = self.session
         tick = session.tick
         words = [self.status, tick >> 16 & 0xFFFF, tick & 0xFFFF]
-        if count > 3:
-            measured = session.measured
-            words += _pairs(measured.encoder_counts)
-        if count > 3 + 2 * N:
-            microampere = np.clip(np.rint(measured.current * 1e6), -(2**31), 2**31 - 1)
-            words += _pairs(microampere.astype(np.int64))
-        if count > 3 + 4 * N:
-            applied = np.rint(measured.applied / self._per_word)
-            applied = np.clip(applied, -FULL_SCALE, FULL_SCALE - 1).astype(np.int64)
-            words += (applied & 0xFFFF).tolist()
-            faults, brake = measured.faults, measured.brake_closed
-            words += (faults & 3 | JOINT_BRAKED * brake).tolist()
-        if count > 3 + 6 * N:
-            words += _pairs(measured.link_encoder_counts)
-            words += _pairs(measured.index_counts)
-            words += (measured.index_pulses & 0xFFFF).tolist()
-        if count > 3 + 11 * N:
-            for output in self._further:
-                values = getattr(measured, output.name).ravel()
-                if output.kind != "count":
-                    values = values.astype(">f4").view(">u4").astype(np.int64)
-                words += _pairs(values)
+        measured = session.measured
+        for output in self._outputs:
+            if len(words) >= count:
+                break
+            values = getattr(measured, output.name).ravel()
+            if output.kind == "number":
+                values = values.astype(">f4").view(">u4").astype(np.int64)
+            words += _pairs(values) if _WORDS[output.kind][0] == 2 else values.tolist()
         return words
 
     def write(self, address: int, words: Sequence[int]) -> None:

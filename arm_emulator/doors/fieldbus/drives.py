@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -16,9 +17,12 @@ from arm_emulator.build.c_header import CData, Header, Library, text
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fieldbus import declared
 from arm_emulator.machine.inputs import modes_of
 from arm_emulator.machine.joint import Joint
+from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.output import FURTHER, READINGS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.c import FOLDER
@@ -34,10 +38,11 @@ DRIVES_FLAGS = (
     *"-fno-semantic-interposition -pthread".split(),
     *SHARED,
 )
-SOURCE = '#include "servo.c"\n#include "drives.hpp"\n'
+SOURCE = f'#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
 
 DRIVES = Header(DRIVES_CORE / "drives.h", (BOUNDARY, FOLDER))
 ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
+UNITS = DRIVES.constant("DRIVES_UNITS")
 
 
 def drives_unit(
@@ -92,6 +97,7 @@ TYPES = {
     5: "UNSIGNED8",
     6: "UNSIGNED16",
     7: "UNSIGNED32",
+    8: "REAL32",
     9: "VISIBLE_STRING",
 }
 _SIGNED = ("INTEGER8", "INTEGER16", "INTEGER32")
@@ -216,7 +222,9 @@ class Drives:
             self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode.number - 1
         names = [_text(name) for name in (*scene.joint_names, scene.name)]
         self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
-        self._names = names  # they must outlive the drives
+        rows = rows_of(scene)
+        places, inputs = declared.places(scene, UNITS), declared.input_rows(scene)
+        self._kept = names, places, inputs  # they must outlive the drives
         self._machine = DRIVES.new(
             "drives_machine",
             joints=len(self._joints),
@@ -228,6 +236,13 @@ class Drives:
             supply_voltage=scene.supply_voltage,
             device_name=names[-1],
             joint=self._joints,
+            readings=len(rows[READINGS]),
+            further=len(rows[FURTHER]),
+            units=len(scene.imus),
+            outputs=len(declared.REPORTED),
+            inputs=len(declared.TAKEN),
+            place=places,
+            input=inputs,
         )
         self.pointer = self.calls.drives_new(self._machine)
         self._room = DRIVES.ffi.new("uint8_t[]", 256)
@@ -295,13 +310,24 @@ class Drives:
             raise Aborted(index, sub, code)
 
     def read(self, drive: int, index: int, sub: int = 0) -> int:
-        """Return the number that an entry holds.
+        """Return the whole number that an entry holds.
 
         Raises:
             Aborted: see `upload`.
         """
         value = self.upload(drive, index, sub)
         return int.from_bytes(value, "little", signed=self._entries[index, sub].type in _SIGNED)
+
+    def reading(self, drive: int, index: int, sub: int = 0) -> float:
+        """Return the number that an entry of any type holds.
+
+        Raises:
+            Aborted: see `upload`.
+        """
+        if self._entries[index, sub].type != "REAL32":
+            return self.read(drive, index, sub)
+        (value,) = struct.unpack("<f", self.upload(drive, index, sub))
+        return float(value)
 
     def write(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Write a number to an entry, in as many bytes as it has.
@@ -313,6 +339,14 @@ class Drives:
         code = self.calls.drives_write_number(self.pointer, drive, index, sub, value)
         if code:
             raise Aborted(index, sub, code)
+
+    def give(self, drive: int, index: int, value: float) -> None:
+        """Write a number to an entry of type REAL32.
+
+        Raises:
+            Aborted: see `download`.
+        """
+        self.download(drive, index, 0, struct.pack("<f", value))
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
@@ -115,5 +116,7 @@ def _default(node: Node, one: Entry) -> str:
     cob = one.index == 0x1014 or (one.sub == 1 and one.index & 0xFE00 in (0x1400, 0x1800))
     if cob:
         return f"$NODEID+0x{value - node.number:X}"
+    if one.type == "REAL32":
+        return repr(*struct.unpack("<f", raw))
     signed = one.type.startswith("INTEGER")
     return _number(int.from_bytes(raw, "little", signed=signed), signed)

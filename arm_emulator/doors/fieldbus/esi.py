@@ -21,6 +21,7 @@ _TYPES = {
     "UNSIGNED8": "USINT",
     "UNSIGNED16": "UINT",
     "UNSIGNED32": "UDINT",
+    "REAL32": "REAL",
 }
 
 
@@ -137,7 +138,7 @@ def _info(row: ET.Element, entries: list[Entry]) -> None:
             item = _add(info, "SubItem")
             _add(item, "Name", entry.name)
             where = _add(item, "Info")
-        else:
+        elif entry.type != "REAL32":
             _add(where, "MinValue", str(entry.least))
             _add(where, "MaxValue", str(entry.most))
         _add(where, "DefaultValue", str(entry.standard))

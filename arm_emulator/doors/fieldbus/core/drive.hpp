@@ -6,6 +6,7 @@
 #pragma once
 
 #include "cia402.hpp"
+#include "declared_values.hpp"
 #include "drive_defaults.hpp"
 #include "drives.h"
 #include "inner_loops.hpp"
@@ -17,10 +18,13 @@ namespace fieldbus {
 
 class Drive {
  public:
-  // `joint` must outlive the drive, and the drive its place.
-  Drive(const drives_joint& joint, const drives_machine& machine, int number)
+  // `joint` and `all`, which has the newest measurement, must outlive the drive, and the drive its
+  // place.
+  Drive(const drives_joint& joint, const drives_machine& machine, int number,
+        const arm_measurement& all)
       : axis_(joint, machine),
         loops_(joint.servo),
+        declared_(machine, number, all),
         supply_(machine.supply_voltage),
         number_(number) {
     axis_.values.set_text(0x1008, machine.device_name);
@@ -138,6 +142,8 @@ class Drive {
     const std::uint32_t enable = ARM_ENABLED | (close ? std::uint32_t{ARM_CLOSE_BRAKE} : 0U);
     return {axis_.joint.mode, enable, command};
   }
+  // Write what the motor gets beside it into the rows of arm_command.further.
+  void put_further(double* further) const { declared_.command(axis_.values, further); }
   // Take the measurement at its end.
   void end_period(const arm_joint_measurement& measured, const arm_joint_sensors& sensors,
                   bool powered) {
@@ -159,6 +165,7 @@ class Drive {
   // Take a value that is in the range of its entry.
   std::uint32_t take(int slot, std::int64_t value) {
     constexpr std::int64_t load = 0x64616F6C;  // "load", by which CiA 301 restores
+    if (declared_.refuses(slot, value)) return abort_code::out_of_range;
     switch (Values::entry(slot).index) {
       case 0x1003:
         if (value != 0) return abort_code::out_of_range;
@@ -369,10 +376,12 @@ class Drive {
     of.set<0x60F4>(in_position ? to_integer(demand.position - axis_.counts(), 32) : 0);
     of.set<0x60FC>(word_of(demanded));
     of.set<0x60FD>(now.brake ? 1 << 16 : 0);
+    declared_.publish(of);
   }
 
   Axis axis_;
   InnerLoops loops_;
+  const DeclaredValues declared_;
   const double supply_;  // V
   const int number_;
 

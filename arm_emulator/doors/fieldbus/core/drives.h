@@ -20,6 +20,7 @@ extern "C" {
 typedef struct drives drives;
 
 enum drives_bus { DRIVES_ETHERCAT = 1, DRIVES_CANOPEN = 2 };
+enum { DRIVES_UNITS = 2 }; /* inertial measurement units on a link, at most */
 
 /* Data of a joint. */
 typedef struct drives_joint {
@@ -48,6 +49,15 @@ typedef struct drives_machine {
   double supply_voltage;     /* V */
   const char* device_name;   /* of the scene */
   const drives_joint* joint; /* an entry per joint */
+  /* Rows of arm_measurement.readings and of .further, and entries of .imu. */
+  int32_t readings, further, units;
+  /* Declared by parts, as objects: outputs, inputs of motors. */
+  int32_t outputs, inputs, reserved_too;
+  /* Where each output is, by joint, output and unit on its link: its row, or the unit; -1: the
+   * joint has no such value, which is 0. */
+  const int32_t* place;
+  /* Rows of arm_command.further, by joint and input; -1: the motor does not take it. */
+  const int32_t* input;
 } drives_machine;
 
 /* Return the drives in Switch on disabled, the machine as it is; null: it makes no sense. What the
@@ -84,7 +94,7 @@ uint32_t drives_write_number(drives* all, int32_t drive, uint16_t index, uint8_t
 typedef struct drives_entry {
   uint16_t index;
   uint8_t sub, last_sub; /* last_sub: of its object */
-  uint16_t type;         /* of CiA 301: 2 INTEGER8 ... 7 UNSIGNED32, 9 VISIBLE_STRING */
+  uint16_t type;         /* of CiA 301: 2 INTEGER8 ... 8 REAL32, 9 VISIBLE_STRING */
   uint16_t bits;         /* 0: text */
   uint8_t access;        /* 0 constant, 1 read, 2 write, 3 both */
   uint8_t pdo;           /* bits: 1 may be mapped to receive, 2 to transmit */

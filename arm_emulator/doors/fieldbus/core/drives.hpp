@@ -12,12 +12,21 @@ struct drives {
       : machine(of),
         command(static_cast<std::size_t>(of.joints)),
         measured(static_cast<std::size_t>(of.joints)),
-        sensors(static_cast<std::size_t>(of.joints)) {
-    for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine, j);
+        sensors(static_cast<std::size_t>(of.joints)),
+        imu(static_cast<std::size_t>(of.units)),
+        current_d(static_cast<std::size_t>(of.joints)),
+        readings(static_cast<std::size_t>(of.joints * of.readings)),
+        further(static_cast<std::size_t>(of.joints * of.further)),
+        further_command(further) {
+    for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine, j, measurement);
     for (fieldbus::Drive& drive : one) sdo.emplace_back(drive);
     measurement.size = sizeof measurement;
     measurement.joint = measured.data();
     measurement.sensors = sensors.data();
+    measurement.imu = imu.data();
+    measurement.current_d = current_d.data();
+    measurement.readings = readings.data();
+    measurement.further = further.data();
   }
 
   int count() const { return machine.joints; }
@@ -40,6 +49,8 @@ struct drives {
     all.size = sizeof all;
     all.tick = tick();
     all.joint = command.data();
+    for (const fieldbus::Drive& drive : one) drive.put_further(further_command.data());
+    all.further = further_command.data();
     const int result = machine.exchange(machine.machine, &all, &measurement);
     for (int j = 0; j < count(); ++j) {
       const auto k = static_cast<std::size_t>(j);
@@ -61,6 +72,8 @@ struct drives {
   std::vector<arm_joint_command> command;
   std::vector<arm_joint_measurement> measured;
   std::vector<arm_joint_sensors> sensors;
+  std::vector<arm_imu_measurement> imu;
+  std::vector<double> current_d, readings, further, further_command;
   arm_measurement measurement = {};
 };
 
@@ -75,10 +88,13 @@ bool has(const drives* all, std::int32_t drive) {
 #pragma GCC visibility push(default)
 
 drives* drives_new(const drives_machine* machine) {
-  const bool sound = machine && machine->size >= sizeof *machine && machine->joints >= 0 &&
-                     machine->machine && machine->measure && machine->exchange &&
-                     machine->period > 0 && (machine->joint || !machine->joints) &&
-                     (machine->bus == DRIVES_ETHERCAT || machine->bus == DRIVES_CANOPEN);
+  const bool sound =
+      machine && machine->size >= sizeof *machine && machine->joints >= 0 && machine->machine &&
+      machine->measure && machine->exchange && machine->period > 0 &&
+      (machine->joint || !machine->joints) && machine->readings >= 0 && machine->further >= 0 &&
+      machine->units >= 0 && machine->outputs == std::ssize(fieldbus::kReported) &&
+      machine->inputs == std::ssize(fieldbus::kTaken) && machine->place && machine->input &&
+      (machine->bus == DRIVES_ETHERCAT || machine->bus == DRIVES_CANOPEN);
   if (!sound) return nullptr;
   drives* all = new drives(*machine);
   all->begin();

@@ -1,9 +1,9 @@
 // The object dictionary of a drive: one table for EtherCAT and CANopen.
 //
 // Communication objects after CiA 301 and ETG.1000.6, those of the drive after CiA 402
-// (IEC 61800-7-201). The table lists the objects; the values of one drive are in
-// drive.hpp. Positions are in counts of the encoder at the motor, speeds in counts/s, torques in
-// 0.1 % of the rated torque 0x6076.
+// (IEC 61800-7-201); between them those that parts declare (declared.hpp). The table
+// lists the objects; the values of one drive are in drive.hpp. Positions are in counts of the
+// encoder at the motor, speeds in counts/s, torques in 0.1 % of the rated torque 0x6076.
 #pragma once
 
 #include <cstddef>
@@ -12,77 +12,9 @@
 #include <span>
 
 #include "abort_codes.hpp"
+#include "declared.hpp"
 
 namespace fieldbus {
-
-// Data types, by their index in CiA 301.
-enum class Type : std::uint16_t {
-  boolean = 0x01,
-  integer8 = 0x02,
-  integer16 = 0x03,
-  integer32 = 0x04,
-  unsigned8 = 0x05,
-  unsigned16 = 0x06,
-  unsigned32 = 0x07,
-  visible_string = 0x09,
-};
-constexpr std::uint16_t bits_of(Type type) {
-  switch (type) {
-    case Type::boolean:
-      return 1;
-    case Type::integer8:
-    case Type::unsigned8:
-      return 8;
-    case Type::integer16:
-    case Type::unsigned16:
-      return 16;
-    case Type::integer32:
-    case Type::unsigned32:
-      return 32;
-    case Type::visible_string:
-      break;
-  }
-  return 0;  // as long as the text is
-}
-constexpr bool is_signed(Type type) {
-  return type == Type::integer8 || type == Type::integer16 || type == Type::integer32;
-}
-
-enum class Access : std::uint8_t { constant, read, write, both };
-
-// Whether it may be mapped into process data: rx is what the drive receives.
-enum class Pdo : std::uint8_t { none = 0, rx = 1, tx = 2, both = 3 };
-constexpr bool maps(Pdo pdo, Pdo way) {
-  return (static_cast<int>(pdo) & static_cast<int>(way)) != 0;
-}
-
-enum class Code : std::uint8_t { variable = 7, array = 8, record = 9 };
-
-// On which bus an object is there.
-enum class Bus : std::uint8_t { ethercat = 1, canopen = 2 };
-inline constexpr std::uint8_t kEthercat = 1, kCanopen = 2, kEveryBus = 3;
-
-// One entry. `standard`, `least` and `most` are those of the type's range unless stated; what a
-// scene's drive begins with may differ, and is in Drive.
-struct Entry {
-  std::uint16_t index = 0;
-  std::uint8_t sub = 0;
-  std::uint8_t buses = kEveryBus;
-  Type type = Type::unsigned32;
-  std::uint16_t bits = 32;  // 0: text
-  Access access = Access::read;
-  Pdo pdo = Pdo::none;
-  Code code = Code::variable;  // of its object
-  std::uint8_t last_sub = 0;   // of its object
-  const char* object = "";     // name of the object
-  const char* name = "";       // name of the entry
-  const char* unit = "";
-  std::int64_t standard = 0, least = 0, most = 0;
-
-  constexpr bool readable() const { return access != Access::write; }
-  constexpr bool writable() const { return access == Access::write || access == Access::both; }
-  constexpr bool on(Bus bus) const { return (buses & static_cast<std::uint8_t>(bus)) != 0; }
-};
 
 // The dictionary's own error codes are those of 0x603F, see cia402.hpp.
 namespace dictionary {
@@ -269,6 +201,24 @@ constexpr Table make_table() {
   t.add(0x2004, 0, "Brake closed", unsigned8, ro, tx);
   t.add(0x2005, 0, "Motor current", integer32, ro, tx, "mA");
   t.add(0x2006, 0, "Motor command", integer32, ro, tx, "mV, mA");
+
+  // --------------------------------------------------------------------- what parts declare
+  for (std::size_t k = 0, j = 0; k < std::size(kTaken) || j < std::size(kReported);) {
+    const bool first = j == std::size(kReported) ||
+                       (k < std::size(kTaken) && kTaken[k].index < kReported[j].index);
+    if (first) {
+      const Taken& one = kTaken[k++];
+      t.add(one.index, 0, one.name, real32, rw, rx, one.unit);
+      continue;
+    }
+    const Reported& one = kReported[j++];
+    if (!one.per_unit) {
+      t.add(one.index, 0, one.name, one.type, ro, tx, one.unit);
+      continue;
+    }
+    t.begin(one.index, Code::array, one.name, kUnitValues);
+    for (const char* name : kUnitValueNames) t.sub(name, one.type, ro, tx, one.unit);
+  }
 
   // ------------------------------------------------------------------------ the drive, CiA 402
   t.add(0x6007, 0, "Abort connection option code", integer16, rw, no, "", 1).within(0, 3);
