@@ -32,3 +32,4 @@ while sent < 10:
     elif (waited := waited + 1) == 30:
         print("waiting for a motion controller that listens to tool_target")
 publisher.wait_for_all_acked()
+print("published on tool_target; motion/status reports when it is reached")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from rich.table import Table
-
 from arm_emulator.cli.output import Output
 from arm_emulator.machine.scene import load_scene
 
@@ -14,16 +12,19 @@ def list_faults(scene_name: str, *, json: bool) -> int:
     if not scene.faults:
         scene = load_scene(scene_name, {"faults": []})
     listed = {one.name for one in scene.faults}
-    table = Table(title=f"faults of {scene.name}, {len(listed)} of them listed in {scene.where}")
-    for column in ("fault", "listed", "shows well", "range", "what happens"):
-        table.add_column(column, overflow="fold")
+    rows = [("fault", "listed", "magnitude", "range", "effect")]
     for one in scene.possible_faults:
         number = one.varied.number
         there = "yes" if one.name in listed else ""
         well = f"{number.default:g} {number.unit.removesuffix('1')}".rstrip()
         low, high = number.ends
-        table.add_row(one.name, there, well, f"{low:g} to {high:g}", one.kind.text)
-    output.console().print(table)
+        rows.append((one.name, there, well, f"{low:g} to {high:g}", one.kind.text))
+    output.line(f"faults of {scene.name}; {len(listed)} are listed in {scene.where}")
+    # Without a table's frame and folding: for `grep`, and for narrow terminals.
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        output.line("  ".join(cells).rstrip())
     output.facts(
         {
             "scene": scene.name,

@@ -1,4 +1,4 @@
-"""Many runs of one scenario: what varies among them, what must hold, how often it fails."""
+"""Simulate many varied runs of one scenario, and count how often its requirements fail."""
 
 from __future__ import annotations
 

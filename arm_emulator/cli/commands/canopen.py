@@ -1,4 +1,4 @@
-"""The joints' drives as nodes of CANopen."""
+"""Serve a CANopen master with a CiA 402 drive per joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's experiment, with pictures."""
+"""Run the paper's experiment with three nodes, and draw it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A CiA 402 drive per joint on EtherCAT, for the master of your choice."""
+"""Serve an EtherCAT master with a CiA 402 drive per joint."""
 
 from __future__ import annotations
 

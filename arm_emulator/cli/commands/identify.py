@@ -1,4 +1,4 @@
-"""Find a scene's numbers from measured motion."""
+"""Identify a scene's numbers from measured motion."""
 
 from __future__ import annotations
 

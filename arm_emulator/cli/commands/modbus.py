@@ -1,4 +1,4 @@
-"""The paper's data converter on a serial port, in Modbus RTU."""
+"""Serve a Modbus RTU master as the paper's data converter on a serial port."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Send a target for the tool or the joints to a running network, and watch it be reached."""
+"""Send a target for the tool or the joints to a running network, and report its progress."""
 
 from __future__ import annotations
 
