@@ -1,1 +1,1 @@
-"""The emulated machine: scene, plant, fleet, session. Knows nothing of ROS."""
+"""The emulated machine: scene, plant, fleet, session. Without ROS."""

@@ -15,13 +15,13 @@ from arm_emulator.machine.inputs import modes_of
 from arm_emulator.machine.scene import Scene
 
 LARGEST_STEPS = 10**15  # of one call
-PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
+PIECE = 2**20  # steps after which a long call checks for Ctrl-C
 
 Commands = ArrayLike | Mapping[str, ArrayLike]
 
 
 def by_joint(given: object, scene: Scene, where: str) -> object:
-    """Return what is given by names of joints as columns, base to tool; all else as it is.
+    """Return values given by joint names as columns, base to tool; all else unchanged.
 
     Raises:
         Refusal: other names than those of all joints.
@@ -36,7 +36,7 @@ def by_joint(given: object, scene: Scene, where: str) -> object:
 
 
 def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwise: str) -> Refusal:
-    """Return why the core has refused the newest call on a machine.
+    """Return the refusal of the newest call on a machine.
 
     Args:
         core: of the machine.
@@ -66,7 +66,7 @@ def commands_of(scene: Scene) -> NDArray[Any]:
 
 
 def options_of(scene: Scene, values: Array) -> CData:
-    """Return what the core makes machines of; `values` of the varied numbers must outlive it."""
+    """Return the options of a machine; `values` of the varied numbers must outlive them."""
     return ARM.new(
         "arm_options",
         core=scene.cores[1],

@@ -1,4 +1,4 @@
-"""Frames, bodies, and the chain of moving joints that they make, as the core has it."""
+"""Frames, bodies and the chain of moving joints, in the core's frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _constant(values: object) -> Array:
 
 _ZERO = _constant(np.zeros(3))
 X_AXIS = _constant([1.0, 0.0, 0.0])
-EYE = _constant(np.eye(3))  # recognised, so that the many frames without a turn cost little
+EYE = _constant(np.eye(3))  # recognised, since many frames have no rotation
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Chain:
     """The moving joints from base to tip, and the base's frame.
 
     `links` has all of them; `joints` those by whose names the drives' shafts go, which is all where
-    each joint has a drive of its own. `coupling` is how the links' joints go with the shafts.
+    each joint has a drive of its own. `coupling` relates the links' joints to the shafts.
 
     `R_BW` (3, 3) turns world vectors (gravity) into the base's frame, from which the first joint is
     seen; both have their origin at the URDF's root link. `carried` has the URDF's links that move,
@@ -199,8 +199,8 @@ def exact_atan2(y: float, x: float) -> float:
 
 def rpy_of(R: Array) -> Array:
     """Return roll, pitch and yaw of Rz(yaw) Ry(pitch) Rx(roll)."""
-    # The roll is that of Rz(-yaw) R, whatever the yaw is: where the pitch is a quarter of a turn
-    # or near it, R hardly knows roll and yaw apart, but what they make of it stays R.
+    # The roll is that of Rz(-yaw) R, whatever the yaw is: near a pitch of a quarter turn roll and
+    # yaw are ambiguous, but their product is still R.
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     yaw = exact_atan2(float(R[1, 0]), float(R[0, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
@@ -210,7 +210,7 @@ def rpy_of(R: Array) -> Array:
 def clean(R: Array) -> Array:
     """Return a rotation with entries that rounding moved off 0 and +-1 put back.
 
-    Zeros are what the compiler folds; the threshold is a few units of the last place.
+    The compiler folds zeros; the threshold is a few units of the last place.
     """
     nearest = np.rint(R)
     return np.where(np.abs(R - nearest) < 1e-15, nearest, R) + 0.0

@@ -23,7 +23,7 @@ def chosen_arms(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bo
         return np.ones(count, bool)
     try:
         chosen = np.asarray(arms)
-    except Exception:  # whatever an object does that is asked for its numbers, it has none
+    except Exception:  # any error of a foreign object means that it has no numbers
         chosen = np.asarray(None)
     if chosen.dtype == np.bool_ and chosen.shape == (count,):
         return np.ascontiguousarray(chosen)

@@ -1,4 +1,4 @@
-"""The clock of a session: its owner, or a loop that owns time."""
+"""The clock of a session: advanced by its owner, or by a loop."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Reached:
 
 
 class Clock:
-    """Lets the servo periods of a machine pass. This one leaves that to the owner of the session.
+    """Advances a machine by servo periods. This one leaves that to the owner of the session.
 
     Attributes:
         by_itself: whether ticks come without the owner, and are to be taken.
@@ -61,19 +61,19 @@ class Clock:
         return RealTimeFigures()
 
     def begin(self) -> None:
-        """Begin anew at tick 0: forget the commands and the ticks of the run before."""
+        """Restart at tick 0, without the commands and ticks of the last run."""
 
     def command(self, answered: int, rows: Array) -> None:
         """Hold commands and further inputs (1 + I, N), which answer a tick, from now on."""
 
     def start(self, tick: int) -> None:
-        """Let time pass from a tick on."""
+        """Start time at a tick."""
 
     def stop(self) -> None:
-        """Let the machine stand still. Ticks not taken yet stay."""
+        """Stop time. Ticks not taken yet stay."""
 
     def go_on(self) -> None:
-        """Let time pass as if it had not been stopped."""
+        """Continue as if time had not been stopped."""
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick."""

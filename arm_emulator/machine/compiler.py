@@ -33,7 +33,7 @@ def library_of(scene: Scene) -> Library:
 
 
 def machine_unit(scene: Scene) -> Unit:
-    """Return what the library of `library_of` is compiled of."""
+    """Return the sources of `library_of`."""
     about = f"scene {scene.name} ({len(scene.joints)} joints)"
     unit = _unit(scene.name, scene_unit(scene), (ARM,), scene.where, about)
     return replace(unit, data=_periods(scene))
@@ -96,7 +96,7 @@ def compile_ahead(
 
 
 def fleet_unit(scene: Scene) -> Unit:
-    """Return what the library of `fleet_library_of` is compiled of."""
+    """Return the sources of `fleet_library_of`."""
     about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "boundary/fleet_boundary.hpp")
     unit = _unit(f"{scene.name}-fleet", source, (ARM, FLEET), scene.where, about)
@@ -104,7 +104,7 @@ def fleet_unit(scene: Scene) -> Unit:
 
 
 def real_time_unit() -> Unit:
-    """Return what the library of `real_time_library` is compiled of."""
+    """Return the sources of `real_time_library`."""
     source = '#include "boundary/real_time.cpp"\n'
     return _unit("real_time", source, (REAL_TIME,), "real time", "the real-time loop")
 

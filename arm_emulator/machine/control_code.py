@@ -27,7 +27,7 @@ class ControlCode:
 
     @property
     def ended(self) -> Exception | None:
-        """Why it cannot go on; None: it can."""
+        """Reason for which it cannot continue; None: it can."""
         return None
 
     def start(self, plant: Plant, period_ns: int) -> None:
@@ -38,8 +38,8 @@ class ControlCode:
         """
 
     def stepping(self) -> contextlib.AbstractContextManager[None]:
-        """Within, the loop is in its steps."""
+        """Context in which the loop runs its steps."""
         return contextlib.nullcontext()
 
     def close(self) -> None:
-        """End; no step may come after."""
+        """End; no step may follow."""

@@ -10,9 +10,9 @@ from arm_emulator.machine.scene import Scene
 
 
 class Diverged(RuntimeError):
-    """The integration left the world of sound motions; the plant stays at the last state within.
+    """The integration left the physical range; the plant stays at the last sound state.
 
-    Its text states which joint and when. `analysis.stability.explain` adds what would hold.
+    Its text states joint and time. `analysis.stability.explain` adds a remedy.
 
     Attributes:
         joint: the joint that left first, or that held the most of an energy from nowhere.

@@ -1,4 +1,4 @@
-"""Energy that the joints of a machine are given and that they dissipate."""
+"""Energy supplied to and dissipated by the joints of a machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A shared library of a user's with control code, checked for what firmware.h asks of it."""
+"""A user's shared library with control code, checked against firmware.h."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGEST = 2**28  # bytes of a library
 
 
 class Doing(enum.IntEnum):
-    """Whose code runs, and what of it."""
+    """The code that runs, and its function."""
 
     OURS = 0
     LOADING = 1
@@ -98,7 +98,7 @@ class Firmware(ControlCode):
         self.struct = FIRMWARE_LOOP.ffi.addressof(self.progress, "loop")
 
     def start(self, plant: Plant, period_ns: int) -> None:
-        """Report to the code which machine it is to drive.
+        """Pass the machine's description to the code.
 
         Raises:
             Refusal: it cannot drive this machine, by its own statement.
@@ -126,7 +126,7 @@ class Firmware(ControlCode):
 
     @contextlib.contextmanager
     def stepping(self) -> Iterator[None]:
-        """Within, whoever watches the library knows that it is in its steps."""
+        """Context that shows an observer that the library runs its steps."""
         self.progress.doing = Doing.STEP
         try:
             yield
@@ -134,7 +134,7 @@ class Firmware(ControlCode):
             self.progress.doing = Doing.OURS
 
     def close(self) -> None:
-        """Run what the library does at its end, unless threads of it still run; it is gone then."""
+        """Unload the library, unless threads of it still run."""
         if _threads() > self._threads:
             return
         self.progress.doing = Doing.ENDING

@@ -86,7 +86,7 @@ class FirmwareLoop:
         return int(self.pointer.tick)
 
     def run(self, tick: int, ticks: int) -> None:
-        """Go through so many periods from a tick on.
+        """Run so many periods from a tick on.
 
         Raises:
             Refusal: a command was refused; the machine is at `tick`, where it was then.

@@ -1,4 +1,4 @@
-"""Many arms of one scene, each with numbers and a state of its own, advanced side by side."""
+"""Many arms of one scene, each with its own numbers and state, advanced side by side."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ class FleetState:
 
 
 class Fleet(Turns):
-    """Arms of one structure. They know nothing of each other: each moves as a `Plant` alone.
+    """Arms of one structure. They are independent: each moves as a `Plant` alone.
 
-    In lanes of vector registers they take the same steps at the same time, which rounds otherwise
-    than a single arm's: after a step they differ by some 1e-16 of their size.
+    Lanes of vector registers round differently than a single arm: after a step the results differ
+    by some 1e-16 of their size.
 
-    `measured` is what the sensors give and a controller may know; `state` is the truth. Copies,
+    `measured` has the readings of the sensors, for controllers; `state` is the true state. Copies,
     forks and threads: as of a `Plant`. ``fleet[k]`` is one of the arms, and a `Plant`.
 
     Attributes:
@@ -163,7 +163,7 @@ class Fleet(Turns):
         return self._count
 
     def __getitem__(self, arm: int) -> Plant:
-        """Return one of the arms with all that a `Plant` can do; they share the state."""
+        """Return one of the arms as a `Plant`; they share the state."""
         arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1)
         machine = self.core.arm_fleet_machine(self._fleet, arm % self._count)
         began = self._began[0, arm].copy(), self._began[1, arm].copy()
@@ -172,7 +172,7 @@ class Fleet(Turns):
         return plant
 
     def _give_back(self, arm: int) -> None:
-        """Let an arm that was used by itself go on in its lane."""
+        """Return an arm that was used by itself to its lane."""
         if self._fleet:
             self.core.arm_fleet_give_back(self._fleet, arm)
 
@@ -188,7 +188,7 @@ class Fleet(Turns):
         v: ArrayLike | None = None,
         varied: Mapping[str, ArrayLike] | None = None,
     ) -> None:
-        """Put arms at logical time 0, the motors along with the links.
+        """Set arms to logical time 0, the motors to match the links.
 
         No current flows, and the gears carry no torque.
 
@@ -237,7 +237,7 @@ class Fleet(Turns):
         return q
 
     def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
-        """Go through one servo period under commands that answer a tick, see `Plant.exchange`.
+        """Advance by one servo period under commands that answer a tick, see `Plant.exchange`.
 
         An arm that diverges stays at its last sound state, and the others go on; see `diverged`.
 
@@ -268,7 +268,7 @@ class Fleet(Turns):
     def step(
         self, command: Commands, periods: int = 1, out: FleetFrame | None = None
     ) -> FleetFrame:
-        """Go through servo periods with the commands of the motors held: the quick way for loops.
+        """Advance by servo periods with the commands of the motors held: the fast way for loops.
 
         As `exchange` and a look at `measured` and `state`, in one call and without copies. Energy
         and gear torques are in `state` alone. An arm that diverges stays at its last sound state,
@@ -308,10 +308,10 @@ class Fleet(Turns):
         *,
         links: Array | None = None,
     ) -> FleetFrame:
-        """Go through servo periods under commands of control code in C, without Python in between.
+        """Advance by servo periods under commands of control code in C, without Python in between.
 
-        In each the control code sees what every arm measures, and commands the period to come. An
-        arm that diverges stays at its last sound state, and the others go on.
+        In each the control code reads the measurements of all arms, and commands the coming period.
+        An arm that diverges stays at its last sound state; the others continue.
 
         Args:
             control: as `arm_emulator.runs.servo_fleet.ServoFleet`, or a function of yours.
@@ -361,7 +361,7 @@ class Fleet(Turns):
         return out
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
-        """Return why the core has refused a call for one of the arms."""
+        """Return the refusal of a call for one of the arms."""
         arm = self.core.arm_fleet_refused(self._fleet)
         machine = self.core.arm_fleet_machine(self._fleet, arm)
         why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
@@ -369,7 +369,7 @@ class Fleet(Turns):
         return why
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
-        """Yield where pieces begin and how long they are, after which Ctrl-C is heard."""
+        """Yield begin and length of pieces between checks for Ctrl-C."""
         longest = max(1, PIECE * self.lanes // self._worth(1))
         for done in range(0, periods or 1, longest):
             yield done, min(longest, periods - done)
@@ -505,7 +505,7 @@ class Fleet(Turns):
 
     @in_turn
     def save(self) -> bytes:
-        """Return all that decides how the arms go on, as bytes that may be kept."""
+        """Return the whole state of the arms as bytes."""
         size = self._count * self.core.arm_saved_size()
         saved = np.zeros(size, np.uint8)
         self.core.arm_fleet_save(self._fleet, pointer(saved), size)
@@ -551,7 +551,7 @@ class Fleet(Turns):
     @property
     @in_turn
     def diverged(self) -> dict[int, Diverged]:
-        """Why arms stay where they are, by their index."""
+        """Reasons for which arms have stopped, by their index."""
         found = {int(arm): self[int(arm)].diverged for arm in np.flatnonzero(self.faults >= 0)}
         return {arm: why for arm, why in found.items() if why is not None}
 
@@ -565,7 +565,7 @@ class Fleet(Turns):
             ANY_COMMANDS.check("Fleet.run", rows)
         rows = np.ascontiguousarray(rows)
         q = np.empty_like(rows)
-        longest = max(1, PIECE * self.lanes // self._count)  # steps after which Ctrl-C is heard
+        longest = max(1, PIECE * self.lanes // self._count)  # steps between checks for Ctrl-C
         if steps > longest:
             for row, after in zip(rows, q, strict=True):
                 for done in range(0, steps, longest):

@@ -14,7 +14,7 @@ from arm_emulator.machine.scene import Scene
 class FleetFrame:
     """Measured and true values of all arms after a step.
 
-    The arrays are reused in every step; copy them to keep a moment.
+    The arrays are reused in every step; copy them to keep values.
 
     Attributes:
         of: scene and count.

@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 def further_inputs(scene: Scene) -> tuple[str, ...]:
-    """Return the names of what motors of a scene take beside their command, a row each in arm.h."""
+    """Return the names of motors' further inputs, a row each in arm.h."""
     found = (one.name for joint in scene.joints for one in joint.inputs[1:])
     return tuple(dict.fromkeys(found))
 

@@ -1,4 +1,4 @@
-"""A session whose time passes by itself: a compiled thread owns the clock."""
+"""A session in real time: a compiled thread owns the clock."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LoopClock(Clock):
         return self._loop.figures()
 
     def begin(self) -> None:
-        """Begin anew at tick 0, see `Clock.begin`."""
+        """Restart at tick 0, see `Clock.begin`."""
         while self._loop.take() is not None:
             pass
         self._loop.command(-1, self._zero)
@@ -48,7 +48,7 @@ class LoopClock(Clock):
         self._loop.command(answered, rows[0], rows[1:])
 
     def start(self, tick: int) -> None:
-        """Let time pass from a tick on."""
+        """Start time at a tick."""
         self.running = True
         self._loop.start(tick)
 
@@ -59,7 +59,7 @@ class LoopClock(Clock):
         self.running = False
 
     def go_on(self) -> None:
-        """Let time pass as if it had not been stopped; what was missed is lateness."""
+        """Continue as if time had not been stopped; missed deadlines are lateness."""
         self.running = True
         self._loop.go_on()
 

@@ -84,11 +84,11 @@ class MeasuredPlace:
         self.joints = self.arrays["joint"]
 
     def read(self) -> Measured:
-        """Return what is there now, as a copy."""
+        """Return the present values, as a copy."""
         return Measured(np.ndarray((), self._type, self._bytes.copy().data), self._rows)
 
     def view(self) -> Measured:
-        """Return what is there at any time, no copy."""
+        """Return a view of the arrays."""
         return Measured(self._record, self._rows)
 
 

@@ -1,4 +1,4 @@
-"""Measurements in messages, filled in and read back by one list.
+"""Measurements in messages, written and read by one list.
 
 A message has fields of its own for some outputs, and readings by name for all others.
 """
@@ -50,7 +50,7 @@ class MeasuredFields:
         message.readings = array("d", self._readings(measured).tobytes())
 
     def fill(self, message: Any, measured: Measured) -> None:
-        """Write what is measured into a message with these lengths."""
+        """Write measurements into a message with these lengths."""
         for name in self._names:
             getattr(message, name)[:] = getattr(measured, name).ravel()
         if self.listed:

@@ -43,7 +43,7 @@ def _declared(owners: Iterable[type[Part] | type[Imu]]) -> list[Output]:
     return list(found)
 
 
-# All that parts may report, by name, in the order in which it is listed anywhere.
+# All outputs of parts, by name, in the order of all lists.
 KNOWN: dict[str, Output] = {
     one.name: one
     for one in (
@@ -68,7 +68,7 @@ SYMBOLS = set(_symbols())  # where arm.h has outputs
 
 
 def outputs_of(scene: Scene) -> tuple[Output, ...]:
-    """Return what the parts of a scene report.
+    """Return the outputs of a scene's parts.
 
     Raises:
         Refusal: an output that is declared without a place in arm.h.
@@ -89,18 +89,18 @@ def _reported(scene: Scene) -> set[Output]:
 
 
 def reported_by_parts(scene: Scene) -> tuple[Output, ...]:
-    """Return what is reported because a part of a scene declares it."""
+    """Return the outputs that a part of a scene declares."""
     there = _reported(scene)
     return tuple(one for one in outputs_of(scene) if one in there)
 
 
 def readings_of(scene: Scene) -> tuple[Output, ...]:
-    """Return what stands in ``arm_measurement.readings``, a row each."""
+    """Return the outputs in ``arm_measurement.readings``, a row each."""
     return tuple(one for one in outputs_of(scene) if one.symbol == READINGS)
 
 
 def input_of(scene: Scene, output: Output) -> str:
-    """Return the further input of which an output has what the motors got."""
+    """Return the further input whose applied value an output reports."""
     return next(
         name
         for name in further_inputs(scene)

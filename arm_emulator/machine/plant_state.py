@@ -1,4 +1,4 @@
-"""The true state of a machine: what it is made of, and how large it may be."""
+"""The true state of a machine, and its bounds."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ class PlantState:
 
 
 def link_angle_per_count(scene: Scene) -> Array:
-    """Return what one encoder count means at the link (N,) [rad or m]."""
+    """Return the link angle of an encoder count (N,) [rad or m]."""
     return np.array(
         [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
     )
 
 
 def largest_position(scene: Scene) -> Array:
-    """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
+    """Return the bound of link positions (N,) [rad or m], for exact encoder counts."""
     return np.minimum(POSITION.most, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
 
 
 def start_bounds(scene: Scene) -> tuple[Number, Number]:
-    """Return at which positions and speeds a motion can begin."""
+    """Return bounds of positions and speeds at the start of a motion."""
     return (
         Number.within("q", "rad or m", largest_position(scene)),
         Number.within("v", "rad/s or m/s", VELOCITY.most),
@@ -63,7 +63,7 @@ def start_bounds(scene: Scene) -> tuple[Number, Number]:
 
 
 def bounds_of(scene: Scene) -> dict[str, Number]:
-    """Return how large what is set may be, by its name in `PlantState`."""
+    """Return bounds of values that are set, by their names in `PlantState`."""
     at_most = largest_position(scene)
     ratio = np.abs(scene.gear_ratios)
     return {

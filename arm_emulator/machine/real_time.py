@@ -85,7 +85,7 @@ class RealTimeLoop(Turns):
             self._calls.arm_real_time_delete(loop)
 
     def renew_threads(self) -> None:  # noqa: D102
-        self._loop = NULL  # the thread stayed behind, and the machine may be within a period
+        self._loop = NULL  # the thread is the parent's, and the machine may be within a period
 
     def start(self, tick: int) -> None:
         """Run from `tick` on, until `stop` or a fault.
@@ -104,7 +104,7 @@ class RealTimeLoop(Turns):
         self._calls.arm_real_time_stop(self._loop)
 
     def go_on(self) -> None:
-        """Go on as if it had not been stopped; what was missed is lateness, and lost periods."""
+        """Continue as if it had not stopped; missed deadlines are lateness and lost periods."""
         self._calls.arm_real_time_go_on(self._loop)
 
     def command(self, answered: int, command: Array, further: Array | None = None) -> None:

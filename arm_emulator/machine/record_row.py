@@ -1,4 +1,4 @@
-"""A machine at a tick as one row: what is true and what is measured, with units."""
+"""A machine at a tick as one row: true and measured values, with units."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ struct Scene {{
 
 
 def _inputs(scene: Scene) -> str:
-    """Return what motors take beside their command."""
+    """Return the motors' further inputs."""
     names, rows = further_inputs(scene), []
     for name in names:
         at = [input_at(joint, name) for joint in scene.joints]
@@ -133,7 +133,7 @@ def _readings(scene: Scene) -> str:
 
 
 def _coupling(chain: Chain) -> str:
-    """Return how joints go with shafts, where not each with one of its own."""
+    """Return the coupling of joints and shafts, if there is one."""
     coupling = chain.coupling
     if coupling.plain:
         return ""
@@ -147,7 +147,7 @@ def _coupling(chain: Chain) -> str:
 
 
 def _axes(chain: Chain) -> str:
-    """Return what turns vectors of the URDF's links and of the world into the core's."""
+    """Return rotations of vectors from the URDF's links and the world to the core."""
     links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.joints)
     return f"""\
   static constexpr double link_axes[N][3][3] = {{

@@ -44,11 +44,11 @@ class Shares:
         self.hire()
 
     def hire(self) -> None:
-        """Have threads, whatever became of those before."""
+        """Start threads, whatever happened to earlier ones."""
         self._pool = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
 
     def end(self) -> None:
-        """Let the threads go."""
+        """End the threads."""
         if self._pool:
             self._pool.shutdown()
 

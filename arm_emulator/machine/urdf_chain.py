@@ -85,7 +85,7 @@ class MovedBody:
     tip: Array
     """Origin of the next joint, of the last one's links the farthest, in the first link's frame."""
     fault: Refusal | None
-    """Why the equations of motion are not solvable with it."""
+    """Reason for which the equations of motion are not solvable with it."""
 
 
 def moved_bodies(
@@ -106,7 +106,7 @@ def moved_bodies(
 
 
 def _all_of(faults: list[Refusal], where: str) -> Refusal:
-    """Return one refusal of several bodies, with all causes and the way out."""
+    """Return one refusal of several bodies, with all causes and the remedy."""
     way_out = "`arm_emulator new` assumes bodies from shapes, or give links an <inertial>"
     if len(faults) == 1:
         one = faults[0]

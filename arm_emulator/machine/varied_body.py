@@ -26,7 +26,7 @@ def of_child(joint: ChainJoint, body: Body | None = None) -> dict[str, float]:
 
 
 def varied_body(joint: ChainJoint) -> list[Varied]:
-    """Return the numbers of what a joint moves, payload and all, that may be varied."""
+    """Return the numbers of a joint's body, with the payload, that may be varied."""
     return [
         Varied(_number(f"links.{joint.link}.{name}"), value)
         for name, value in of_child(joint).items()
@@ -62,7 +62,7 @@ def expressions(joint: ChainJoint, places: Mapping[str, str]) -> dict[str, str] 
 
 
 def _tensor(R: Array, i: int, j: int) -> list[tuple[str, float]]:
-    """Return what the numbers of a tensor I have to do with entry i, j of R I R'."""
+    """Return the factors of a tensor's numbers in entry i, j of R I R'."""
     parts = []
     for xx in TENSOR:
         k, m = AXES.index(xx[0]), AXES.index(xx[1])

@@ -1,4 +1,4 @@
-"""Faults of brakes. What a drive reports of its brake is what it commands, not what these do."""
+"""Faults of brakes. A drive reports the command of its brake, not these."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A kind of fault: which numbers of a machine it changes, and how far."""
+"""A kind of fault: the numbers of a machine that it changes, and their new values."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ GROWS = "{x} * (1.0 + {m})"
 
 
 def rising(places: Sequence[str]) -> dict[str, str]:
-    """Return what raises numbers by the magnitude."""
+    """Return a fault that raises numbers by the magnitude."""
     return dict.fromkeys(places, RISES)
 
 
 def falling(places: Sequence[str]) -> dict[str, str]:
-    """Return what lowers numbers by the magnitude's share."""
+    """Return a fault that lowers numbers by the magnitude's share."""
     return dict.fromkeys(places, FALLS)

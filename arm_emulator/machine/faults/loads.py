@@ -1,4 +1,4 @@
-"""Faults of what the arm carries."""
+"""Faults of the payload."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def faults_of(
 
 
 def put_faults(faults: Iterable[SceneFault], places: dict[str, str]) -> None:
-    """Put what faults make of numbers in place of these, in C++.
+    """Replace numbers by their values under faults, in C++.
 
     Args:
         faults: that the scene lists.

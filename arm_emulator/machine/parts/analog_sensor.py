@@ -1,4 +1,4 @@
-"""Sensors with an amplifier and a converter: what those of any quantity have in common."""
+"""Sensors with an amplifier and a converter: base of those of any quantity."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class AnalogSensor(Converter):
 
     @classmethod
     def draws(cls) -> tuple[int, int]:
-        """Return who draws its noise: at joint 0, and how much more at each further one."""
+        """Return its noise stream at joint 0, and the increment per joint."""
         if cls.channel is not None:
             return cls.channel, JOINT_CHANNELS
         # By its name, so that other sensors in a scene or a later version change nothing.

@@ -14,13 +14,13 @@ NO_TORQUE = 1e-6  # N m, N: rounding
 
 @dataclass(frozen=True, kw_only=True)
 class BacklashGear(ElasticGear):
-    """An elastic gear whose teeth touch nothing in the middle of its play."""
+    """An elastic gear whose teeth do not touch within its play."""
 
     header = "backlash.hpp"
     cxx = "BacklashGear"
     named_by = ("stiffness", "backlash")
 
-    # By so much the link turns with the motor held.
+    # Free play of the link with the motor held.
     backlash: float = number("play", "rad", at_least=0.0)
 
     def rests(self, at: AtRest) -> Share | str:
@@ -35,6 +35,6 @@ class BacklashGear(ElasticGear):
         return Share(ahead=at.torque.scaled(1.0 / self.stiffness) + play)
 
     def wind_up(self, torque: float) -> float:
-        """Return the angle by which the gear gives way at rest, the play included."""
+        """Return the gear's wind-up at rest, with the play."""
         free = math.copysign(0.5 * self.backlash, torque) if torque else 0.0
         return free + super().wind_up(torque)

@@ -17,7 +17,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 @dataclass(frozen=True, kw_only=True)
 class Brake(Part):
-    """Dry friction that comes when power goes, and goes when power comes."""
+    """Dry friction while the drives have no power."""
 
     section = "brake"
     shaft = "rotor"

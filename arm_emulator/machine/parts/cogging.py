@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_s
 
 @dataclass(frozen=True, kw_only=True)
 class Cogging(Part):
-    """Magnets that are drawn to the teeth of the stator, with or without current."""
+    """Attraction of the magnets by the stator's teeth, with or without current."""
 
     section = "motor.cogging"
     shaft = "rotor"

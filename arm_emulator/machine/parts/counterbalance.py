@@ -1,4 +1,4 @@
-"""Springs that take the weight of an arm."""
+"""Springs that balance the weight of an arm."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 @dataclass(frozen=True, kw_only=True)
 class Counterbalance(Part):
-    """A spring between the link and what carries it, by its geometry; a negative force pulls."""
+    """A spring between the link and its parent, by its geometry; a negative force pulls."""
 
     section = "counterbalance"
     header = "counterbalance.hpp"

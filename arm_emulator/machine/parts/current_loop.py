@@ -40,11 +40,11 @@ class CurrentLoop(Decorator):
     emf_feedforward: float = number("feedforward", "1", at_least=0.0, at_most=1.0, default=1.0)
 
     def effort(self, motion: ShaftMotion) -> Array:
-        """None: what is measured is the torque behind it."""
+        """None: measured torques are those behind it."""
         return np.zeros_like(motion.t)
 
     def rests(self, at: AtRest) -> Share | str:
-        """It is within the servo's loop, whose integral takes up what it leaves."""
+        """None: the servo's integral compensates its error."""
         return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102

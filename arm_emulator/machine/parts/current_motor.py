@@ -1,4 +1,4 @@
-"""Motors whose current control is taken for granted."""
+"""Motors with ideal current control."""
 
 from __future__ import annotations
 

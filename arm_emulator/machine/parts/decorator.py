@@ -1,4 +1,4 @@
-"""Parts around a motor: each makes of a motor and itself a motor again."""
+"""Parts around a motor, each of which makes a motor of a motor."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class Decorator(Part):
 
     @classmethod
     def sized(cls, motor: Motor, rating: Rating) -> Self | None:
-        """Return what of it belongs to a drive that is sized with a motor; None: nothing."""
+        """Return the part for a drive that is sized with a motor; None: without it."""
         return None
 
     def check_motor(self, motor: Motor, joint: Section) -> None:
-        """Refuse a motor that it does not go with."""
+        """Refuse a motor with which it is incompatible."""
 
     def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:
         """Return a motor with it in C++.
@@ -56,7 +56,7 @@ class Decorator(Part):
         raise NotImplementedError
 
     def inner_per_command(self, motor: Motor) -> float:
-        """Return what the motor within is commanded at rest for a unit of command."""
+        """Return the inner motor's command at rest per unit of command."""
         return 1.0
 
     def bandwidth_around(self, motor: Motor) -> float:

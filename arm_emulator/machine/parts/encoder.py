@@ -121,7 +121,7 @@ class Encoder(Part):
 
     @property
     def plain(self) -> bool:
-        """Whether it reports the counts of the shaft as it stands, and nothing else."""
+        """Whether it reports exact counts of the shaft only."""
         return self == type(self)(counts_per_turn=self.counts_per_turn, turn=self.turn)
 
     @property
@@ -135,7 +135,7 @@ class Encoder(Part):
         return 2**self.bits if self.bits is not None else 0
 
     def rests(self, at: AtRest) -> Share | str:
-        """The middle of a count; within a count our servo makes no correction."""
+        """Error of a count, within which our servo makes no correction."""
         if self.missed:
             return "misses edges, which sum up"
         if self.held:
@@ -173,7 +173,7 @@ class Encoder(Part):
 
 
 def unblurred(noise: float) -> float:
-    """Return how much of half a count is still off in the mean of many counts under noise.
+    """Return the share of half a count by which the mean of many counts under noise is off.
 
     The mean of a sawtooth over normally distributed noise: each wave of its Fourier series is
     exp(-2 pi^2 k^2 noise^2) times as large.
@@ -205,10 +205,10 @@ class LinkEncoder(Encoder):
         return self.outputs[:1] if self.index == INDICES[0] else self.outputs
 
     def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not look at it."""
+        """Our servo does not use it."""
         return Share()
 
 
 def read_delay(section: Section) -> int:
-    """Return by how many servo periods a sensor's readings come late."""
+    """Return the delay of a sensor's readings in servo periods."""
     return section.integer(_DELAY)

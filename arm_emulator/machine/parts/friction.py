@@ -14,7 +14,7 @@ from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
-# Links that rest with what they felt as they slid, or more (bench/residuals.py).
+# Share of links that rest at their sliding torque, or more (bench/residuals.py).
 MOSTLY = 0.9
 
 
@@ -42,11 +42,11 @@ class Friction(Part):
         return self.coulomb > 0.0
 
     def holds(self, torque: float) -> float:
-        """Return what a shaft at rest withstands under a torque of the gear on it [N m]."""
+        """Return the breakaway torque of a shaft under a torque of the gear on it [N m]."""
         return self.breakaway
 
     def slides(self, torque: float) -> float:
-        """Return what a shaft feels that has just come to rest, likewise [N m]."""
+        """Return the friction of a shaft that has just stopped, likewise [N m]."""
         return self.coulomb
 
     def check(self, section: Section) -> None:  # noqa: D102
@@ -55,7 +55,7 @@ class Friction(Part):
 
 
 def sticking_link(at: AtRest, holds: float, slides: float) -> Share:
-    """Return what friction leaves at a link that stops sliding, and then holds."""
+    """Return the torque at rest of a link that stops sliding and then sticks."""
     stuck = at.stuck(holds, slides) if at.rigid else Stuck()
     torque = (Unknown(-holds, Shape.SIDE, slides / holds, MOSTLY),) if holds else ()
     return Share(torque=Around(0.0, torque), stuck=stuck)
@@ -81,7 +81,7 @@ class OfRotor(Friction):
     shaft = "rotor"
 
     def rests(self, at: AtRest) -> Share | str:
-        """A rotor stays where it sticks until the servo's integral has grown beyond."""
+        """A rotor sticks until the servo's integral exceeds its breakaway torque."""
         torque, at_link = at.ratio * at.torque.centre, 1.0 / abs(at.ratio)
         return Share(stuck=at.stuck(at_link * self.holds(torque), at_link * self.slides(torque)))
 

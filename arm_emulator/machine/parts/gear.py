@@ -1,4 +1,4 @@
-"""Gears between motor and link, eq. (2): what they have in common, and the rigid one."""
+"""Gears between motor and link, eq. (2): their base, and the rigid gear."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Gear(Part):
         return np.zeros_like(motion.t)
 
     def rests(self, at: AtRest) -> Share | str:
-        """The motor is ahead of its link by what the gear gives way."""
+        """The motor is ahead of its link by the wind-up."""
         centre, within = at.torque.centre, at.torque.within
         if not within:
             return Share(ahead=Around(self.wind_up(centre)))
@@ -42,7 +42,7 @@ class Gear(Part):
         return Share(ahead=replace(gives, centre=0.5 * (low + high)))
 
     def wind_up(self, torque: float) -> float:
-        """Return the angle by which the gear gives way at rest [rad], seen at the link."""
+        """Return the wind-up of the gear at rest [rad], at the link."""
         raise NotImplementedError
 
 

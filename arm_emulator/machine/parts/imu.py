@@ -25,7 +25,7 @@ _BIAS = {"at_least": -LARGEST_ERROR, "at_most": LARGEST_ERROR, "default": None}
 
 @dataclass(frozen=True, kw_only=True)
 class Axes(Converter):
-    """Three equal sensors along the axes of a unit's frame, but for their biases."""
+    """Three sensors along the axes of a unit's frame, equal except for their biases."""
 
     owners = "imus"
 
@@ -73,7 +73,7 @@ class Imu:
         joint: index of the joint that carries it.
         frame: its frame in that of the joint's link (core/mechanics/scene.hpp).
         delay: servo periods by which its readings come late.
-        accelerometer, gyroscope: what is wrong with them; None: nothing.
+        accelerometer, gyroscope: their errors; None: ideal.
     """
 
     outputs: ClassVar[tuple[Output, ...]] = (

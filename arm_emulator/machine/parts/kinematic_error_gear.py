@@ -1,4 +1,4 @@
-"""Gears whose teeth are not quite where they should be."""
+"""Gears with errors of their teeth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_s
 
 @dataclass(frozen=True, kw_only=True)
 class KinematicErrorGear(ElasticGear):
-    """An elastic gear whose twist has an error that goes with the angles of motor and link."""
+    """An elastic gear whose twist has an error that depends on both angles."""
 
     header = "kinematic_error.hpp"
     cxx = "KinematicErrorGear"
@@ -49,7 +49,7 @@ class KinematicErrorGear(ElasticGear):
                 raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
 
     def rests(self, at: AtRest) -> Share | str:
-        """The error is known as well as the angles are."""
+        """The error at the angles of rest, as far as these are known."""
         share = super().rests(at)
         if isinstance(share, str):
             return share

@@ -46,7 +46,7 @@ GEARS: tuple[type[Gear], ...] = (
 LINK_FRICTIONS: tuple[type[LinkFriction], ...] = (LinkLoadFriction, LinkStribeck, LinkFriction)
 ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck, RotorFriction)
 
-# Parts that stand in a section of their own, if there is one.
+# Parts with an optional section of their own.
 EXTRAS: tuple[type[Part], ...] = (
     Counterbalance,
     EndStops,
@@ -81,7 +81,7 @@ def read_motor(section: Section) -> Motor:
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
-    """Return what is around a motor, as its section describes it, innermost first."""
+    """Return the decorators of a motor's section, innermost first."""
     given = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
     return tuple(kind.of(motor).read(one) for kind, one in given if one is not None)
 

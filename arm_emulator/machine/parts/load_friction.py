@@ -15,7 +15,7 @@ from arm_emulator.machine.parts.stribeck import stribeck_torque
 
 @dataclass(frozen=True, kw_only=True)
 class LoadFriction(Friction):
-    """Beside friction of another kind, `load` times the gear's torque on that shaft."""
+    """Further friction: `load` times the gear's torque on that shaft."""
 
     header = "load_friction.hpp"
     cxx = "LoadFriction"

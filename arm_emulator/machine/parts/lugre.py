@@ -33,7 +33,7 @@ class LuGre(Part):
         g = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
         rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
         kept = np.exp(-np.gradient(motion.t) * rate)
-        # Bristles that slip at once end here.
+        # Limit for bristles that slip at once.
         end = np.sign(w) * g / self.bristle_stiffness
         step = np.where(rate > 0.0, (1.0 - kept) * end, 0.0)
         z = np.empty_like(w)
@@ -69,6 +69,6 @@ class RotorLuGre(LuGre):
     shaft = "rotor"
 
     def rests(self, at: AtRest) -> Share | str:
-        """The rotor stays where it sticks until the servo's integral has grown beyond."""
+        """The rotor sticks until the servo's integral exceeds its breakaway torque."""
         at_link = 1.0 / abs(at.ratio)
         return Share(stuck=at.stuck(at_link * self.breakaway, at_link * self.coulomb))

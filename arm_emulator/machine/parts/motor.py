@@ -115,15 +115,15 @@ class Motor(Part):
 
     @property
     def servo_data(self) -> ServoData | None:
-        """Return what a servo must know of it; None: our servo cannot drive it."""
+        """Return its data for a servo; None: our servo cannot drive it."""
         return None
 
     def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral takes up a constant torque."""
+        """The servo's integral compensates a constant torque."""
         return Share()
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:
-        """Return sizes of what the link feels of it through a gear, by what it is."""
+        """Return its largest torques at the link through a gear, by their causes."""
         raise NotImplementedError
 
     @property
@@ -132,7 +132,7 @@ class Motor(Part):
         raise NotImplementedError
 
     def largest_command(self, supply_voltage: float) -> float | None:
-        """Return what it can be commanded in either direction; None: anything.
+        """Return its largest command in either direction; None: unlimited.
 
         Args:
             supply_voltage: of the scene [V].

@@ -1,4 +1,4 @@
-"""Outputs of parts: each quantity declared once, by the part that has it.
+"""Outputs of parts: each quantity is declared once, by its part.
 
 Measurement, messages, FMU variables, registers, the comparison of recorded runs and Rerun's signals
 follow from these lists.

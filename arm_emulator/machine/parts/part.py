@@ -69,11 +69,11 @@ class Part:
 
     @property
     def sticks(self) -> bool:
-        """Whether a shaft at rest is held exactly, until the torque on it is large enough."""
+        """Whether it holds a shaft exactly at rest, up to a breakaway torque."""
         return False
 
     def rests(self, at: AtRest) -> Share | str:
-        """Return what this part leaves of a target at rest, or why that is not known.
+        """Return this part's contribution to the error at rest, or why it is unknown.
 
         It is asked twice: for its torque, and then, with all torques known, for the rest.
         """
@@ -108,13 +108,13 @@ class Part:
         return values
 
     def check(self, section: Section) -> None:
-        """Refuse numbers that do not go together."""
+        """Refuse inconsistent numbers."""
 
     def effort(self, motion: ShaftMotion) -> Array | None:
         """Return the torque (K,) that a motion of its shaft takes because of this part [N m].
 
-        So much more the motor must give. None: the motion alone does not determine it, and what
-        asks refuses the part.
+        The motor must supply it. None: the motion alone does not determine it; callers refuse the
+        part.
         """
         return None
 

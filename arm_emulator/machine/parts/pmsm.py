@@ -53,7 +53,7 @@ class Pmsm(Motor):
 
     @classmethod
     def sized(cls, rating: Rating) -> Self:
-        """As the motor of direct current at what an inverter makes of the same supply."""
+        """As a dc motor at the inverter's voltage."""
         flux = rating.back_emf_constant / AMPLITUDE / POLE_PAIRS
         resistance = 1.5 * rating.resistance / AMPLITUDE**2
         inductance = resistance * rating.inductance / rating.resistance
@@ -79,7 +79,7 @@ class Pmsm(Motor):
 
     @property
     def servo_data(self) -> ServoData:
-        """Across the flux it is a dc motor, but for products of currents and speed."""
+        """Across the flux it is a dc motor, without products of currents and speed."""
         return ServoData(
             torque_constant=1.5 * self.pole_pairs * self.flux,
             resistance=self.resistance,

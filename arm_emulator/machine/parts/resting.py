@@ -21,23 +21,23 @@ class Shape(enum.Enum):
     ANYWHERE = "anywhere"
     """All values are as likely."""
     ENDS = "ends"
-    """Often at either end, else anywhere."""
+    """Often at either end, else uniform."""
     SIDE = "side"
-    """Often at the end on the side that its joint comes from, else anywhere."""
+    """Often at the end on the side from which its joint comes, else uniform."""
     WAVE = "wave"
-    """The sine of an angle that may be any."""
+    """The sine of a uniform angle."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number of which no more is known, independent of all others but for its joint's side."""
+    """An unknown number, independent of all others except for its joint's side."""
 
     most: float
     shape: Shape = Shape.ANYWHERE
     end: float = 1.0
-    """From where on, by the largest, it is at an end."""
+    """Share of the largest value from which on it counts as an end."""
     often: float = 0.5
-    """In which part of all cases it is there."""
+    """Share of cases at an end."""
 
     def scaled(self, factor: float) -> Unknown:
         """Return it times a factor; a side changes with the sign."""
@@ -58,7 +58,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Around:
-    """A number that is the sum of one that is known and others that are not."""
+    """Sum of a known number and unknown ones."""
 
     centre: float = 0.0
     unknown: tuple[Unknown, ...] = ()
@@ -94,7 +94,7 @@ class Stuck:
 
 @dataclass(frozen=True)
 class AtRest:
-    """A joint that rests, as far as it is known before it has moved. Units: N m, rad; N, m."""
+    """A joint at rest, as far as it is known before the motion. Units: N m, rad; N, m."""
 
     q: float  # of the link
     theta: float  # of the motor [rad]
@@ -115,7 +115,7 @@ class AtRest:
         return ShaftMotion(still, np.array([self.q]), still, still, torque, torque, self.ratio)
 
     def stuck(self, holds: float, slides: float) -> Stuck:
-        """Return where a motor that sticks may stand off its target.
+        """Return the range in which a sticking motor may miss its target.
 
         While it slides, the servo's integral comes to what it feels, the sooner the longer its way
         is. Where it stops short, the integral has since grown by less than what holds it. Once it
@@ -139,9 +139,9 @@ class Share:
     torque: Around = Around()
     """On the link, beside weight: known, or whatever it takes within, as dry friction does."""
     ahead: Around = Around()
-    """By how much the servo takes the link to be ahead of where it is."""
+    """Servo's error of the link's position, > 0 if it assumes the link ahead."""
     stuck: Stuck = Stuck()
-    """By how much the servo may leave its target alone."""
+    """Range about the target in which the servo does not correct."""
     angle_noise: float = 0.0
     """Standard deviation of the motor's angle as measured in a servo period [rad]."""
     current_noise: float = 0.0
@@ -149,7 +149,7 @@ class Share:
 
 
 def waves_at(waves: Sequence[tuple[float, float, float]], angle: float, within: float) -> Around:
-    """Return the sum of waves (order, amplitude, phase) at an angle that is known within something.
+    """Return the sum of waves (order, amplitude, phase) at an uncertain angle.
 
     Where a wave may pass through a good part of its period, it may have any of its values.
     """

@@ -62,7 +62,7 @@ class JointSensors:
 
     @property
     def parts(self) -> dict[str, Part]:
-        """Those that are there, by their sections."""
+        """Those present, by their sections."""
         encoders = {"encoder": self.encoder, "link_encoder": self.link_encoder}
         there: dict[str, Part] = {name: one for name, one in encoders.items() if one is not None}
         return there | {one.section: one for one in self.analog}
@@ -74,7 +74,7 @@ class JointSensors:
 
     @property
     def plain(self) -> bool:
-        """Whether nothing but the motor's counts as they are is reported beside the truth."""
+        """Whether its only sensor is an exact encoder at the motor."""
         return not self.parts or (
             self.encoder is not None and self.parts.keys() == {"encoder"} and self.encoder.plain
         )

@@ -1,4 +1,4 @@
-"""A measured motion of one shaft, as parts are asked what torque it takes."""
+"""A measured motion of one shaft, for the torques of parts."""
 
 from __future__ import annotations
 

@@ -23,5 +23,5 @@ class Tachometer(AnalogSensor):
     )
 
     def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not look at it."""
+        """Our servo does not use it."""
         return Share()

@@ -24,5 +24,5 @@ class Thermometer(AnalogSensor):
     )  # fmt: skip
 
     def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not look at it."""
+        """Our servo does not use it."""
         return Share()

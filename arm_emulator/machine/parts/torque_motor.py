@@ -1,4 +1,4 @@
-"""Motors whose torque control is taken for granted."""
+"""Motors with ideal torque control."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from arm_emulator.machine.parts.resting import AtRest, Share
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueSensor(AnalogSensor):
-    """Of the torque that a joint's gear puts on its link."""
+    """Sensor of the torque of a joint's gear on its link."""
 
     section = "torque_sensor"
     unit = "N m"
@@ -23,5 +23,5 @@ class TorqueSensor(AnalogSensor):
     )  # fmt: skip
 
     def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not look at it."""
+        """Our servo does not use it."""
         return Share()

@@ -1,4 +1,4 @@
-"""Torques on a link that go with its angle as a table states."""
+"""Torques on a link as a table over its angle."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TORQUES = Number.within("torques", "N m", LARGEST)
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueTable(Part):
-    """A torque over the angle by its points, and a monotone cubic from each to the next."""
+    """A torque over the angle: points, joined by monotone cubics."""
 
     section = "torque_table"
     header = "torque_table.hpp"

@@ -1,4 +1,4 @@
-"""Waves that go with the angle of a shaft, as a scene lists them."""
+"""Waves over the angle of a shaft, as a scene lists them."""
 
 from __future__ import annotations
 

@@ -45,11 +45,11 @@ class Winding(Decorator):
     limit: float | None = number("limit", "degC", above=0.0, at_most=1000.0, default=None)
 
     def effort(self, motion: ShaftMotion) -> Array | None:
-        """None, unless magnets keep their strength; then heat changes the resistance alone."""
+        """Known only if the magnets are constant: then heat changes the resistance alone."""
         return None if self.magnet_coefficient else np.zeros_like(motion.t)
 
     def rests(self, at: AtRest) -> Share | str:
-        """A warm motor gives less torque for its current: the servo's integral asks for more."""
+        """The servo's integral compensates the lower torque of a warm motor."""
         return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
