@@ -16,10 +16,10 @@ from arm_emulator.machine.scene import Scene
 
 
 class Needless(Refusal):
-    """A command that is not taken, and need not be: nothing is wrong with it.
+    """A valid command that is not applied.
 
     Attributes:
-        kind: which one it is, in two or three words.
+        kind: in two or three words.
     """
 
     def __init__(self, kind: str, rule: str, got: str) -> None:

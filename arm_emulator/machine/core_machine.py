@@ -26,7 +26,7 @@ from arm_emulator.machine.varied import varied_number
 
 @dataclass(frozen=True)
 class Borrowed:
-    """A machine that belongs to somebody else, a `Fleet`."""
+    """A machine that belongs to a `Fleet`."""
 
     owner: Turns
     core: Library
@@ -229,7 +229,7 @@ class CoreMachine(Turns):
 
     @in_turn
     def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
-        """Return what each joint's drive is for small motions, base to tool.
+        """Return the linear part of each joint's drive, base to tool.
 
         Args:
             loaded: whether a tooth is in contact in gears with play.
@@ -241,7 +241,7 @@ class CoreMachine(Turns):
         return [LinearDrive.of(row, K) for row in numbers]
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
-        """Return why the core has refused a call."""
+        """Return the refusal of a call."""
         return refusal_of(self.core, self.machine, self.scene, where, otherwise)
 
     def _look(self, truth: CData) -> CData:

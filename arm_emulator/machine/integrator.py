@@ -42,7 +42,7 @@ class Integrator:
 
 
 def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
-    """Return what of an integrator does not go together: key, rule, value, what would be valid."""
+    """Return a conflict of an integrator's settings: key, rule, value, valid ones."""
     scheme = integrator.scheme
     if threads == 2 and scheme == "rosenbrock":
         rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
@@ -63,7 +63,7 @@ def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] |
 def dividing(servo_period: float, dt: float, where: str) -> float:
     """Return the step [s] of which whole steps make a servo period, for one that has few digits."""
     nanoseconds = servo_period * 1e9
-    # But for the rounding of a number that stands for whole nanoseconds.
+    # Up to the rounding of a number of whole nanoseconds.
     if abs(nanoseconds - round(nanoseconds)) > 4.0 * sys.float_info.epsilon * nanoseconds:
         nearest = f"{round(nanoseconds) * 1e-9:.10g} s, for example"
         rule = "be a whole number of nanoseconds"

@@ -64,7 +64,7 @@ class Joint:
         return next((part for part in self.parts if isinstance(part, kind)), None)
 
     def torque_driven(self) -> Joint:
-        """Return the joint with a motor that gives what torque it is commanded, all else kept.
+        """Return the joint with an ideal torque motor, all else unchanged.
 
         Parts between a voltage or a current and the torque of the windings are left out.
         """
@@ -108,7 +108,7 @@ class Joint:
         return self.motor.torque_per_command * self._of_motor_per_command / self.gear.ratio
 
     def largest_command(self, supply_voltage: float) -> float | None:
-        """Return what its drive can be commanded in either direction; None: anything.
+        """Return its drive's largest command in either direction; None: unlimited.
 
         Args:
             supply_voltage: of the scene [V].
@@ -205,7 +205,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
 
 
 def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
-    """Refuse a gear that makes of sound numbers unsound ones at the link."""
+    """Refuse a gear whose ratio makes numbers at the link too large or too small."""
     for what, value in motor.felt_at_link(ratio).items():
         if value > LARGEST:
             rule = f"make the {what} at the link at most {LARGEST:g}"

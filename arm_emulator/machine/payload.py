@@ -18,7 +18,7 @@ _INERTIA = Number.within("inertia", "kg m2", 1e6)
 
 @dataclass(frozen=True)
 class Load:
-    """A payload whose mass is varied: the link that carries it, and what it adds to that link."""
+    """A payload whose mass is varied: its link, and its share of the link's inertia."""
 
     link: int
     bare: Body  # the link without it

@@ -1,4 +1,4 @@
-"""The emulated machine as a plain object: commands in, states out. Knows nothing of ROS."""
+"""The emulated machine as a plain object: commands in, states out. Without ROS."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from arm_emulator.machine.scene import Scene, scene_of
 class Plant(CoreMachine):
     """Motors, gears and links of one scene, stepped by the compiled core.
 
-    `measured` is what its sensors give and a controller may know; `state`, `energy` and whatever
-    else is not measured is the truth, for judging. `copy.copy`, `copy.deepcopy` and `pickle` make
-    another machine in the same state. Threads may share a plant: their calls go one after the
-    other. A forked child has a plant of its own.
+    `measured` has the readings of the sensors, for controllers; `state`, `energy` and all else are
+    true values, for judging. `copy.copy`, `copy.deepcopy` and `pickle` make another machine in the
+    same state. Threads may share a plant: their calls go one after the other. A forked child has a
+    plant of its own.
 
     Attributes:
         scene: the machine.
@@ -118,7 +118,7 @@ class Plant(CoreMachine):
 
     @in_turn
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Put the machine at logical time 0, its motors along with the links.
+        """Set the machine to logical time 0, its motors to match the links.
 
         No current flows, and the gears carry no torque.
 
@@ -333,7 +333,7 @@ class Plant(CoreMachine):
 
     @in_turn
     def powers(self, command: Commands) -> EnergyFlow:
-        """Return what the joints are given and dissipate now, under commands (N,), in W.
+        """Return the powers supplied and dissipated now under commands (N,) [W].
 
         Raises:
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.

@@ -79,7 +79,7 @@ class Scene:
 
     @property
     def sensed(self) -> bool:
-        """Whether there are sensors that do not report what is there as it is."""
+        """Whether it has sensors with errors."""
         sensors = {one.section for one in SENSORS}
         spoiled = any(not sensors.isdisjoint(one.kind.sections) for one in self.faults)
         return bool(self.imus) or spoiled or not all(joint.sensors.plain for joint in self.joints)
@@ -114,7 +114,7 @@ class Scene:
         return np.array([joint.start for joint in self.joints])
 
     def wind_up(self, torques: Iterable[float]) -> Array:
-        """Return by how much the gears give way at rest under torques (N,), at the links (N,)."""
+        """Return the wind-up of the gears at rest under torques (N,), at the links (N,)."""
         pairs = zip(self.joints, torques, strict=True)
         return np.array([joint.gear.wind_up(torque) for joint, torque in pairs])
 

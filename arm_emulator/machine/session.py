@@ -1,4 +1,4 @@
-"""One run of the machine under command: ticks, answers, phases. Knows nothing of ROS.
+"""One run of the machine under command: ticks, answers, phases. Without ROS.
 
 A tick is the start of a servo period. The session publishes nothing. Where its owner lets time
 pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `wait` and `take`.
@@ -34,7 +34,7 @@ STARTS = ("free_run", "first_answer", "paused")
 
 
 class EndOfTime(RuntimeError):
-    """Logical time has come as far as the time stamps of messages go."""
+    """Logical time has reached the largest time stamp of messages."""
 
     def __init__(self) -> None:
         super().__init__("logical time ends at 2**31 s, the largest that a message can report")
@@ -80,7 +80,7 @@ class Session(Turns):
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
         self._held = False  # between two ticks,
-        self._goes_on = False  # after which a loop goes on where it was
+        self._goes_on = False  # after which a loop continues
         self._start = start
         self._answers = Answers(scene, self.lockstep)
         self.tick = -1
@@ -124,7 +124,7 @@ class Session(Turns):
 
     @in_turn
     def reset(self) -> None:
-        """Begin anew at tick 0, as after construction. Power stays as it is."""
+        """Restart at tick 0, as after construction. Power is unchanged."""
         with self.between_ticks():
             self.plant.reset()
             self._answers.begin(self.tick)
@@ -158,7 +158,7 @@ class Session(Turns):
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:
-        """Within, no time passes: the machine can be saved, and changed by hand.
+        """Context in which time stands still: the machine can be saved, and changed by hand.
 
         First take what a loop has reached. Afterwards it goes on as if it had not been stopped:
         periods that it has missed are counted.
@@ -260,7 +260,7 @@ class Session(Turns):
             self._take_machine()
 
     def _take_machine(self) -> None:
-        """Take over what became of the machine."""
+        """Take over the machine's new state."""
         self._powered = self.plant.powered
         self.fault = self.plant.diverged
         self._look()
@@ -403,7 +403,7 @@ class Session(Turns):
 
     @in_turn
     def close(self) -> None:
-        """Let the machine stand still for good."""
+        """Stop the machine for good."""
         self._clock.stop()
 
     def wait(self, timeout: float) -> bool:
@@ -412,7 +412,7 @@ class Session(Turns):
 
     @in_turn
     def take(self) -> bool:
-        """Go on to the next tick that a loop has reached; False after the last."""
+        """Take the next tick that a loop has reached; False after the last."""
         reached = self._clock.take()
         if reached is None:
             return False
