@@ -43,7 +43,7 @@ class Measure:
         quantity: for refusals.
 
     Raises:
-        Refusal: it is something else.
+        Refusal: an unknown form.
     """
 
     def __init__(self, text: str, known: list[str], where: str, quantity: str) -> None:
@@ -79,7 +79,7 @@ class Measure:
                     self._sums[place] += float((values * values).sum())
 
     def end(self) -> float:
-        """Return it for the run, which ends."""
+        """End the run and return its value."""
         found = self._found
         if self.kind in ("mean", "rms"):
             found = [one / self._count for one in self._sums]
@@ -88,7 +88,7 @@ class Measure:
 
 
 class Checked:
-    """A function of Python that judges a whole trace; what it returns is the robustness.
+    """A Python function that judges a whole trace and returns its robustness.
 
     Args:
         section: ``python: FILE:FUNCTION`` and ``signals``, the names that it gets.
@@ -128,7 +128,7 @@ class Checked:
         self._trace.append({name: signals[name] for name in (*self.names, "t")})
 
     def end(self) -> float:
-        """Return what the function finds."""
+        """Return the function's result."""
         names = self._trace[0]
         whole = {name: np.concatenate([one[name] for one in self._trace]) for name in names}
         return float(self._function(whole))
@@ -168,7 +168,7 @@ class _Formula:
 
 
 class Judges:
-    """All that judges a run.
+    """All judges of a run.
 
     Attributes:
         signals: that it needs.
@@ -213,7 +213,7 @@ class Judges:
             one.take(signals, count)
 
     def end(self, diverged: bool) -> tuple[dict[str, float], dict[str, float]]:
-        """Return robustness and measures of the run, which ends."""
+        """End the run; return robustness and measures."""
         if diverged:
             return dict.fromkeys(self._requirements, -math.inf), dict.fromkeys(
                 self._measures, math.nan

@@ -1,4 +1,4 @@
-"""Pictures of a campaign: margins of requirements, what moves them, and the runs side by side."""
+"""Pictures of a campaign: margins of requirements, influences on them, and all runs."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figur
 
 
 def png(figure: Figure) -> bytes:
-    """Return a figure as a PNG, and forget it."""
+    """Return a figure as a PNG, and close it."""
     from matplotlib import pyplot as plt
 
     stream = io.BytesIO()
@@ -58,10 +58,10 @@ def png(figure: Figure) -> bytes:
 
 
 def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, float]:
-    """Return what part of a column's spread each number that varies explains alone.
+    """Return the share of a column's variance that each varied number explains alone.
 
-    That is the correlation ratio of ranks over slices of the number with as many runs each, less
-    what chance explains: 0 without influence, 1 where nothing else matters.
+    It is the correlation ratio of ranks over slices of equally many runs, less the share of chance:
+    0 without influence, 1 if nothing else matters.
     """
     values = columns[of]
     sound = np.isfinite(values)
@@ -81,11 +81,11 @@ def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, fl
 
 
 def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
-    """Draw by how much each requirement holds or fails: a histogram each.
+    """Draw a histogram of each requirement's margin.
 
     Args:
         columns: of the results.
-        requirements: columns of robustness, and what to call each.
+        requirements: columns of robustness, and their titles.
     """
     count = len(requirements)
     across = min(3, count)
@@ -114,7 +114,7 @@ def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
 
 
 def influences(columns: Columns, varying: Sequence[str], requirements: Mapping[str, str]) -> Figure:
-    """Draw for each requirement what moves its margin, and the margin over the two strongest."""
+    """Draw the influences on each requirement's margin, and the margin over the two strongest."""
     count = len(requirements)
     figure, axes = _figure(10.2, 2.7 * count, count, 3)
     rng = np.random.default_rng(0)
@@ -155,7 +155,7 @@ def _cloud(axis: Axes, x: Array, y: Array) -> None:
 
 
 def coordinates(columns: Columns, varying: Sequence[str], failed: Array, least: Array) -> Figure:
-    """Draw runs as lines over all that varies, the failed ones above the others.
+    """Draw runs as lines over all varied numbers, the failed ones on top.
 
     Args:
         columns: of the results.
@@ -199,5 +199,5 @@ def _scaled(values: Array) -> Array:
 
 
 def short(name: str) -> str:
-    """Return a name without what all alike begin with."""
+    """Return a name without its common prefix."""
     return name.removeprefix("joints.").replace("controller.joints.", "").removeprefix("scenario.")

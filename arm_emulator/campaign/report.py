@@ -85,7 +85,7 @@ def _least(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.float6
 def _by_influence(
     columns: pictures.Columns, varying: Sequence[str], names: Sequence[str]
 ) -> list[str]:
-    """Return what varies, that which moves some margin most first."""
+    """Return the varied numbers, the strongest influence first."""
     strongest = dict.fromkeys(varying, 0.0)
     for of in names:
         for name, by in pictures.influence(columns, varying, of).items():

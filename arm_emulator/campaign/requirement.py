@@ -1,4 +1,4 @@
-"""A requirement over the signals of a run, compiled to a robustness that runs along with it."""
+"""A requirement over the signals of a run, compiled to a robustness computed during the run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HERE = Path(__file__).resolve().parent
 ROBUSTNESS = Header(HERE / "robustness.h")
 MOST_NODES = 10_000
 _FOREVER = ROBUSTNESS.constant("ROBUSTNESS_FOREVER")
-_ROUNDING = 1e-6  # of a period: a time that was written with a few digits is that of its sample
+_ROUNDING = 1e-6  # of a period: tolerance for times written with few digits
 _ARITHMETIC: dict[str, Callable[[Array, Array], Array]] = {
     "+": np.add,
     "-": np.subtract,
@@ -49,7 +49,7 @@ def _robustness() -> Library:
 
 
 def robustness_unit() -> Unit:
-    """Return what runs along with signals as what is compiled."""
+    """Return the sources of the robustness."""
     part = "robustness.c"
     source, about = f'#include "{part}"\n', "the robustness of requirements"
     return Unit("robustness", source, C_FLAGS, (HERE,), (ROBUSTNESS,), "campaign", about, part)
@@ -179,7 +179,7 @@ class Robustness:
             self._calls.robustness_delete(one)
 
     def feed(self, signals: Mapping[str, Array], count: int) -> None:
-        """Go on with so many samples of the signals (K,)."""
+        """Add samples of the signals (K,)."""
         atoms = np.empty((len(self.margins), count))
         for row, margin in zip(atoms, self.margins, strict=True):
             row[:] = value_of(margin, signals)
@@ -187,7 +187,7 @@ class Robustness:
             raise MemoryError("no memory for a requirement")
 
     def end(self) -> float:
-        """Return the robustness of the trace, and begin anew."""
+        """Return the robustness of the trace, and restart."""
         return float(self._calls.robustness_end(self._one))
 
     def _put(self, name: str, left: int, right: int = 0, begin: int = 0, end: int = 0) -> int:

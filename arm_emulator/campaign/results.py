@@ -1,7 +1,7 @@
-"""Results of a campaign: parts in a folder, each whole or not there.
+"""Results of a campaign: parts in a folder, each whole or absent.
 
-A part holds a row per run, its indices ascending. Which runs are done is what the parts list; how
-they are divided among parts means nothing, and leaves the digest as it is.
+A part holds a row per run, its indices ascending. The parts list the runs that are done; their
+division into parts has no meaning and does not affect the digest.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class Results:
 
     @property
     def parts(self) -> list[Path]:
-        """All parts, whole ones alone."""
+        """All whole parts."""
         return sorted((self.folder / PARTS).glob("[0-9]*.parquet"))
 
     def done(self) -> NDArray[np.int64]:
@@ -146,7 +146,7 @@ class Results:
 
 
 def digest_of(columns: dict[str, NDArray[Any]]) -> str:
-    """Return a hash of all rows, which the division into parts leaves as it is."""
+    """Return a hash of all rows, independent of their division into parts."""
     digest = hashlib.sha256()
     for name, values in columns.items():
         digest.update(f"{name}\0{len(values)}\0".encode())

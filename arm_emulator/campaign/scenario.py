@@ -1,4 +1,4 @@
-"""A scenario: how long a run lasts, where it starts, and where the arm is sent."""
+"""A scenario: duration, start and targets of a run."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ MOST_POINTS = 1000
 
 @dataclass(frozen=True)
 class Move:
-    """The tool is sent somewhere.
+    """A target of the tool.
 
     Attributes:
-        at: when [s].
+        at: time [s].
         way: "by" a displacement from where the tool started, "to" a point of the world, or
             "along" displacements, one after the other.
         points: (K, 3) [m].
@@ -45,7 +45,7 @@ class Scenario:
     """Events of a run, except faults.
 
     Attributes:
-        seconds: how long it lasts [s].
+        seconds: duration [s].
         start: joint positions at its start (N,) [rad or m].
         targets: joint targets, which go to the servo as they are; None: the motion controller
             leads the arm.
@@ -59,7 +59,7 @@ class Scenario:
 
 
 def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
-    """Return the scenario that a section states.
+    """Return the scenario of a section.
 
     Args:
         section: of the campaign's file.
@@ -67,7 +67,7 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
         folder: where files are that it names.
 
     Raises:
-        Refusal: a key or value that is not taken.
+        Refusal: an invalid key or value.
     """
     names = scene.joint_names
     seconds = section.number(SECONDS)
@@ -88,7 +88,7 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
 
 
 def _joints(section: Section, names: Sequence[str], q: Array) -> Array:
-    """Return joint positions, of which a section has some."""
+    """Return joint positions, some of which a section gives."""
     q = q.copy()
     for place, name in enumerate(names):
         if section.has(name):

@@ -1,4 +1,4 @@
-"""Signals of a run by name: what the machine is and measures, and what follows from it."""
+"""Signals of a run by name: true values, measurements, and quantities that follow."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from arm_emulator.machine.scene import Scene
 Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
-ROOM = 4096  # samples that are taken before requirements see them
+ROOM = 4096  # samples in a batch for requirements
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 TOOL = ("tool.x", "tool.y", "tool.z")
 
@@ -33,7 +33,7 @@ def _sampler() -> Library:
 
 
 def sampler_unit() -> Unit:
-    """Return what takes samples of a machine as what is compiled."""
+    """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
     return Unit("sampler", source, C_FLAGS, (HERE, BOUNDARY), (SAMPLER,), "campaign", about, part)
@@ -53,7 +53,7 @@ class Sampler:
 
     Args:
         plant: the machine.
-        names: of signals that are asked for.
+        names: of requested signals.
     """
 
     def __init__(self, plant: Plant, names: Iterable[str]) -> None:
@@ -111,12 +111,12 @@ class Sampler:
         plant.core.arm_listen(plant.machine, self._calls.sampler_take, self._sampler)
 
     def end(self) -> None:
-        """Take no more."""
+        """End sampling."""
         self._plant.core.arm_listen(self._plant.machine, NULL, NULL)
 
     @property
     def room(self) -> int:
-        """Samples that find room before `take`."""
+        """Room for samples before `take`."""
         return ROOM - int(self._sampler.taken)
 
     def take(self) -> tuple[dict[str, Array], int]:
@@ -149,7 +149,7 @@ class Sampler:
 
 
 def tool_positions(scene: Scene, q: Mapping[int, Array] | Array) -> Array:
-    """Return where the tool is in the world (3, K) [m], for joint positions (N, K) [rad or m]."""
+    """Return the tool's positions in the world (3, K) [m] for joint positions (N, K) [rad or m]."""
     chain = scene.chain
     joint, frame = chain.place_of(scene.tool)
     p = np.repeat(frame.p[:, None], len(q[0]), axis=1)

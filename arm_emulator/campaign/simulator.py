@@ -54,7 +54,7 @@ class Outcome:
 
 
 class Simulator:
-    """Simulates the runs of a campaign, with one machine that begins anew for each.
+    """Simulates the runs of a campaign, with one machine that is reset for each.
 
     Attributes:
         session: the machine.
@@ -65,7 +65,7 @@ class Simulator:
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
-        self._judges = Judges(campaign)  # first: what it refuses needs no compiler
+        self._judges = Judges(campaign)  # first, since its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
         self._run = self._coupled(scenario, servo)
@@ -74,7 +74,7 @@ class Simulator:
         self._sampler = Sampler(self.session.plant, self._judges.signals)
 
     def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
-        """Return machine and controller, as the scenario asks for."""
+        """Return machine and controller of the scenario."""
         if scenario.moves:
             return OfflineRun(self._scene, servo, self._campaign.motion)
         names = self._scene.joint_names
@@ -109,7 +109,7 @@ class Simulator:
         return Outcome(index, values, robustness, measures, diverged)
 
     def drive(self, index: int) -> Iterator[int]:
-        """Begin a run, and go on with it piece by piece, for whoever records the machine.
+        """Simulate a run piece by piece, for a recorder of the machine.
 
         Yields:
             Ticks that it has come, the first time 0.
@@ -121,7 +121,7 @@ class Simulator:
     # ------------------------------------------------------------------------------------- a run
 
     def _begin(self, index: int) -> dict[str, float]:
-        """Put machine and controller at the start of a run."""
+        """Set machine and controller to the start of a run."""
         campaign, session = self._campaign, self.session
         values = campaign.variation.values(index)
         try:
@@ -172,7 +172,7 @@ class Simulator:
                 run.instructor.add(at, Pose(points[0], R_WT))
 
     def _ordered(self, faults: Mapping[str, Fault]) -> list[tuple[int, Event]]:
-        """Return what happens by itself, with the ticks before which it does."""
+        """Return the events of the faults, with the ticks before which they happen."""
         period, session = self._scene.servo_period, self.session
         events: list[tuple[int, Event]] = []
         for fault in faults.values():
@@ -182,7 +182,7 @@ class Simulator:
         return sorted(events, key=lambda event: event[0])
 
     def _pieces(self) -> Iterator[int]:
-        """Go on to the end, piece by piece between events; yield ticks that it has come."""
+        """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
         last = max(1, ticks_of(self._scenario.seconds, self._scene.servo_period))
         events = self._events
@@ -220,7 +220,7 @@ class Simulator:
 
 
 def _halves(fault: Fault, session: Session) -> tuple[Event, Event]:
-    """Return how a fault begins, and how it ends then."""
+    """Return begin and end of a fault."""
     ends: list[Event] = []
 
     def begin() -> None:

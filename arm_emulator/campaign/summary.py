@@ -30,7 +30,7 @@ class Share:
         name: of the requirement.
         hits: runs in which it fails.
         share: of all runs.
-        low, high: between which the true share lies (Clopper and Pearson).
+        low, high: confidence interval of the share (Clopper and Pearson).
         worst: index of the run with the least robustness; -1: none.
         least: that robustness.
     """
@@ -46,7 +46,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Quantile:
-    """A quantile of a column, with the values between which the true one lies."""
+    """A quantile of a column, with its confidence interval."""
 
     column: str
     q: float
@@ -73,7 +73,7 @@ class Summary:
 
 
 def summary_of(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summary:
-    """Return what the rows of a campaign show."""
+    """Return the summary of a campaign's rows."""
     count, confidence = len(columns[INDEX]), campaign.stop.confidence
     shares = []
     for name in (*campaign.requirements, ANY):

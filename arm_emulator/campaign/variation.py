@@ -36,7 +36,7 @@ class Varying:
 
 @dataclass
 class Variation:
-    """All that varies.
+    """All varied numbers.
 
     Args:
         numbers: that vary, in a fixed order.
@@ -145,14 +145,14 @@ class Variation:
         return point
 
     def _of_all(self) -> np.random.Generator:
-        """Return the random numbers of what all runs share."""
+        """Return the random numbers that all runs share."""
         return np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
 
 
 def correlation_of(
     pairs: Sequence[tuple[Sequence[str], float]], numbers: Sequence[Varying], where: str
 ) -> Array | None:
-    """Return the correlation matrix of what varies; None: all are independent.
+    """Return the correlation matrix of the varied numbers; None: all are independent.
 
     Args:
         pairs: names of numbers, and the correlation of each with each.

@@ -87,7 +87,7 @@ def simulate(file: str, key: bytes, folder: str, first: int, end: int) -> Done:
 
 
 def end_with(parent: int) -> None:
-    """Have this process write what it has done and end when its parent ends or asks for it.
+    """End this process, with its results written, when its parent ends or requests it.
 
     Ctrl-C in a terminal reaches all processes of a group: the parent decides.
     """

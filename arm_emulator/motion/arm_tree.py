@@ -35,7 +35,7 @@ class ArmTree:
         gravity: acceleration of gravity along the world's axes (3,) [m/s2].
 
     Attributes:
-        trouble: why there are no masses, in words; empty: there are.
+        trouble: reason for which masses are missing; empty: they exist.
     """
 
     def __init__(
@@ -125,10 +125,10 @@ class ArmTree:
         """Return joint angles along poses of the tool, (1 + those that were reached, N).
 
         Args:
-            start: where the arm is (N,); the poses go on from there.
+            start: joint angles of the arm (N,), where the poses begin.
             p: positions (K, 3) [m].
             R: rotations (K, 3, 3).
-            goal: angles (N,) towards which joints go that the poses leave free; None: nowhere.
+            goal: angles (N,) of joints that the poses leave free; None: any.
             turns: whether the rotations are asked for.
         """
         q = np.empty((len(p) + 1, len(start)))

@@ -21,7 +21,7 @@ def solve_in_box(H: FloatArray, g: FloatArray, low: FloatArray, high: FloatArray
         high: upper bounds (N,), finite, none below its lower one.
 
     Raises:
-        ArithmeticError: numbers that the solver does not cope with.
+        ArithmeticError: the solver fails.
     """
     n = len(g)
     x, _, flag, _ = daqp.solve(
@@ -29,5 +29,5 @@ def solve_in_box(H: FloatArray, g: FloatArray, low: FloatArray, high: FloatArray
     )
     if flag != _FOUND:
         raise ArithmeticError(f"the quadratic program found no solution, exit flag {flag}")
-    # The solver's bounds hold but for its tolerance.
+    # The solver keeps bounds within its tolerance only.
     return np.clip(np.asarray(x, dtype=np.float64), low, high)

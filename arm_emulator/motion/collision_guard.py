@@ -1,4 +1,4 @@
-"""No motion of the joints from which they could not stop before two parts touch."""
+"""Guard against collisions: the joints can always stop before two parts touch."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _MOST = 2000  # configurations of a way
 
 
 class WouldTouch(Refusal):
-    """A motion on which parts would touch."""
+    """Raised for a motion on which parts would touch."""
 
 
 class CollisionGuard:
-    """Looks ahead of the reference.
+    """Tests the reference ahead.
 
     In each period it tests the way on which the joints would come to rest if they braked after it.
     When parts touch there they brake now, on the way that the period before has tested. So they
@@ -47,7 +47,7 @@ class CollisionGuard:
         self.collisions = Collisions(
             kinematics.urdf_xml, kinematics.joint_names, config.obstacles, config.collision_margin
         )
-        self._rested: FloatArray | None = None  # where nothing touches, at rest
+        self._rested: FloatArray | None = None  # a state at rest without contact
 
     def ahead(self, joints: SmoothJoints, now: FloatArray, then: Reference) -> str:
         """Return which parts touch where the joints stop if they brake from `then` on; empty: none.
@@ -71,7 +71,7 @@ class CollisionGuard:
             duration: of the way [s].
         """
         time, q = 0.0, at(0.0)
-        begin = q  # parts that touch there may be led away: `ahead` watches them
+        begin = q  # parts that touch there may move apart: `ahead` watches them
         step = max(duration / 20.0, 1e-6)
         for _ in range(_MOST):
             if time >= duration:
@@ -111,7 +111,7 @@ class CollisionGuard:
         raise WouldTouch(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
 
     def _step(self, way: FloatArray) -> int:
-        """Return in how many pieces a way of the joints (N,) is tested."""
+        """Return the number of pieces in which a way of the joints (N,) is tested."""
         return max(1, math.ceil(self._parts(way)))
 
     def _parts(self, way: FloatArray) -> float:

@@ -24,7 +24,7 @@ from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.obstacles import Obstacle
 
 _DRAWN = 100  # configurations
-_ALWAYS = 0.95  # part of them: two parts that touch in more belong together
+_ALWAYS = 0.95  # share of them above which two touching parts count as joined
 _FAR = 1e3  # m
 
 
@@ -150,7 +150,7 @@ class Collisions:
                     self._shapes.addCollisionPair(pin.CollisionPair(i, k))
 
     def _leave_out(self, margin: float, own: int, joints: Sequence[Any]) -> None:
-        """Leave out pairs of the arm's own parts that touch where nothing is wrong."""
+        """Leave out pairs of the arm's own parts that touch in valid poses."""
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._upper(joint), np.pi) for joint in joints])
         low, high = self._shafts.positions(low, high)
@@ -195,7 +195,7 @@ def _hull(shape: Any) -> Any:
 
 def _solid(obstacle: Obstacle) -> Any:
     if obstacle.height is not None:
-        # A box as deep as wide: a half space is not taken by all pairs of shapes.
+        # A box as deep as wide: not all pairs of shapes support a half space.
         shape, at = coal.Box(2.0 * _FAR, 2.0 * _FAR, _FAR), [0.0, 0.0, obstacle.height - 0.5 * _FAR]
     else:
         shape, at = coal.Box(*obstacle.size), list(obstacle.at)
@@ -204,7 +204,7 @@ def _solid(obstacle: Obstacle) -> Any:
 
 
 def _package_folders() -> list[str]:
-    """Return where packages of meshes lie: as ROS finds them, and beside Pinocchio."""
+    """Return the folders of packages with meshes: those of ROS, and beside Pinocchio."""
     found = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         found.append(str(Path(prefix) / "share"))

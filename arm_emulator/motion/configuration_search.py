@@ -1,4 +1,4 @@
-"""Whether another configuration of the arm reaches a target that this one does not."""
+"""Search for another configuration of the arm that reaches a target."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ConfigurationSearch:
 
     @property
     def over(self) -> bool:
-        """Whether all has been tried."""
+        """Whether all angles have been tried."""
         return not self._starts
 
     def search(self, steps: int) -> FloatArray | None:
@@ -80,7 +80,8 @@ class ConfigurationSearch:
         turns = np.where(q >= kinematics.upper, -2.0 * math.pi, 0.0)
         turns[q <= kinematics.lower] = 2.0 * math.pi
         turns[kinematics.joint_scale != 1.0] = 0.0
-        # From the other end of its range a joint can go on, even if that is short of a turn.
+        # From the other end of its range a joint can continue, even if that is less than a turn
+        # away.
         back = np.minimum(np.maximum(q + turns, kinematics.lower), kinematics.upper)
         joints = np.flatnonzero(turns)
         alone = [np.where(np.arange(len(q)) == j, back, q) for j in joints]

@@ -25,8 +25,8 @@ class Controller(Protocol):
     Attributes:
         kinematics: of the arm.
         error: tool error that the last `update` found, (rows,) [m, rad]; NaN before any.
-        notices: what limited the last `update`, in words; empty: nothing did.
-        way: which way leads to the target, and why that one, in words; empty: not known.
+        notices: limits of the last `update`, as text; empty: none.
+        way: kind of the way to the target and its reason, as text; empty: unknown.
     """
 
     kinematics: Kinematics
@@ -40,27 +40,27 @@ class Controller(Protocol):
 
     @property
     def resting(self) -> bool:
-        """Whether nothing more is to be expected of the law, but for the machine to follow."""
+        """Whether the law has ended, so that only the machine has to follow."""
 
     @property
     def searching(self) -> bool:
-        """Whether it still looks for a way to a target that it has not reached."""
+        """Whether it still searches a way to its target."""
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
         """Begin at joint angles q (N,), with joint speeds v (N,); None: at rest."""
 
     def begin_moving(self, now: Reference) -> None:
-        """Begin with the joints as they are commanded to move."""
+        """Begin with the joints' commanded motion."""
 
     def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
         """Return the joint targets of this motion period, from the measured joint angles (N,)."""
 
     def retune(self, config: MotionConfig) -> None:
-        """Go on with other parameters."""
+        """Continue with other parameters."""
 
 
 def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConfig) -> Controller:
-    """Return the control law that a configuration asks for.
+    """Return the control law of a configuration.
 
     Raises:
         Refusal: a description, name or value that is not taken.
@@ -71,7 +71,7 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
             known = ", ".join(kinematics.joint_names)
             raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, known)
     if config.watches_collisions:
-        CollisionGuard(kinematics, config)  # which refuses shapes that cannot be read
+        CollisionGuard(kinematics, config)  # refuses shapes that cannot be read
     if config.method_for(len(kinematics.joint_names)) == "way":
         return WayController(kinematics, config)
     return JacobianController(kinematics, config.weight, config.step_limit, config.singular_below)

@@ -27,7 +27,7 @@ from arm_emulator.motion.link_torques import LinkTorques
 
 FloatArray = npt.NDArray[np.float64]
 
-# Coulomb's friction grows from 0 over such a part of the speed limit: no step where a link starts.
+# Share of the speed limit over which Coulomb friction grows from 0, without a step at the start.
 SMOOTH = 2e-3
 _UNKNOWN_LIMIT = 1.0  # rad/s or m/s, where a joint has no limit of speed
 
@@ -69,7 +69,7 @@ class ElasticArm:
         self._smooth = SMOOTH * limit
 
     def at(self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray) -> Drive:
-        """Return how the motors move when the links move so, (N,) each [rad, s]."""
+        """Return the motors' motion for a motion of the links, (N,) each [rad, s]."""
         torque, rate = self._links.rates(q, v, a, jerk)
         friction, slope = self._friction(self._of_link, v)
         torque, rate = torque + friction, rate + slope * a
@@ -78,7 +78,7 @@ class ElasticArm:
         return Drive(q + wound, v + rate * self._slope(wound), torque, rate)
 
     def over(self, begins: Drive, ends: Drive, period: float) -> FloatArray:
-        """Return the mean torques that gears and rotors' friction take in a period, (N,) [N m].
+        """Return the mean torques of gears and rotors' friction in a period, (N,) [N m].
 
         The gears' part is the integral of the cubic through torques and rates at both ends.
         """
@@ -92,7 +92,7 @@ class ElasticArm:
         return self._links.at(q, np.zeros_like(q))
 
     def wind_up(self, torque: FloatArray) -> FloatArray:
-        """Return by how much the gears give way under torques at rest, (N,) [rad]."""
+        """Return the wind-up of the gears under torques at rest, (N,) [rad]."""
         linear = torque * self._softness
         cubic = self._cubic * self._softness
         bent = cubic > 0.0
@@ -109,7 +109,7 @@ class ElasticArm:
     def _friction(
         self, law: tuple[FloatArray, FloatArray], v: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return friction at speeds v (N,), and how it changes with them."""
+        """Return friction at speeds v (N,), and its derivative."""
         viscous, coulomb = law
         root = np.hypot(v, self._smooth)
         return viscous * v + coulomb * v / root, viscous + coulomb * self._smooth**2 / root**3

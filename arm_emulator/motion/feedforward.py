@@ -15,12 +15,12 @@ from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
 
-_TIMES = 4  # each leaves some thousandth of what the last has left
+_TIMES = 4  # each reduces the error to about a thousandth
 _APART = 1e-9  # rad or m: rounding of angles that go on from one period to the next
 
 
 class Feedforward:
-    """Makes the servo's targets of the links' motion.
+    """Computes the servo's targets from the links' motion.
 
     With `full` these are the angles and speeds of the motors at which the links move as they shall
     (`ElasticArm`). What is measured, the motors' angles, is not where the links are then: `links`
@@ -58,24 +58,24 @@ class Feedforward:
             self._arm = ElasticArm(self._torques, drives, kinematics.velocity_limit)
 
     def links(self, q: FloatArray) -> FloatArray:
-        """Return where the links are when the motors are measured at q (N,) [rad]."""
+        """Return the links' angles for measured motors at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
-            for _ in range(_TIMES):  # the weight is that of the links where they are
+            for _ in range(_TIMES):  # the weight is that at the links' true angles
                 self.wound = self._arm.wind_up(self._arm.weight(q - self.wound))
         return q - self.wound
 
     def standing(self, q: FloatArray) -> FloatArray:
-        """Return where the links are if they are at rest, not at q as commanded, (N,) [rad]."""
+        """Return the links' angles at rest for commanded angles q, (N,) [rad]."""
         measured = q + self.wound
         self.forget()
         return self.links(measured)
 
     def forget(self) -> None:
-        """Let the next motion begin anew."""
+        """Reset for the next motion."""
         self._before = None
 
     def complete(self, instruction: Instruction) -> Instruction:
-        """Return what the servo gets in this motion period."""
+        """Return the servo's targets for this motion period."""
         if self.gives == "none":
             return Instruction(instruction.q)
         if self._arm is not None:
@@ -105,7 +105,7 @@ class Feedforward:
 
 @dataclass(frozen=True, eq=False)
 class _Period:
-    """A motion period that was commanded."""
+    """A commanded motion period."""
 
     now: Reference
     mean: FloatArray

@@ -1,4 +1,4 @@
-"""Goals of the action FollowJointTrajectory: what they allow, and how they end."""
+"""Goals of the action FollowJointTrajectory: their tolerances and results."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _NANOSECONDS = 1e9
 
 
 def tolerances_of(goal: Any, names: Sequence[str], default: Tolerances) -> Tolerances:
-    """Return what a goal allows.
+    """Return the tolerances of a goal.
 
-    Accelerations are not measured, so what a goal asks of them is left aside.
+    Accelerations are not measured, so their tolerances are ignored.
 
     Args:
         goal: control_msgs/action/FollowJointTrajectory.Goal.
@@ -47,7 +47,7 @@ def tolerances_of(goal: Any, names: Sequence[str], default: Tolerances) -> Toler
 
 
 def result_of(report: MotionReport) -> tuple[int, str]:
-    """Return error code and words for the last word about a goal."""
+    """Return error code and text for the final report of a goal."""
     if report.state is State.REACHED:
         return SUCCESSFUL, "reached"
     words = f"{report.state.name.lower()}: {report.reason}"

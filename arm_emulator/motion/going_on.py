@@ -1,4 +1,4 @@
-"""A motion that was interrupted by a standstill, and goes on."""
+"""A motion that continues after a standstill."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from arm_emulator.motion.take_over import Rest
 from arm_emulator.motion.way import Way, WayLimits
 from arm_emulator.motion.way_controller import Motion
 
-_SLID = 0.5  # s of the motion in which the place nearest to the arm is looked for
+_SLID = 0.5  # s of the motion in which the place nearest to the arm is searched
 _LOOKS = 100
 _PACE = 0.95  # of the motion's own: what is left of its limits is for taking up the pace
 _SHORTEST, _LONGEST = 0.05, 1e3  # s, in which the pace is taken up
@@ -18,12 +18,12 @@ _ROUNDING = 1e-6  # of a limit
 
 
 class GoingOn:
-    """Back to the way of a motion along the joints' line, and on along it from rest.
+    """Returns to the way of a motion along the joints' line, and continues along it from rest.
 
     Args:
         motion: that was interrupted.
-        since: how far it was [s].
-        now: where the joints rest.
+        since: time within it at the interruption [s].
+        now: joints at rest.
         limits: of the joints.
 
     Attributes:
@@ -45,7 +45,7 @@ class GoingOn:
         self.duration = self._back.duration + self._takes()
 
     def place(self, time: float) -> float:
-        """Return how far the motion is after a time [s]."""
+        """Return the time within the motion after a time [s]."""
         return self._pace(max(0.0, time - self._back.duration))[0]
 
     def at(self, time: float) -> Reference:
@@ -84,7 +84,7 @@ class GoingOn:
         return True
 
     def _takes(self) -> float:
-        """Return how long it takes along the way [s]."""
+        """Return its duration along the way [s]."""
         left, T = self._end - self._since, self._ramp
         if left >= 0.5 * _PACE * T:
             return left / _PACE + 0.5 * T

@@ -21,7 +21,7 @@ class Instruction:
     v: FloatArray | None = None
     """Link speeds that belong to them, those of the coming motion period; None: not known."""
     tau: FloatArray | None = None
-    """Link torques known beforehand, of gravity [N m or N]; None: not known."""
+    """Feed-forward torques of the links [N m or N]; None: unknown."""
     now: Reference | None = None
     """The motion at this moment with all its derivatives, of which `v` is the mean; None: the law
     knows no more than the above."""

@@ -49,12 +49,12 @@ class _Taken:
 
     order: Order
     number: int
-    """Among those of its kind; 0: one of our own, of which nothing is published."""
+    """Number among those of its kind; 0: an internal one, without reports."""
     begins_ns: int = 0
     """Logical time at which it begins at the earliest."""
     state: State = State.ACCEPTED
     way: str = ""
-    """That was published last."""
+    """Newest published report."""
 
 
 class Instructor:
@@ -88,7 +88,7 @@ class Instructor:
         self.start_over()
 
     def start_over(self, reason: str = "the motion controller was reset") -> None:
-        """Forget all that was asked for, and where the arm stood."""
+        """Forget all orders, and the arm's position."""
         for taken in [self._active, *(taken for _, taken in self._coming)]:
             if taken is not None:
                 self._report(taken, Progress(State.ABORTED, reason))
@@ -103,14 +103,14 @@ class Instructor:
             self._laws.feedforward.forget()
 
     def retune(self, config: MotionConfig) -> None:
-        """Go on with other parameters; a path that has begun keeps its speed."""
+        """Continue with other parameters; a path that has begun keeps its speed."""
         self._config = config
         if self._laws is not None:
             self._laws.retune(config)
 
     @property
     def holding(self) -> bool:
-        """Whether nothing but the angles at first holds yet."""
+        """Whether only the initial angles hold yet."""
         return self._active is None
 
     @property
@@ -122,12 +122,12 @@ class Instructor:
 
     @property
     def wound(self) -> FloatArray:
-        """By how much the gears are taken to be wound up in the newest targets (N,) [rad]."""
+        """Assumed wind-up of the gears in the newest targets (N,) [rad]."""
         return np.zeros(0) if self._laws is None else self._laws.feedforward.wound
 
     @property
     def torques_unknown(self) -> str:
-        """Why no torques are given though they were asked for; empty: they are, or were not."""
+        """Reason for which requested torques are missing; empty: none are missing."""
         return "" if self._laws is None else self._laws.feedforward.trouble
 
     def add(self, time_ns: int, target: Pose) -> None:
@@ -198,7 +198,7 @@ class Instructor:
         def order() -> Order:
             kinematics, config = _known(controller, "tool_path"), self._config
             turning = kinematics.turns_tool
-            # A free orientation must not take time either.
+            # A free orientation must not take time.
             level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
             path = ToolPath(
                 level, tool_limits(config), stamp_ns, times_ns, config.path_arcs, config.path_blend
@@ -228,7 +228,7 @@ class Instructor:
         return active.order if active and jogs and isinstance(active.order, JogOrder) else None
 
     def cancel(self, number: int) -> None:
-        """Give up a joint trajectory by its number: the joints come to rest if it moves them."""
+        """Abort a joint trajectory by its number: the joints come to rest if it moves them."""
         for i, (_, taken) in enumerate(self._coming):
             if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
                 del self._coming[i]
@@ -263,7 +263,7 @@ class Instructor:
         _Q.check("motion_controller", q.tolist())
         laws = self._laws_of(controller)
         if movable is not None and not movable.all():
-            laws.feedforward.forget()  # the joints are where they are measured, whatever was asked
+            laws.feedforward.forget()  # the measured positions hold, whatever was commanded
         measured, q = q, laws.feedforward.links(q)
         try:
             self._wait(laws, time_ns, q, movable)
@@ -280,8 +280,8 @@ class Instructor:
             if instruction.tau is not None:
                 _TAU.check("motion_controller", instruction.tau.tolist())
         except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
-            # q is within its bound and what was asked for was checked when it came. What remains
-            # is this object's state, or a robot description that cannot be computed with.
+            # q is within its bound and orders were checked on arrival. The cause is this object's
+            # state, or a robot description with impossible numbers.
             self.restarts += 1
             self.trouble = str(error)
             self.start_over(self.trouble)
@@ -296,7 +296,7 @@ class Instructor:
         return "" if self._standing is None else self._standing.words
 
     def _wait(self, laws: Laws, time_ns: int, q: FloatArray, movable: Flags | None) -> None:
-        """Stand still from when joints cannot move until all of them can, and rest."""
+        """Stand still while a joint cannot move, and until all rest."""
         if self._standing is None:
             if movable is not None and not movable.all():
                 self._standing = Standstill(laws, self._reference(laws, time_ns, q))
@@ -346,8 +346,8 @@ class Instructor:
         return taken.number
 
     def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
-        """Let what waited for its time hold from now on."""
-        if self._now_ns is None:  # what came before the first joint states
+        """Start the orders whose time has come."""
+        if self._now_ns is None:  # orders from before the first joint states
             self._refuse_long_waits(time_ns)
         self._now_ns = time_ns
         while self._coming and self._coming[0][0] <= time_ns:
@@ -410,7 +410,7 @@ class Instructor:
     def _guarded(
         self, laws: Laws, time_ns: int, q: FloatArray, instruction: Instruction
     ) -> Instruction:
-        """Return an instruction after which the arm can stop before its parts touch something."""
+        """Return an instruction after which the arm can stop before a collision."""
         guard, taken = laws.guard, self._active
         if guard is None or taken is None or isinstance(taken.order, JogOrder):
             return instruction  # jogs look ahead by themselves
@@ -422,7 +422,7 @@ class Instructor:
         return self._halt(laws, time_ns, now, why)
 
     def _halt(self, laws: Laws, time_ns: int, now: Reference, why: Progress) -> Instruction:
-        """Give up what was asked for, and come to rest from the commanded motion."""
+        """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
             self._report(self._active, why)
         stop = JogOrder.stop(time_ns, len(now.q))
@@ -431,7 +431,7 @@ class Instructor:
         return stop.instruct(laws, time_ns, now.q)
 
     def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
-        """Bring the joints to rest from how they really move."""
+        """Bring the joints to rest from their measured motion."""
         stop = _stop(laws)
         still = np.zeros_like(q)
         q = laws.feedforward.standing(q)
@@ -440,7 +440,7 @@ class Instructor:
         return stop.instruct(laws, time_ns, q)
 
     def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
-        """Return how the joints are commanded to move now, or where they are if that is far off."""
+        """Return the joints' commanded motion, or the measured one if they are far apart."""
         if self._standing is not None:
             return self._standing.reference
         still = np.zeros_like(q)

@@ -72,24 +72,24 @@ class JacobianController:
         self.searching = False
         """Eq. (6) has one way only."""
         self.way = ""
-        """Eq. (6) knows where to, not which way."""
+        """Eq. (6) does not plan a way."""
         self.coming: Reference | None = None
-        """Eq. (6) knows no speed."""
+        """Eq. (6) gives no speeds."""
         self.resting = True
-        """Each answer of eq. (6) is where the arm shall rest."""
+        """Each answer of eq. (6) is a position of rest."""
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last `update` found, (rows,) [m, rad]; NaN before any."""
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
-        """Begin at joint angles q (N,): eq. (6) remembers nothing."""
+        """Begin at joint angles q (N,): eq. (6) has no state."""
         self.kinematics.vector(q)
 
     def begin_moving(self, now: Reference) -> None:
-        """Begin with the joints as they are commanded to move."""
+        """Begin with the joints' commanded motion."""
         self.begin(now.q)
 
     def retune(self, config: MotionConfig) -> None:
-        """Go on with other parameters."""
+        """Continue with other parameters."""
         self.weight = config.weight
         self.step_limit = config.step_limit
         self.singular_below = config.singular_below
@@ -110,7 +110,7 @@ class JacobianController:
                 from. Nothing has changed then.
         """
         q = self.kinematics.vector(q)
-        with np.errstate(all="ignore"):  # what came of it is checked
+        with np.errstate(all="ignore"):  # the result is checked
             try:
                 q_target, error, notices = self._step(q, target)
             except np.linalg.LinAlgError:  # the Jacobian is not finite
@@ -121,7 +121,7 @@ class JacobianController:
         return Instruction(q_target)
 
     def _step(self, q: FloatArray, target: Pose) -> tuple[FloatArray, FloatArray, list[str]]:
-        """Return q_target, the tool's error, and what limited the step in words."""
+        """Return q_target, the tool's error, and limits of the step as text."""
         error = self.kinematics.tool_error(q, target)
         scale = self.kinematics.scale
         J = self.kinematics.jacobian(q) * scale[:, None]

@@ -1,4 +1,4 @@
-"""Jog commands: speeds of the tool or of joints, and what slows them down.
+"""Jog commands: speeds of the tool or of joints, and their limits.
 
 Names, units and codes are those of MoveIt Servo. A twist becomes joint speeds by the singular
 values s_i of the scaled Jacobian, with its directions u_i in the task and v_i in the joints:
@@ -44,7 +44,7 @@ class JogStatus(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """The same for people."""
+        """The same as text."""
         return self.name.lower().replace("_", " ").replace("decelerate", "slower")
 
 
@@ -94,7 +94,7 @@ def joint_command(
     kinematics: Kinematics,
     config: MotionConfig,
 ) -> JogCommand:
-    """Return a command for joints in rad/s or m/s; joints without one stand.
+    """Return a command for joints in rad/s or m/s; joints without one rest.
 
     Raises:
         Refusal: unknown or repeated joints, another number of speeds, or not finite ones.
@@ -119,7 +119,7 @@ def _at_most(part: FloatArray, size: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Speeds:
-    """Joint speeds wanted, and what of them is left."""
+    """Joint speeds requested, and their permitted share."""
 
     v: FloatArray
     """(N,) [rad/s or m/s]."""

@@ -1,4 +1,4 @@
-"""The arm moves as somebody with a lever wants it to, until no command comes any more."""
+"""Motion by jog commands, until no more arrive."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from arm_emulator.motion.reference import Reference
 
 
 class JogOrder:
-    """Follows the newest jog command; comes to rest when that is too old.
+    """Follows the newest jog command, and comes to rest when it is too old.
 
     Attributes:
-        status: what limits the motion.
-        words: the same in words.
+        status: limit of the motion.
+        words: the same as text.
     """
 
     kind = Kind.JOG
@@ -34,7 +34,7 @@ class JogOrder:
         return cls(JogCommand(now_ns, None, False, np.zeros(joints)))
 
     def take(self, command: JogCommand) -> None:
-        """Follow another command from now on."""
+        """Follow another command."""
         self._command = command
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
@@ -85,7 +85,7 @@ class JogOrder:
         return speeds_of_twist(kinematics, coming, twist, laws.config)
 
     def _bounded(self, laws: Laws, command: JogCommand, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the speeds that the limits allow: a tool keeps its direction, joints go alone."""
+        """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""
         allowed = self._joints.allowed(q, v)
         held = [laws.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)]
         if held:

@@ -1,4 +1,4 @@
-"""Curves of the joints: where they go, without when."""
+"""Curves of the joints, without time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint angles that bring the tool to its target, or nearest to it."""
+"""Joint angles that bring the tool to its target, or as near as possible."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MOST_DAMPING = 1e9
 
 
 class JointGoal:
-    """Steps from where the arm is to the joint angles of its tool's target.
+    """Iteration from the arm's joint angles to those of its tool's target.
 
     A step D of the joints minimises, within the position limits,
 
@@ -85,7 +85,7 @@ class JointGoal:
 
     @property
     def posture(self) -> FloatArray:
-        """The angles that redundant joints come back to (N,)."""
+        """The posture of redundant joints (N,)."""
         return self._posture * self.kinematics.joint_scale
 
     @property
@@ -129,7 +129,7 @@ class JointGoal:
         self._reached = self._x
 
     def approach(self, steps: int) -> None:
-        """Take so many steps at most."""
+        """Take at most this many steps."""
         for _ in range(steps):
             if self.settled:
                 return
@@ -140,7 +140,7 @@ class JointGoal:
         size = _size(e)
         self._steps += 1
         away = self._posture - self._x
-        if self._steps > _POSTURE_STEPS:  # limits that come and go could keep it moving for ever
+        if self._steps > _POSTURE_STEPS:  # alternating limits could prevent an end
             away = np.zeros(len(away))
         free = _Free(J, e, away, size, self._damping)
         step = free.step
@@ -180,7 +180,7 @@ class JointGoal:
             self.settled = not self._probe(J)
 
     def _no_progress(self, size: float) -> bool:
-        """Whether the steps of a while have made the tool error hardly smaller."""
+        """Whether recent steps have hardly reduced the tool error."""
         if self._steps % _WHILE != 0:
             return False
         if size <= _LEEWAY and self._steps <= _POSTURE_STEPS:
@@ -259,7 +259,7 @@ class _Free:
 
     @property
     def H(self) -> FloatArray:
-        # Better conditioned than the step itself: a solver shall cope with it.
+        # Better conditioned than the step itself, for the solver.
         return (self._V * np.maximum(self._stiffness, 1e-8)) @ self._V.T
 
     @property

@@ -55,7 +55,7 @@ class JointLimits:
     acceleration: FloatArray
     """Used to come to rest [rad/s2], > 0."""
     continuous: npt.NDArray[np.bool_]
-    """Whether the joint is the same again after a turn."""
+    """Whether the joint repeats after a turn."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def come_to_rest(
 
 
 class JointTrajectory:
-    """A trajectory that was checked: every number in it, at the door, once.
+    """A checked trajectory.
 
     Args:
         joint_names: all joints of the arm, (N,).
@@ -179,7 +179,7 @@ class JointTrajectory:
         return not self.times_ns
 
     def end_ns(self, start_ns: int) -> int:
-        """Return when it ends [ns] if it starts then."""
+        """Return its end [ns] for a start."""
         return start_ns + (self.times_ns[-1] if self.times_ns else 0)
 
     def begin(

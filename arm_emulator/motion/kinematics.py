@@ -28,7 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _Q = POSITION.named("q")
 _REACH = TOOL_POSITION.named("the length of the arm")
-_TARGET_ROTATION = Number.within("the rotation", "", 1.001)  # no entry is larger, but for rounding
+_TARGET_ROTATION = Number.within("the rotation", "", 1.001)  # no entry is larger, up to rounding
 
 POSITION_ROWS = 3
 POSE_ROWS = 6
@@ -99,7 +99,7 @@ class Kinematics:
         moved = [rates[name] for name in self.shafts.joints]
         self.velocity_limit = self.shafts.most(np.array([one.velocity for one in moved]))
         self.acceleration_limit = self.shafts.most(np.array([one.acceleration for one in moved]))
-        # Limit of a drive: a torque of its shaft, whichever joints that moves.
+        # Limit of a drive: a torque of its shaft, whichever joints it moves.
         self.effort_limit = np.array([rates[name].effort for name in self.joint_names])
         self.reach = self._reach()
         _REACH.check("robot_description", [self.reach])
@@ -114,7 +114,7 @@ class Kinematics:
         self.joint_scale = np.where(slides, self.reach, 1.0)
 
     def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return where the tool is: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
+        """Return the tool's pose: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
         placement = self._data.oMf[self._frame]
         return placement.rotation.copy(), placement.translation.copy()
@@ -128,7 +128,7 @@ class Kinematics:
         return self._tool_error(*self.forward(q), target)
 
     def error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[FloatArray, FloatArray]:
-        """Return `tool_error` and `jacobian` at the price of one of them."""
+        """Return `tool_error` and `jacobian` at the cost of one of them."""
         J = self._jacobian(self._configuration(q))
         placement = pin.updateFramePlacement(self.model, self._data, self._frame)
         return self._tool_error(placement.rotation, placement.translation, target), J
@@ -215,7 +215,7 @@ def _slides(joint: Any) -> bool:
 def moving_joints(urdf_xml: str) -> tuple[str, ...]:
     """Return the joints of a robot description that are commanded, base to tool.
 
-    Those that only follow others are not among them.
+    Mimic joints are not among them.
 
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.

@@ -1,4 +1,4 @@
-"""From a robot description to Pinocchio's model, of what its kinematics need and nothing else.
+"""From a robot description to Pinocchio's model, with only what kinematics need.
 
 Shapes, masses and transmissions are left out: they need not even be readable. Fixed links cost
 nothing, however many they are. Limits of speed, acceleration and effort are read here, since
@@ -87,7 +87,7 @@ def rate_limits(urdf_xml: str) -> dict[str, RateLimits]:
 
 
 def _effort(joint: ET.Element) -> float:
-    """Return the largest torque; what is no number > 0 limits nothing."""
+    """Return the largest torque; infinite unless a number > 0 is given."""
     limit = joint.find("limit")
     try:
         value = float("0" if limit is None else limit.get("effort", "0"))
@@ -121,7 +121,7 @@ def _end(joint: ET.Element, tag: str) -> str:
 
 
 def _needed(joints: list[ET.Element], tool: str) -> list[ET.Element]:
-    """Return the joints without the fixed ones behind which nothing moves and no tool is."""
+    """Return the joints without fixed ones that carry neither moving joints nor the tool."""
     above = {_end(joint, "child"): joint for joint in joints}
     children: dict[str, int] = {}
     for joint in joints:

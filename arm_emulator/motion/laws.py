@@ -45,7 +45,7 @@ class Laws:
 
     @property
     def ways(self) -> WayController:
-        """The law for tool paths; the same where that is possible."""
+        """The law for tool paths; the same if possible."""
         if self._ways is None:
             self._ways = WayController(self.controller.kinematics, self.config)
         return self._ways
@@ -59,24 +59,24 @@ class Laws:
         return self._braking
 
     def retune(self, config: MotionConfig) -> None:
-        """Go on with other parameters; `controller` is its owner's to retune."""
+        """Continue with other parameters; its owner retunes `controller`."""
         self.config, self._braking = config, None
         if self._ways not in (None, self.controller):
             self.ways.retune(config)
 
     def lead(self, law: Controller, now: Reference) -> None:
-        """Let a law lead from now on; if it did not before it begins as the joints move."""
+        """Make a law lead; if it did not before, it begins with the joints' motion."""
         if self.leading is not law:
             law.begin_moving(now)
             self.leading = law
 
     def nobody_leads(self) -> None:
-        """Let the next law begin anew."""
+        """Reset, so that the next law begins anew."""
         self.leading = None
 
 
 def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
-    """Return what joint trajectories are held against."""
+    """Return the limits of joint trajectories."""
     speed = np.minimum(kinematics.velocity_limit, config.velocity_limit)
     if config.trajectory_limits == "scale":
         speed = np.full_like(speed, np.inf)  # what is faster takes longer
@@ -109,7 +109,7 @@ def smooth_joints(kinematics: Kinematics, config: MotionConfig, margin: float) -
 
 
 def tool_limits(config: MotionConfig) -> ToolLimits:
-    """Return how the tool may go along paths."""
+    """Return the tool's limits along paths."""
     return ToolLimits(
         config.tool_speed,
         config.tool_turn_speed,

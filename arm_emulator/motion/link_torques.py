@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class LinkTorques:
-    """Inverse dynamics of the links: gravity, and what their motion takes.
+    """Inverse dynamics of the links: gravity and motion.
 
     Rotors, gears and friction come in `ElasticArm`.
 
@@ -52,12 +52,12 @@ class LinkTorques:
     def rates(
         self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the torques (N,) and how fast they change (N,) [N m/s], with jerks [rad/s3]."""
+        """Return the torques (N,) and their rates (N,) [N m/s], with jerks [rad/s3]."""
         configuration, full_v, full_a = self._whole(q, v, a)
         by_q, by_v, M = pin.computeRNEADerivatives(
             self._model, self._data, configuration, full_v, full_a
         )
-        M = np.triu(M) + np.triu(M, 1).T  # the upper half is what it computes
+        M = np.triu(M) + np.triu(M, 1).T  # it computes the upper half only
         v, a, jerk = (self._shafts.rates(one) for one in (v, a, jerk))
         rate = by_q[self._square] @ v + by_v[self._square] @ a + M[self._square] @ jerk
         tau = np.asarray(self._data.tau[self._columns], dtype=np.float64)

@@ -273,7 +273,7 @@ class MotionConfig:
         return self.collisions == "stop" or (self.collisions == "auto" and bool(self.obstacles))
 
     def beside(self, sections: Mapping[str, Any], where: str) -> MotionConfig:
-        """Return the parameters with what stands in sections of their own.
+        """Return the parameters with those of the sections.
 
         Raises:
             Refusal: a section with unknown keys or impossible values.
@@ -287,7 +287,7 @@ class MotionConfig:
         return self.method if self.method != "auto" else "way"
 
     def feedforward_for(self, joints: int) -> str:
-        """Return what is given beside joint angles: none, speed, torque (and speed), or full."""
+        """Return the feed-forward of joint angles: none, speed, torque (and speed), or full."""
         if self.feedforward != "auto":
             return self.feedforward
         if self.method_for(joints) == "paper":
@@ -299,7 +299,7 @@ def load_motion_config(path: Path) -> MotionConfig:
     """Read a ROS parameter file of the node `motion_controller`.
 
     Raises:
-        Refusal: a value that is not taken.
+        Refusal: an invalid value.
     """
     config, tables = load_parameters(path, NODE, MotionConfig, beside=SECTIONS)
     return config.beside(tables, path.name)

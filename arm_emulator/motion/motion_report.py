@@ -35,7 +35,7 @@ class State(enum.IntEnum):
 
     @property
     def final(self) -> bool:
-        """Whether nothing more is to be expected."""
+        """Whether it is final."""
         return self not in (State.ACCEPTED, State.MOVING)
 
 
@@ -45,15 +45,15 @@ class MotionReport:
 
     kind: Kind
     number: int
-    """Of this request among those of its kind, from 1."""
+    """Number of this request among those of its kind, from 1."""
     stamp_ns: int
-    """From which logical time it was asked for [ns]; 0: at once."""
+    """Logical time from which it holds [ns]; 0: at once."""
     state: State
     reason: str = ""
     distance: float = math.nan
-    """From the tool to where it shall be in the end [m]; NaN: not known."""
+    """Distance of the tool from its end pose [m]; NaN: unknown."""
     angle: float = math.nan
-    """The same of its orientation [rad]."""
+    """The same for its orientation [rad]."""
 
 
 class Reports:
@@ -65,12 +65,12 @@ class Reports:
         self.waiting: list[MotionReport] = []
 
     def next_number(self, kind: Kind) -> int:
-        """Return the number of one that has just come."""
+        """Return the number of a new one."""
         self.numbers[kind] += 1
         return self.numbers[kind]
 
     def refuse(self, kind: Kind, stamp_ns: int, reason: object) -> None:
-        """Report one that came and is not taken."""
+        """Report a refused one."""
         number = self.next_number(kind)
         self.waiting.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
 

@@ -18,7 +18,7 @@ _KEYS = "height", "size", "at", "rpy"
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A box in the world, or all that is below a height."""
+    """A box in the world, or the space below a height."""
 
     name: str
     height: float | None = None

@@ -24,11 +24,11 @@ from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 from arm_emulator.motion.trajectory_way import AsAsked, Delayed, Slower, within_limits
 
-PATIENCE = 1.0  # s: an error that has not become smaller for so long will not
-_SMALLER = 0.99  # what counts as smaller
+PATIENCE = 1.0  # s: an error that has not decreased for this long never will
+_SMALLER = 0.99  # decrease that counts
 _STAYS = 0.1  # s
 
-# With what the reasons begin why a trajectory was aborted.
+# First words of the reasons for aborted trajectories.
 PATH_TOLERANCE = "path tolerance"
 GOAL_TOLERANCE = "goal tolerance"
 
@@ -42,9 +42,9 @@ class Progress:
     state: State
     reason: str = ""
     distance: float = math.nan
-    """From the tool to where it shall be in the end [m]."""
+    """Distance of the tool from its end pose [m]."""
     angle: float = math.nan
-    """The same of its orientation [rad]."""
+    """The same for its orientation [rad]."""
 
 
 MOVING = Progress(State.MOVING)
@@ -54,7 +54,7 @@ class Order(Protocol):
     """Interface of all orders.
 
     Attributes:
-        kind: what it came as.
+        kind: of the request.
         stamp_ns: logical time from which it holds [ns]; 0: at once.
     """
 
@@ -73,7 +73,7 @@ class Order(Protocol):
         """
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """Go on after a standstill, from rest at `reference`."""
+        """Continue after a standstill, from rest at `reference`."""
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """Return the joint targets of this motion period.
@@ -83,21 +83,21 @@ class Order(Protocol):
         """
 
     def reference(self, now_ns: int) -> Reference | None:
-        """Return how the joints are commanded to move; None: as the last instruction was."""
+        """Return the joints' commanded motion; None: that of the last instruction."""
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
-        """Return how far it is, after `instruct`, by the measured angles and speeds."""
+        """Return its progress, after `instruct`, by the measured angles and speeds."""
 
 
 class TargetOrder:
-    """The tool shall be in a pose."""
+    """Order to bring the tool to a pose."""
 
     kind = Kind.TOOL_TARGET
 
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
         self.stamp_ns, self.pose = stamp_ns, pose
         self._held: FloatArray | None = None
-        self._checked: object = None  # the newest motion that was held against collisions
+        self._checked: object = None  # the newest motion that was checked for collisions
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -126,7 +126,7 @@ class TargetOrder:
                 self._checked = motion
                 laws.guard.check(self.kind.topic, lambda time: motion.at(time).q, motion.duration)
         if self._law.coming is None and self._arrival.stalls(now_ns):
-            # Eq. (6) would try for ever what the arm cannot do.
+            # Eq. (6) would never give up.
             self._held = q
         return instruction
 
@@ -140,7 +140,7 @@ class TargetOrder:
 
 
 class PathOrder:
-    """The tool shall go along a path."""
+    """Order to move the tool along a path."""
 
     kind = Kind.TOOL_PATH
 
@@ -197,7 +197,7 @@ class PathOrder:
 
 
 class TrajectoryOrder:
-    """The joints shall follow a trajectory."""
+    """Order to move the joints along a trajectory."""
 
     kind = Kind.JOINT_TRAJECTORY
 
@@ -261,7 +261,7 @@ class TrajectoryOrder:
 
 
 class _Arrival:
-    """Judges by the measured tool whether it has arrived and rests, or comes no nearer."""
+    """Judges by the measured tool whether it has arrived and rests, or has stopped short."""
 
     def __init__(self, config: MotionConfig) -> None:
         self._config = config
@@ -275,7 +275,7 @@ class _Arrival:
     def progress(
         self, now_ns: int, law: Controller, q: FloatArray, v: FloatArray | None
     ) -> Progress:
-        """Return how far a law has brought the tool, by measured angles and speeds."""
+        """Return the tool's progress, by measured angles and speeds."""
         config, error = self._config, law.error
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))
         angle = float(np.linalg.norm(error[POSITION_ROWS:])) if len(error) > POSITION_ROWS else 0.0

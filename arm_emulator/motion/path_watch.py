@@ -1,4 +1,4 @@
-"""Whether the measured tool keeps to its path, and comes through every pose of it."""
+"""Check that the measured tool keeps to its path, and passes all of its poses."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _LATE = 100  # motion periods by which the tool may be behind its reference
 
 
 class PathWatch:
-    """Holds the measured tool against the way of the reference, not against its place on it.
+    """Compares the measured tool with the way of the reference, not with its place on it.
 
-    A tool that is late on its path is on its path; one that is beside it is not.
+    A late tool is still on its path.
 
     Args:
         kinematics: of the arm.
         poses: of the path.
-        tolerance: farthest from the path [m]; 0: however far.
+        tolerance: largest deviation from the path [m]; 0: any.
 
     Attributes:
-        broken: how far the tool was beside its path, in words; empty: it was not.
+        broken: deviation of the tool from its path, as text; empty: none.
     """
 
     def __init__(self, kinematics: Kinematics, poses: Sequence[Pose], tolerance: float) -> None:

@@ -62,7 +62,7 @@ def plan_path(
     Args:
         law: whose arm and limits hold.
         path: the path.
-        now: how the joints move.
+        now: motion of the joints.
         now_ns: logical time [ns].
         scaled: whether a path with times may take longer than they allow.
 
@@ -195,7 +195,7 @@ def _timed(law: WayController, path: ToolPath, start: FloatArray, scaled: bool) 
 
 
 class Evenly:
-    """A curve of the joints gone through at an even pace.
+    """A curve of the joints at a constant rate.
 
     Args:
         curve: of the joints.
@@ -214,7 +214,7 @@ class Evenly:
         )
 
     def beyond(self, law: WayController) -> tuple[int, float, float, str] | None:
-        """Return joint, how many times its limit, place and which limit are exceeded most."""
+        """Return joint, ratio to the limit, place and limit of the largest excess."""
         s = np.linspace(0.0, 1.0, 4 * len(self.curve.breaks) + 1)
         derivatives = self.curve.derivatives(s)
         worst = None

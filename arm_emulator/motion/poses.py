@@ -28,7 +28,7 @@ class Poses:
 
 
 def along_a_line(begin: Pose, end: Pose, parts: FloatArray) -> Poses:
-    """Return the poses at parts (K,) of the way, straight on and turning evenly about one axis."""
+    """Return poses at shares (K,) of a straight way that turns evenly about one axis."""
     p = begin.p_WT + parts[:, None] * (end.p_WT - begin.p_WT)
     turn = pin.log3(end.R_WT @ begin.R_WT.T)
     return Poses(p, rotations(parts[:, None] * turn) @ begin.R_WT)

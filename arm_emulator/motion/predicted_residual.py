@@ -1,4 +1,4 @@
-"""The distance from its target at which the tool rests, given the encoders and the gears."""
+"""The tool's distance from its target at rest, by encoders and gears."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def predicted_residual(
     wind_up: npt.ArrayLike | None = None,
     held_within: float = 0.5,
 ) -> PredictedResidual:
-    """Bound the deviation of the true tool from its target, once it moves no more.
+    """Bound the deviation of the true tool from its target at rest.
 
     Let d_j be `count_angle`, the angle of one count at the link, and h be `held_within`.
 
@@ -120,7 +120,7 @@ def predicted_residual(
 
 
 def _times_held(controller: Controller, q: FloatArray) -> float:
-    """Return how far from its target a joint may rest, in what the servo holds it within."""
+    """Return a joint's largest deviation at rest, relative to the servo's range."""
     if not isinstance(controller, JacobianController):
         return 1.0
     smallest = float(controller.kinematics.singular_values(q)[-1])

@@ -25,6 +25,6 @@ class Reference:
 
     @classmethod
     def at_rest(cls, q: FloatArray) -> Reference:
-        """Return joints that stand."""
+        """Return joints at rest."""
         still = np.zeros_like(q)
         return cls(q, still, still, still)

@@ -12,7 +12,7 @@ from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.reference import Reference
 
 _BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit
-_HALTS = 1e-3  # part of a speed: what is left of it is no motion
+_HALTS = 1e-3  # share of a speed that counts as no motion
 _ROUNDING = 1e-9  # rad or m
 _FAR = 1e4  # rad or m: a place on one side of 0
 
@@ -51,7 +51,7 @@ class SmoothJoints:
         self._stop.synchronization = ruckig.Synchronization.No
 
     def begin(self, now: Reference) -> None:
-        """Take over."""
+        """Take over a motion."""
         self._in.current_position = now.q.tolist()
         self._in.current_velocity = now.v.tolist()
         most = self._acceleration
@@ -71,7 +71,7 @@ class SmoothJoints:
         return bool(np.abs(now.v).max() > 1e-9 or np.abs(now.a).max() > 1e-6)
 
     def allowed(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the part of each joint's speed (N,) that it may have at q, 0 to 1."""
+        """Return the permitted share of each joint's speed (N,) at q, 0 to 1."""
         to_limit = np.where(v > 0.0, self._upper - q, q - self._lower)
         most = np.minimum(
             self._velocity, _stopping(to_limit, _BRAKES * self._acceleration, _BRAKES * self._jerk)
@@ -99,11 +99,11 @@ class SmoothJoints:
         return np.array([*(self._ends.at_time(t)[0] for t in times), end.tolist()])
 
     def halt(self) -> FloatArray:
-        """Let each joint brake by itself for a period; return their mean speeds in it."""
+        """Brake each joint by itself for a period; return their mean speeds in it."""
         return self.go(np.zeros(len(self._lower)), alone=True, together=False)
 
     def go(self, v: FloatArray, alone: bool, together: bool = True) -> FloatArray:
-        """Let the joints take up speeds v (N,) for a period; return their mean speeds in it.
+        """Move the joints towards speeds v (N,) for a period; return their mean speeds in it.
 
         From where they are then every joint can stop before its limit. A joint that could not if it
         did as asked brakes instead, and so do the others unless each moves `alone`.

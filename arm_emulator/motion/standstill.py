@@ -1,4 +1,4 @@
-"""The joints while some of them cannot move: they have no power, or their brakes are closed."""
+"""Joints while some of them cannot move, without power or with closed brakes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Standstill:
 
     Args:
         laws: of the arm.
-        now: how the joints are commanded to move.
+        now: commanded motion of the joints.
     """
 
     def __init__(self, laws: Laws, now: Reference) -> None:

@@ -45,7 +45,7 @@ class _Seen:
 
 
 class TargetStream:
-    """Finds out whether targets are a stream."""
+    """Detects a stream of targets."""
 
     def __init__(self) -> None:
         self._last: _Seen | None = None
@@ -126,7 +126,7 @@ class StreamOrder:
         return Instruction(now.q, mean, None, now)
 
     def _back(self, kinematics: Kinematics, q: FloatArray) -> FloatArray:
-        """Return the joint speeds towards the posture that leave the tool where it is (N,)."""
+        """Return the joint speeds towards the posture that do not move the tool (N,)."""
         if len(q) <= kinematics.rows:
             return np.zeros_like(q)
         scale = kinematics.joint_scale
@@ -135,7 +135,7 @@ class StreamOrder:
         return np.asarray(scale * (idle @ (idle.T @ ((self._posture - q) / scale))) * BACK)
 
     def _at(self, age: float) -> Pose:
-        """Return where the target has gone since it came."""
+        """Return the target's present pose."""
         pose, move = self._target.pose, age * self._twist
         return Pose(pose.p_WT + move[:3], pin.exp3(move[3:]) @ pose.R_WT)
 

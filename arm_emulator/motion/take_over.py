@@ -23,9 +23,9 @@ class TakeOver:
     """A motion of the joints to rest.
 
     Args:
-        now: how the joints move at its begin.
-        end: where they shall rest (N,) [rad or m]; None: wherever they come to rest soonest.
-        limits: of the joints; torques are not looked at.
+        now: motion of the joints at its begin.
+        end: position of rest (N,) [rad or m]; None: the nearest in time.
+        limits: of the joints, except torques.
         lower: limits of position (N,) [rad or m].
         upper: (N,).
 
@@ -93,11 +93,11 @@ class TakeOver:
 
 
 class Rest:
-    """Joints that stand, for a time [s]."""
+    """Joints at rest, for a time [s]."""
 
     def __init__(self, q: FloatArray, duration: float = 0.0) -> None:
         self._reference, self.duration = Reference.at_rest(q), duration
 
     def at(self, time: float) -> Reference:
-        """Return where they stand."""
+        """Return their position."""
         return self._reference

@@ -1,4 +1,4 @@
-"""By how much joints may miss a trajectory, on its way and in the end."""
+"""Tolerances of joint trajectories, on the way and at the end."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Allowed:
         return cls(np.full(count, q), np.zeros(count))
 
     def broken(self, names: Sequence[str], q: FloatArray, v: FloatArray | None) -> str:
-        """Return in words which joint's error is larger; empty: none.
+        """Return as text the joint whose error is larger; empty: none.
 
         Args:
             names: of the joints.

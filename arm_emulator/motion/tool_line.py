@@ -1,4 +1,4 @@
-"""The joints along a line of the tool: whether there is such a way, and why not."""
+"""The joints along a line of the tool, or why no such way exists."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def joints_along(
         start: its joints at the begin (N,).
         begin: pose of the tool there.
         end: pose of the tool at the end.
-        goal: angles of the joints at the end (N,); None: whichever the line leads to.
+        goal: angles of the joints at the end (N,); None: those that the line reaches.
         turns: whether the tool turns evenly; else it turns as the joints go to the goal.
     """
     why = ""
@@ -58,7 +58,7 @@ def joints_along(
 
 
 def errors(arm: ArmTree, q: FloatArray, wanted: Poses, turns: bool = True) -> FloatArray:
-    """Return how far the tool is from poses at joint angles (K, N), scaled, (K,) [rad]."""
+    """Return the tool's distances from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
     p, R = arm.forward(q)
     off = np.linalg.norm(p - wanted.p, axis=1) / kinematics.reach

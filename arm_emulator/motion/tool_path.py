@@ -51,11 +51,11 @@ class ToolLimits:
 
 
 class ToolPath:
-    """A path that was checked, at the door, once.
+    """A checked path.
 
     Args:
         poses: through which the tool goes, one or more.
-        limits: how.
+        limits: of the tool.
         stamp_ns: logical time at which the way to the first pose begins [ns]; 0: at once.
         times_ns: when the tool is in each pose, strictly increasing (K,) [ns]; None: as the limits
             allow.
@@ -106,7 +106,7 @@ class ToolPath:
         return self.poses[0]
 
     def place(self, x: float) -> str:
-        """Return in words which place of the path a measure x [m] is."""
+        """Return the place of a measure x [m] on the path as text."""
         at = self.curve.at_poses * (self.curve.ends[-1] / max(self.curve.at_poses[-1], SAME))
         k = int(np.clip(np.searchsorted(at, x + SAME, side="right") - 1, 0, len(self.poses) - 1))
         return f"{max(0.0, x - at[k]):.3g} m after poses[{k}]"

@@ -84,7 +84,7 @@ class Delayed:
         before: how it went.
         since_ns: until when.
         now_ns: logical time [ns].
-        now: where the joints rest.
+        now: joints at rest.
         limits: of the joints.
 
     Attributes:
@@ -141,7 +141,7 @@ def within_limits(
         trajectory: that begins.
         now_ns: logical time [ns].
         start_ns: from which its times count [ns].
-        now: how the joints move.
+        now: motion of the joints.
         scaled: whether it may take longer than asked.
 
     Raises:
@@ -169,7 +169,7 @@ def within_limits(
 
 
 def too_fast(law: WayController, motion: JointMotion, now: Reference) -> str:
-    """Return which limit a motion exceeds most, where and by how much; empty: none."""
+    """Return the limit that a motion exceeds most, with place and ratio; empty: none."""
     c, T = motion.coefficients, _durations(motion)[:, None, None]
     limits, names = law.limits, law.kinematics.joint_names
     top = law.top_speed
@@ -196,7 +196,7 @@ def _falling(d: int, order: int) -> float:
 
 
 def _steps(motion: JointMotion, now: Reference) -> FloatArray:
-    """Return by how much speeds change at once where pieces begin, and at the end, (S + 1, N)."""
+    """Return the steps of speed where pieces begin, and at the end, (S + 1, N)."""
     c, T = motion.coefficients, _durations(motion)[:, None]
     before = sum(d * c[:, d] * T ** (d - 1) for d in range(1, 6))
     return np.asarray(np.abs(np.vstack([c[:, 1], 0.0 * now.v]) - np.vstack([now.v, before])))
@@ -219,7 +219,7 @@ def _runs(law: WayController, motion: JointMotion) -> list[tuple[int, int, Joint
 
 
 def _durations(motion: JointMotion) -> FloatArray:
-    """Return how long each piece takes (S,) [s]."""
+    """Return the durations of the pieces (S,) [s]."""
     times = np.array([*motion.starts_ns, motion.end_ns], dtype=np.int64)
     return np.diff(times).astype(np.float64) * _SECONDS
 

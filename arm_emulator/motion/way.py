@@ -1,8 +1,8 @@
-"""A way of the joints that is known before it begins: a curve, and when it is where.
+"""A planned way of the joints: a curve and its timing.
 
 Its timing is the one of least duration within the limits of speed, acceleration, jerk and torque,
-from rest to rest. After it is found it is held against the limits at more places than
-it was made with, and made slower where it exceeds one of them there.
+from rest to rest. The result is checked at more places, and slowed down if it exceeds a limit
+there.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class Way:
         return s, s1 * d1, s1 * d2 + s2 * d1**2, s1 * d3 + 3.0 * s2 * d1 * d2 + s3 * d1**3
 
     def _ramp(self) -> tuple[float, int]:
-        """Return the part of sigma in which the way gets going, and how many pieces that takes."""
+        """Return the share of sigma of the ramps, and its number of pieces."""
         _, f1, _, _ = self.curve.derivatives(_LOOKS)
         limits, tiny = self._limits, 1e-12
         slow = (np.abs(f1) / limits.speed).max(axis=1) + tiny  # seconds per s
@@ -193,7 +193,7 @@ class Way:
         return [weight[:, used] / limit, rate[:, used] / limit, 0.5 * change[:, used] / limit]
 
     def _excess(self, pieces: int, timing: Timing) -> float:
-        """Return by which factor the way must take longer to keep every limit at every check."""
+        """Return the factor of duration with which the way keeps every limit at every check."""
         # Third derivatives step at the ends of the ramps and at the breaks of the curve.
         ramp = np.array([self._ramps.ramp, 1.0 - self._ramps.ramp])
         breaks = np.concatenate([ramp, self._ramps.inverse(self.curve.breaks[1:-1])])

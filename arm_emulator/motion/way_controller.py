@@ -1,4 +1,4 @@
-"""Tool targets along ways that are known before they begin.
+"""Tool targets along planned ways.
 
 A target that comes while the arm rests is reached along the tool's line, or along the joints' line
 where that of the tool is not possible or takes much longer. One that comes while the arm moves is
@@ -37,7 +37,7 @@ from arm_emulator.motion.way import Way, WayLimits
 
 FloatArray = npt.NDArray[np.float64]
 
-LOST = 0.2  # rad (or m per reach) between arm and reference: somebody else moves the arm
+LOST = 0.2  # rad (or m per reach) between arm and reference: something else moves the arm
 # Of the description's limits; the rest is for links that swing on their gears.
 SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.8
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
@@ -100,7 +100,7 @@ class WayController:
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
 
     def retune(self, config: MotionConfig) -> None:
-        """Go on with other limits, from the next way on."""
+        """Continue with other limits, from the next way on."""
         self._limit(config)
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
@@ -119,7 +119,7 @@ class WayController:
         self.begin_moving(here)
 
     def begin_moving(self, now: Reference) -> None:
-        """Begin with the joints as they move."""
+        """Begin with the joints' motion."""
         self._began = True
         self._take(now)
 
@@ -140,7 +140,7 @@ class WayController:
 
     @property
     def seeking(self) -> bool:
-        """Whether the joint angles of the target are not found yet."""
+        """Whether the joint angles of the target are still unknown."""
         return self._seeking > 0
 
     @property
@@ -180,16 +180,16 @@ class WayController:
         return self.go_on(q, target)
 
     def follow(self, motion: Motion) -> None:
-        """Go along a motion that begins as the joints are commanded to move, from now on."""
+        """Follow a motion that begins with the joints' commanded motion, from now on."""
         self._forget()
         self._follow(motion, "")
 
     def go_on(self, q: FloatArray, end: Pose) -> Instruction:
-        """Return the joint targets now, and go on along the motion.
+        """Return the present joint targets, and advance along the motion.
 
         Args:
             q: measured joint angles (N,) [rad or m].
-            end: where the tool shall be in the end.
+            end: end pose of the tool.
         """
         now = self.coming
         self._time += self.period
@@ -201,7 +201,7 @@ class WayController:
 
     @property
     def resting(self) -> bool:
-        """Whether the reference is at the end of its way, and knows no farther one."""
+        """Whether the reference is at the end of its last way."""
         return self._time > self._motion.duration and not self.searching
 
     def _limit(self, config: MotionConfig) -> None:
@@ -210,7 +210,7 @@ class WayController:
         """Bounds of requested speeds (N,): without the reserve for swinging links."""
 
     def _take(self, now: Reference) -> None:
-        """Let the reference be as the joints move, and come to rest."""
+        """Set the reference to the joints' motion, and bring it to rest."""
         self._goal.begin(now.q)
         self._forget()
         self._follow(self.stopping(now), "")
@@ -223,7 +223,7 @@ class WayController:
         self._motion, self._time, self.way = motion, 0.0, way
 
     def stopping(self, now: Reference) -> Motion:
-        """Return how the joints come to rest."""
+        """Return the joints' motion to rest."""
         if self._is_still(now):
             return Rest(now.q)
         kinematics = self.kinematics
@@ -234,7 +234,7 @@ class WayController:
         return bool((np.abs(now.v) <= _STILL * scale).all() and (np.abs(now.a) <= _STILL).all())
 
     def _find_reference(self, q: FloatArray) -> list[str]:
-        """Begin anew where the arm is if that is far from the reference; report it."""
+        """Restart at the arm's position if it is far from the reference; report it."""
         notices = []
         if not self._began:
             self.begin(q)
@@ -271,7 +271,7 @@ class WayController:
         self._goal.take(end)
 
     def _seek(self, now: Reference, notices: list[str]) -> None:
-        """Look for the joint angles of the target, and go there."""
+        """Search the joint angles of the target, and move there."""
         assert self._target is not None
         goal = self._goal
         goal.approach(_STEPS)
@@ -353,7 +353,7 @@ class WayController:
     def _way(self, curve: JointCurve, notices: list[str]) -> Way:
         try:
             return Way(curve, self.limits, self.arm)
-        except Refusal as reason:  # the arm is held there by more than its description allows
+        except Refusal as reason:  # the arm exceeds the torques of its description there
             notices.append(str(reason))
             return Way(curve, self.limits)
 
@@ -395,7 +395,7 @@ class WayController:
 
 
 def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
-    """Return what the joints may do, by the robot description and the parameters."""
+    """Return the joints' limits, by robot description and parameters."""
     speed = np.minimum(SPEED_SHARE * kinematics.velocity_limit, config.velocity_limit)
     acceleration = np.minimum(
         ACCELERATION_SHARE * kinematics.acceleration_limit, config.acceleration_limit
@@ -407,7 +407,7 @@ def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
 
 
 def joints_duration(step: FloatArray, limits: WayLimits) -> float:
-    """Return how long a line of the joints takes, but for torques [s]."""
+    """Return the duration of a line of the joints without torque limits [s]."""
     size = np.maximum(np.abs(step), 1e-12)
     problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     problem.target_position = [1.0]
@@ -416,7 +416,7 @@ def joints_duration(step: FloatArray, limits: WayLimits) -> float:
     problem.max_jerk = [float((limits.jerk / size).min())]
     try:
         ruckig.Ruckig(1).calculate(problem, trajectory)
-    except ruckig.RuckigError:  # numbers beyond its range: a step of nothing
+    except ruckig.RuckigError:  # numbers beyond its range: no step
         return 0.0
     return float(trajectory.duration)
 

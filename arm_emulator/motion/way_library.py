@@ -11,7 +11,7 @@ from arm_emulator.motion.cpp import FOLDER
 
 WAY = Header(FOLDER / "way.h")
 
-# Sums may be reordered, so that they run in vectors; what is not finite stays so.
+# Sums may be reordered for vectors; non-finite numbers are kept.
 _FLAGS = (
     *"-x c++ -std=c++20 -O3 -fno-math-errno -fno-trapping-math -fno-signed-zeros".split(),
     "-fassociative-math",
@@ -30,6 +30,6 @@ def way_library() -> Library:
 
 
 def way_unit() -> Unit:
-    """Return them as what is compiled."""
+    """Return their sources."""
     source = '#include "way.cpp"\n'
     return Unit("way", source, _FLAGS, (FOLDER,), (WAY,), "motion", "the ways", "way.cpp")

@@ -18,7 +18,7 @@ namespace way {
 constexpr int POINTS = 3;  // of a piece: begin, middle, end
 constexpr double AT[POINTS] = {0.0, 0.5, 1.0};
 constexpr double SHARE[POINTS] = {1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0};  // Simpson
-constexpr double INSIDE = 0.8;         // of the fastest even timing: where the search begins
+constexpr double INSIDE = 0.8;         // of the fastest constant c: start of the search
 constexpr double SHARPER = 12.0;       // from one barrier to the next
 constexpr int MOST_NEWTON_STEPS = 12;  // at a barrier
 constexpr double CENTRED = 0.05;       // Newton decrement at which a barrier is done
@@ -59,7 +59,7 @@ struct Timing {
     w2[0] = n * n, w2[1] = -2 * n * n, w2[2] = n * n;
   }
 
-  // The fastest even timing, c = constant; -1 and the point where not even rest is allowed.
+  // The fastest constant c; -1 and the point that does not even permit rest.
   double even(int32_t* at_fault) const {
     double c = 1e300;
     for (int64_t p = 0; p < points(); ++p) {

@@ -9,7 +9,7 @@ namespace way {
 
 constexpr double THERE = 1e-10;  // rad, or m per reach
 constexpr int MOST_STEPS = 12;   // from one pose to the next; two or three do
-constexpr double LONGEST = 0.5;  // rad, of a step: a longer one has left the way
+constexpr double LONGEST = 0.5;  // rad, of a step: a longer one leaves the way
 constexpr double DAMPING = 1e-11;
 
 // The scaled error of the tool, and its Jacobian by scaled coordinates, (rows, joints).
@@ -104,7 +104,7 @@ inline bool shortest_step(const Task& task, int rows, int n, double* step) {
   return true;
 }
 
-// Move q to where the tool is in a pose; false: not found near by.
+// Move q so that the tool is in a pose; false: none found nearby.
 inline bool reach(const way_arm& arm, int rows, const Vector& p, const Matrix& R, double* q) {
   const int n = arm.coordinates;
   double before = 1e300;
