@@ -24,6 +24,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose as PoseOfMessage
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
@@ -112,8 +113,15 @@ class MotionControllerNode(Node):
         self._status = self.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
         self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
-        self._servo_states = self.create_subscription(
-            ServoState, "servo_states", self._on_servo_state, STATE_SUB_QOS
+        self._servo_reports = False  # whether the servo publishes its state
+        self.create_subscription(
+            ServoState,
+            "servo_states",
+            self._on_servo_state,
+            STATE_SUB_QOS,
+            event_callbacks=SubscriptionEventCallbacks(
+                matched=self._on_servo_matched, use_default_callbacks=False
+            ),
         )
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
@@ -254,6 +262,9 @@ class MotionControllerNode(Node):
             rule, valid = "be the arm's base", ", ".join(bases)
             raise Refusal(topic, "header.frame_id", rule, header.frame_id, valid)
 
+    def _on_servo_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
+        self._servo_reports = info.current_count > 0
+
     def _on_servo_state(self, message: ServoState) -> None:
         if self._controller is None:
             return
@@ -274,7 +285,7 @@ class MotionControllerNode(Node):
         """
         if self._movable is not None and self._movable[0] == stamp:
             return self._movable[1]
-        if self.count_publishers(self._servo_states.topic_name):
+        if self._servo_reports:
             return None
         assert self._controller is not None
         return np.ones(len(self._controller.kinematics.joint_names), dtype=bool)

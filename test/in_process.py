@@ -6,7 +6,7 @@ one, in the order in which they were reported, and may put its own in between.
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,7 +34,8 @@ class Wires:
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, type, bytes]] = deque()  # stated, not delivered yet
         self.listeners: dict[str, list[Callable[[bytes], None]]] = defaultdict(list)
-        self.published: set[str] = set()
+        self.published: Counter[str] = Counter()
+        self.matched: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.timers: list[Timer] = []
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was reported last on each topic
@@ -48,7 +49,9 @@ class Wires:
             def create_publisher(self, kind: type, topic: str, *more: Any, **named: Any) -> Any:
                 if topic.startswith("/"):  # rclpy's own
                     return super().create_publisher(kind, topic, *more, **named)
-                wires.published.add(f"/{topic}")
+                wires.published[topic] += 1
+                for matched in wires.matched[topic]:
+                    matched(SimpleNamespace(current_count=wires.published[topic]))
                 return Publisher(wires, kind, topic)
 
             def create_subscription(
@@ -56,10 +59,11 @@ class Wires:
             ) -> SimpleNamespace:
                 take = callback if named.get("raw") else _as_message(kind, callback)
                 wires.listeners[topic].append(take)
+                if "event_callbacks" in named:
+                    matched = named["event_callbacks"].matched
+                    wires.matched[topic].append(matched)
+                    matched(SimpleNamespace(current_count=wires.published[topic]))
                 return SimpleNamespace(topic_name=f"/{topic}")
-
-            def count_publishers(self, topic_name: str) -> int:
-                return int(topic_name in wires.published)
 
             def create_service(self, kind: type, name: str, callback: Any, **named: Any) -> Any:
                 if not name.startswith("~/"):  # rclpy's own

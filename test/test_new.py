@@ -192,14 +192,14 @@ def needed(demand: Demand, speeds: list[float]) -> float:
     return 1.3 * demand.gravity_torque + ramp / 0.25 + demand.tool_torque
 
 
-def arm(efforts: list[float | None], name: str = "arm") -> str:
+def arm(efforts: list[float | None], first_axis: str = "0 1 0") -> str:
     """An arm of three joints, 17 kg, 0.9 m, whose weight takes 55, 14 and 0.25 N m."""
-    lengths, masses = (0.4, 0.4, 0.1), (8.0, 6.0, 0.5)
+    axes, lengths, masses = (first_axis, "0 1 0", "0 1 0"), (0.4, 0.4, 0.1), (8.0, 6.0, 0.5)
     parts = [
-        Part("0 1 0", (length, 0.0, 0.0), mass, effort=effort, velocity=2.0)
-        for length, mass, effort in zip(lengths, masses, efforts, strict=True)
+        Part(axis, (length, 0.0, 0.0), mass, effort=effort, velocity=2.0)
+        for axis, length, mass, effort in zip(axes, lengths, masses, efforts, strict=True)
     ]
-    return serial(name, parts)
+    return serial("arm", parts)
 
 
 def made(folder: Path, text: str, payload: float | None = None) -> tuple[NewScene, list[str]]:
@@ -472,3 +472,18 @@ def test_one_command_from_a_robot_to_a_moving_arm(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "the residual is within the prediction" in done.stdout
+
+
+@pytest.mark.usefixtures("untuned")
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
+    tmp_path: Path, share: float
+) -> None:
+    """On a vertical axis no weight refutes it."""
+    free, _ = made(tmp_path / "free", arm([None, 100.0, 5.0], "0 0 1"))
+    needed = free.drives[0].peak_torque
+    written, how = made(tmp_path / "weak", arm([share * needed, 100.0, 5.0], "0 0 1"))
+    placeholder = share < 0.05
+    assert how[0] == ("guess" if placeholder else "URDF")
+    torque = written.drives[0].peak_torque
+    assert torque == pytest.approx(needed if placeholder else share * needed)

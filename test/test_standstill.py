@@ -7,13 +7,18 @@ on: nothing is made up for at a jump.
 from __future__ import annotations
 
 import dataclasses
+import time
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from draws import some
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.config_files import find_config, find_scene
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.instruction import Instruction
@@ -24,14 +29,19 @@ from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of, stamp
+from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
+from arm_emulator_msgs.msg import ServoState
+from motion_controller_node.node import MotionControllerNode
 
 SECOND = 1000  # ticks
 PAST = 1.5e-3  # m; three_axis, whose gears feed-forward does not know, 1.42 mm without a standstill
 OVER = 1.02  # of a limit of speed: links swing a little on their gears
 TOOL_LINE = np.array([0.0, 0.1, -0.2])  # m, from where the tool begins
 JOINT_WAY = 0.6  # rad
+PERIOD_NS = 50_000_000  # of three_axis' motion
 
 
 class Stopped:
@@ -210,3 +220,57 @@ def test_what_goes_on_keeps_the_limits_and_ends_where_it_would_have(seed: int) -
     between = 0.5 * (v[1:] + v[:-1]) * h
     assert np.abs(np.diff(q, axis=0) - between).max() <= limits.jerk.max() * h**3
     assert on.duration < way.duration - since + 2.0
+
+
+def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -> None:
+    """The kind of servo is an event of the network: no state asks the graph for it."""
+    files = ["--ros-args", "--params-file", str(find_config("three_axis", ".yaml", "motion"))]
+    with own_domain() as domain:
+        rclpy.init(args=files, domain_id=domain)
+        node, servo = MotionControllerNode(), rclpy.create_node("servo")
+        try:
+
+            def refused(*_: object) -> int:
+                raise AssertionError("the graph was asked")
+
+            node.count_publishers = node.count_subscribers = refused  # type: ignore[method-assign]
+            executor = SingleThreadedExecutor()
+            executor.add_node(node)
+            executor.add_node(servo)
+            answers: list[int] = []
+            servo.create_subscription(
+                JointState,
+                "joint_targets",
+                lambda m: answers.append(nanoseconds_of(m.header.stamp)),
+                10,
+            )
+            states = servo.create_publisher(JointState, "joint_states", 10)
+            description = servo.create_publisher(String, "robot_description", DESCRIPTION_QOS)
+            scene = load_scene("three_axis")
+            description.publish(String(data=scene.urdf))
+
+            def answered(period: int, seconds: float) -> bool:
+                message = JointState(name=scene.joint_names, position=scene.start)
+                message.header.stamp = stamp(period * PERIOD_NS)
+                end = time.monotonic() + seconds
+                while time.monotonic() < end and period * PERIOD_NS not in answers:
+                    states.publish(message)
+                    executor.spin_once(0.02)
+                return period * PERIOD_NS in answers
+
+            assert answered(1, 10.0), "a servo that publishes no state moves all joints"
+            reports = servo.create_publisher(ServoState, "servo_states", 10)
+            while not reports.get_subscription_count():
+                executor.spin_once(0.02)
+            assert not answered(2, 0.5)
+            report = ServoState(joint_names=scene.joint_names, movable=[1] * 3)
+            report.header.stamp = stamp(2 * PERIOD_NS)
+            reports.publish(report)
+            assert answered(2, 10.0)
+            servo.destroy_publisher(reports)
+            assert answered(3, 10.0), "it has gone"
+        finally:
+            node.close()
+            node.destroy_node()
+            servo.destroy_node()
+            rclpy.try_shutdown()

@@ -30,6 +30,7 @@ DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 # A torque of the description stands for "not known" beyond so many times what the joint needs with
 # a tool, or where every joint has so many times as much.
 PLACEHOLDER, OVERSIZED = 50.0, 8.0
+UNDERSIZED = 20.0  # likewise below so many times less, for joints on which no weight rests
 
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
 SPEED_UP = 0.25  # s from rest to full speed
@@ -148,12 +149,15 @@ def _peak_torque(demand: Demand, needed: float, largest: float) -> tuple[float, 
     if demand.sheet is not None:
         return demand.sheet.torque, f"published, {demand.sheet.source}"
     given = demand.effort
-    if given is not None and demand.bare_torque <= given <= largest:
+    least = max(demand.bare_torque, needed / UNDERSIZED)
+    if given is not None and least <= given <= largest:
         return given, "URDF"
     if given is None:
         why = "none in the URDF"
     elif given > largest:
         why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} times what it needs"
+    elif given > demand.bare_torque:
+        why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} of what it needs"
     else:
         why = f"the URDF's {given:g} does not hold its own links, {demand.bare_torque:.3g}"
     rule = f"{GRAVITY_MARGIN:g} times the weight and full speed in {SPEED_UP:g} s"
