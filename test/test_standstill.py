@@ -238,12 +238,11 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -
             executor.add_node(node)
             executor.add_node(servo)
             answers: list[int] = []
-            servo.create_subscription(
-                JointState,
-                "joint_targets",
-                lambda m: answers.append(nanoseconds_of(m.header.stamp)),
-                10,
-            )
+
+            def on_targets(message: Any) -> None:
+                answers.append(nanoseconds_of(message.header.stamp))
+
+            servo.create_subscription(JointState, "joint_targets", on_targets, 10)
             states = servo.create_publisher(JointState, "joint_states", 10)
             description = servo.create_publisher(String, "robot_description", DESCRIPTION_QOS)
             scene = load_scene("three_axis")
