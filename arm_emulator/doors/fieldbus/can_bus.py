@@ -1,4 +1,4 @@
-"""The nodes on a bus: one that they offer over TCP, or one of python-can, such as socketcan."""
+"""The nodes on a bus: their own over TCP, or one of python-can, such as socketcan."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
 
-LOOK = 0.1  # s, after which a bus that is silent is looked at
+LOOK = 0.1  # s, after which a silent bus is checked
 REPORT_SILENCE = 5.0  # s
 LATEST = 100_000_000  # ns, beyond which periods are lost
-MOST_FRAMES = 200  # that are answered between two servo periods that are late
+MOST_FRAMES = 200  # frames answered between two late servo periods
 
 
 @contextlib.contextmanager
@@ -31,7 +31,7 @@ def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
     except ImportError:
         rule = "be installed (pip install python-can)"
         raise Refusal("canopen", "package python-can", rule, "none") from None
-    logging.getLogger("can").setLevel(logging.CRITICAL)  # what matters is published below
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # relevant events are published below
     known = sorted(can.VALID_INTERFACES)
     if interface not in known:
         raise Refusal("canopen", "bus", "be one of python-can", interface, ", ".join(known))
@@ -62,14 +62,14 @@ class Bus(Protocol):
         """
 
     def send(self, frame: Frame) -> None:
-        """Send a frame; one that the bus does not take is lost, as on a line."""
+        """Send a frame; a frame that the bus refuses is lost, as on a line."""
 
 
 class PythonCanBus:
     """A bus of python-can.
 
     Attributes:
-        ignored: what came and was no frame of 11 bits with 8 bytes at most.
+        ignored: items that are not frames of 11 bits with at most 8 bytes.
     """
 
     def __init__(self, bus: Any) -> None:
@@ -90,7 +90,7 @@ class PythonCanBus:
                 number, data = int(message.arbitration_id), bytes(message.data or b"")
                 if 0 <= number < 1 << 11 and len(data) <= 8:
                     return Frame(number, data, bool(message.is_remote_frame))
-        # Others may send anything, and python-can may raise anything about it.
+        # python-can may raise any exception on the data of others.
         except Exception as error:
             if _of_the_system(error):
                 raise Refusal("canopen", "bus", "stay open", error) from None
@@ -111,7 +111,7 @@ class PythonCanBus:
 
 
 def _of_the_system(error: BaseException | None) -> bool:
-    """Whether the operating system is the cause, and not what was received."""
+    """Whether the operating system is the cause, and not the received data."""
     while error is not None:
         if isinstance(error, OSError):
             return True
@@ -120,7 +120,7 @@ def _of_the_system(error: BaseException | None) -> bool:
 
 
 class BusService:
-    """Serves a bus until it is asked to end.
+    """Serves a bus until requested to end.
 
     Args:
         bus: that they are on.
@@ -131,7 +131,7 @@ class BusService:
     def __init__(self, bus: Bus, segment: Segment, period: int | None) -> None:
         self._bus, self._segment, self._period = bus, segment, period
         self._reported = False
-        self.lost_periods = 0  # in real time, by which logical time is late
+        self.lost_periods = 0  # in real time: lateness of logical time
 
     def serve(self, goes_on: Callable[[], bool] = lambda: True) -> None:
         """Boot the nodes, and serve."""

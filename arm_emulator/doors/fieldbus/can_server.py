@@ -1,4 +1,4 @@
-"""A CAN bus over TCP, in the words of socketcand: whoever connects is on the bus with our nodes.
+"""A CAN bus over TCP, by the protocol of socketcand: each client is on the bus with our nodes.
 
 Lines are texts between angle brackets: ``< open NAME >``, ``< rawmode >``, then one way
 ``< send 601 2 40 0 >`` (identifier, count, data; hexadecimal) and the other way
@@ -20,7 +20,7 @@ PORT = 29536  # of socketcand
 MOST_CLIENTS = 64
 LONGEST_LINE = 256  # bytes
 MOST_UNSENT = 1 << 20  # bytes, for a client that does not read
-SETTLING = 0.05  # s, in which a client that has just come reads the replies to its first words
+SETTLING = 0.05  # s, in which a new client reads the replies to its first lines
 _OK = b"< ok >"
 
 
@@ -28,8 +28,7 @@ class CanServer:
     """A bus whose members are TCP connections and this process.
 
     Frames of a member go to all others. Bytes that are no frame are answered with an error and
-    counted;
-    who sends anything but lines is dropped.
+    counted; a client that sends anything but lines is dropped.
 
     Attributes:
         address: host and port where it listens.
@@ -85,7 +84,7 @@ class CanServer:
     # ---------------------------------------------------------------------------------- members
 
     def _settling(self) -> list[float]:
-        """Return how long those that wait for frames while they settle must still wait [s]."""
+        """Return how long new clients must still wait for frames [s]."""
         now = time.monotonic()
         return [max(one.settled - now, 0.0) for one in self._members.values() if one.held]
 
@@ -135,7 +134,7 @@ class CanServer:
         if not data:
             self._drop(member)
             return
-        with contextlib.suppress(OSError):  # or a client's next frame waits for our silence to end
+        with contextlib.suppress(OSError):  # or a client's next frame would wait for our next one
             member.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         *lines, rest = (member.unread + data).split(b">")
         member.unread = rest
@@ -184,7 +183,7 @@ class CanServer:
         self._spread(_line(number, bytes_, 3 if short else 8), member)
 
     def _hang_up(self, member: _Member) -> None:
-        """Drop one that speaks something else, such as a browser."""
+        """Drop a client of another protocol, such as a browser."""
         self.ignored += 1
         self._drop(member)
 
@@ -224,7 +223,7 @@ class CanServer:
 
 
 class _Member:
-    """A connection, and what it has sent and shall get."""
+    """A connection with its input and output buffers."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection

@@ -1,7 +1,7 @@
 """One drive as a CANopen node: frames in, frames out (CiA 301). No bus, and no clock of its own.
 
-The drive's dictionary, state machine and SDO server are those of core/drives.h; here is what makes
-a node of it: NMT, PDOs, SYNC, EMCY, heartbeat.
+The drive's dictionary, state machine and SDO server are those of core/drives.h; this file adds NMT,
+PDOs, SYNC, EMCY and heartbeat.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class State(enum.IntEnum):
 
 @dataclass(slots=True)
 class _Pdo:
-    """A process data object as it is set now."""
+    """A process data object with its present settings."""
 
     id: int  # -1: none
     remote: bool  # whether it may be asked for
@@ -98,7 +98,7 @@ class Node:
 
     @property
     def state(self) -> State:
-        """Of NMT; PDOs that are in use in operational keep their mapping."""
+        """Of NMT state; PDOs in use in operational keep their mapping."""
         return self._state
 
     @state.setter
@@ -118,8 +118,8 @@ class Node:
     def _set_defaults(self) -> None:
         """Set what depends on the node-ID; targets go with SYNC, the controlword at once.
 
-        The statusword comes when it changes, and at least every 10 ms: the masters of `canopen`
-        take one that has come twice for a periodic one, and wait for it.
+        The statusword is sent on change, and at least every 10 ms: masters of `canopen` treat a PDO
+        received twice as periodic, and wait for it.
         """
         own = {(0x1014, 0): 0x80, (0x1200, 1): 0x600, (0x1200, 2): 0x580}
         for k in range(PDOS):
@@ -146,7 +146,7 @@ class Node:
             self._heard_at = None
         for kept, first in ((self._receives, 0x1400), (self._sends, 0x1800)):
             new = [self._pdo(first + k, first + 0x200 + k) for k in range(PDOS)]
-            # One that is set as before goes on with what it has waiting.
+            # A PDO with unchanged settings keeps its waiting data.
             kept[:] = [
                 old if old == one else one for old, one in zip(kept or new, new, strict=True)
             ]
@@ -170,7 +170,7 @@ class Node:
     # ---------------------------------------------------------------------------------- frames
 
     def boot(self) -> list[Frame]:
-        """Start up: the message that reports it, and the node is pre-operational."""
+        """Start up: send the boot message and enter pre-operational."""
         self.state = State.PRE_OPERATIONAL
         self._toggle = 0
         self._beat_at = self._heard_at = None
@@ -204,7 +204,7 @@ class Node:
         return frame.id == self._sync_id and not frame.remote and len(frame.data) <= 1
 
     def sync(self, now: int) -> list[Frame]:
-        """Take a SYNC: what was received holds from now on, and what is there now is sent."""
+        """Take a SYNC: received data takes effect, and present data is sent."""
         if self.state is not State.OPERATIONAL:
             return []
         frames = []
@@ -235,7 +235,7 @@ class Node:
         return frames
 
     def heartbeat(self, now: int) -> list[Frame]:
-        """Return the heartbeat if it is due at a time [ns] of whichever clock the bus has."""
+        """Return the heartbeat if it is due at a time [ns] of the bus's clock."""
         if not self._beat or self.state is State.BOOT:
             return []
         if self._beat_at is not None and now - self._beat_at < self._beat:
@@ -365,10 +365,10 @@ class Node:
         return frames
 
     def _watch(self, now: int) -> list[Frame]:
-        """Look whether the node whose heartbeats are expected is still there."""
+        """Check the heartbeats of the watched node."""
         if self._heard_at is None or now - self._heard_at <= self._watched[1]:
             return []
-        self._heard_at = None  # reported once, until it is heard again
+        self._heard_at = None  # reported once, until its next heartbeat
         self._drives.lost(self._drive, LOST)
         reported = self._emergency(LOST)
         self._error = self._number(0x603F, 0)

@@ -57,11 +57,11 @@ class Segment:
         return self.tick * self._period
 
     def boot(self) -> list[Frame]:
-        """Start up, and return what is sent."""
+        """Start up, and return the frames sent."""
         return [frame for node in self.nodes for frame in node.boot()]
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Take a frame from the bus, and return what is sent."""
+        """Take a frame from the bus, and return the frames sent."""
         now, frames, synced = self.now, [], False
         for node in self.nodes:
             if node.takes_sync(frame):
@@ -77,7 +77,7 @@ class Segment:
         return frames
 
     def _look_at_interpolation(self, node: Node) -> None:
-        """Note an interpolation time in lock-step that SYNC can stand for by rounding alone."""
+        """Report an interpolation time in lock-step that is not a multiple of the servo period."""
         value, exponent = (
             int.from_bytes(node.upload(0x60C2, sub), "little", signed=sub == 2) for sub in (1, 2)
         )
@@ -92,9 +92,9 @@ class Segment:
             )
 
     def pass_period(self) -> list[Frame]:
-        """Let a servo period pass, and return what is sent after it.
+        """Advance by a servo period, and return the frames sent after it.
 
-        A machine that has diverged stays where it is, its drives in Fault.
+        A diverged machine keeps its state, its drives in Fault.
         """
         if self.fault is None:
             try:

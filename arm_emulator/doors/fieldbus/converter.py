@@ -1,7 +1,7 @@
 """The paper's data converter: encoder counts and currents in, motor commands out, as registers.
 
 docs/how_to/modbus.md has the table. It stands between a bus of 16-bit words and a `Session`; of
-Modbus it knows the codes of refusals.
+Modbus it uses only the codes of refusals.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ class Block:
 
 
 def full_scale(scene: Scene, joint: Joint) -> float:
-    """Return what a command of 32768 would be [V, N m or A, as the joint's motor takes it].
+    """Return the full scale of commands, 32768 [V, N m or A, as the joint's motor takes it].
 
     Raises:
-        Refusal: the scene does not report, because a motor's torque or current has no limit.
+        Refusal: unknown, since a motor's torque or current has no limit.
     """
     limit = float(scene.largest_commands[scene.joints.index(joint)])
     if not math.isfinite(limit):
@@ -81,7 +81,7 @@ _WORDS = {
 
 
 def measured_blocks(scene: Scene) -> list[Block]:
-    """Return the registers of what is measured, in their order, without addresses."""
+    """Return the registers of measurements, in their order, without addresses."""
     rows, N = [], len(scene.joints)
     for output in measured_outputs(scene):
         per, kind = _WORDS[output.kind]
@@ -141,7 +141,7 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
 class Converter:
     """Registers of a machine, and the watchdog over its master.
 
-    Its owner lets time pass: `pass_period`, or in real time the session's own loop.
+    Its owner advances time by `pass_period`, or the session's loop does in real time.
 
     Attributes:
         session: the machine.
@@ -200,7 +200,7 @@ class Converter:
         self._tripped = False
 
     def _stop(self) -> None:
-        """Want nothing of the motors."""
+        """Set all commands to 0."""
         self._command = [0] * self._N * (1 + len(self._inputs))
         self.wanted = np.zeros((1 + len(self._inputs), self._N))
 
@@ -252,7 +252,7 @@ class Converter:
         )
 
     def _measured(self, count: int) -> Sequence[int]:
-        """Return at least the first `count` words of what was measured."""
+        """Return at least the first `count` words of the measurement."""
         session = self.session
         tick = session.tick
         words = [self.status, tick >> 16 & 0xFFFF, tick & 0xFFFF]
@@ -304,9 +304,9 @@ class Converter:
             session.powered = powered
 
     def pass_period(self) -> None:
-        """Let a servo period pass under the commands that were there when it began.
+        """Advance by a servo period under the commands at its beginning.
 
-        A machine that has diverged stays where it is.
+        A diverged machine keeps its state.
         """
         session = self.session
         if session.fault is None:
@@ -315,12 +315,12 @@ class Converter:
         self._held = self.wanted
 
     def answer_tick(self) -> None:
-        """Let a servo period pass under the commands that were just written."""
+        """Advance by a servo period under the commands just written."""
         self._held = self.wanted
         self.pass_period()
 
     def offer(self) -> None:
-        """Hand the commands to a session that runs by the clock."""
+        """Pass the commands to a session in real time."""
         session = self.session
         try:
             command, *rows = self.wanted.tolist()

@@ -1,4 +1,4 @@
-"""Firmware as a linker wrote it: what goes into memory, and which function is where."""
+"""Firmware in an ELF file: contents of memory, and addresses of functions."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class ElfImage:
             )
         except Refusal:
             raise
-        except Exception as error:  # what a damaged file leads to
+        except Exception as error:  # errors of a damaged file
             rule = "be a sound ELF file"
             raise Refusal(self.name, "file", rule, f"{type(error).__name__} {error}") from None
         if not self.pieces:

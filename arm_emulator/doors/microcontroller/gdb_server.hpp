@@ -1,5 +1,5 @@
 // gdb's remote protocol on a socket: registers, memory, breakpoints, continue, step, interrupt. It
-// lives in the thread that runs the firmware; while it is halted nothing else goes on.
+// runs in the firmware's thread; nothing else runs while that is halted.
 #pragma once
 
 #include <netinet/in.h>
@@ -25,7 +25,7 @@ class Debugged {
   virtual ~Debugged() = default;
   virtual uint32_t get_register(int number) = 0;
   virtual void set_register(int number, uint32_t value) = 0;
-  // Read a byte without any effect; false: nothing is there.
+  // Read a byte without side effects; false: no memory there.
   virtual bool look(uint32_t at, uint8_t* out) = 0;
   virtual bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) = 0;
   virtual void set_stops(std::vector<uint32_t> stops) = 0;
@@ -33,7 +33,7 @@ class Debugged {
 
 class GdbServer {
  public:
-  // `socket` listens; this waits until somebody comes.
+  // `socket` listens; this waits for a client.
   GdbServer(Debugged& debugged, int socket) : debugged_(debugged) {
     client_ = ::accept(socket, nullptr, nullptr);
     const int at_once = 1;  // answers are short, and each is waited for
@@ -47,8 +47,8 @@ class GdbServer {
     ::close(client_);
   }
 
-  // Before every instruction that may be the next to run: halt here if that is wanted, until asked
-  // to go on. Returns false if all shall end.
+  // Before every instruction: halt if requested, until the debugger continues. Returns false to end
+  // the run.
   bool attend(bool at_stop) {
     if (client_ < 0) return !killed_;
     if (!halted_) {
@@ -61,14 +61,14 @@ class GdbServer {
     return !killed_;
   }
 
-  // Whether one instruction shall run, not many.
+  // Whether to run a single instruction.
   bool steps() const { return stepping_; }
-  // Something has run.
+  // The firmware has run.
   void moved() {
     moved_ = true;
     stepped_ = stepping_;
   }
-  // It cannot go on: report it, and show why until asked to end.
+  // It cannot continue: report the reason until the debugger ends.
   void ended() {
     if (client_ < 0) return;
     halt(11);

@@ -38,7 +38,7 @@ _KINDS = {
 
 
 class FirmwareEnd(RuntimeError):
-    """The firmware cannot go on, or a debugger has ended it; the message is one line."""
+    """Raised when the firmware cannot continue, or a debugger has ended it; one line."""
 
 
 def runner_unit() -> Unit:
@@ -70,7 +70,7 @@ class Microcontroller(ControlCode):
         stop: where the loop reads that the firmware has ended.
 
     Args:
-        board: what is where.
+        board: wiring of its registers.
         image: the firmware.
         scene: the machine.
         uarts: file descriptors to write to and to read from, of each serial line that has some.
@@ -116,7 +116,7 @@ class Microcontroller(ControlCode):
 
     @property
     def ended(self) -> FirmwareEnd | None:
-        """Why the firmware has ended, None if it goes on."""
+        """Reason for the end of the firmware, None while it runs."""
         if not self.stop[0]:
             return None
         return FirmwareEnd(f"{self.name}: {self.fault or 'ended by the debugger'}")
@@ -141,7 +141,7 @@ class Microcontroller(ControlCode):
 
 
 def _full_scale(pwm: Pwm, scene: Scene) -> float:
-    """Return what a duty of 1 stands for [V, A or N m]: of a bridge the supply."""
+    """Return the command at a duty of 1 [V, A or N m]: of a bridge the supply."""
     command = scene.joints[scene.joint_names.index(pwm.joint)].inputs[0]
     if pwm.full_scale is not None or pwm.kind == "float":
         return pwm.full_scale or 0.0
@@ -155,7 +155,7 @@ def _full_scale(pwm: Pwm, scene: Scene) -> float:
 def _board_struct(
     board: Board, scene: Scene, uarts: dict[str, tuple[int, int]]
 ) -> tuple[CData, dict[str, CData]]:
-    """Return a board as runner.h has it, and what must outlive it."""
+    """Return a board as in runner.h, and the objects that must outlive it."""
     full_scales = [_full_scale(one, scene) for one in board.pwms]
     joints = scene.joint_names.index
     lists: dict[str, list[dict[str, float]]] = {

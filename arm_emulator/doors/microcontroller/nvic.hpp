@@ -1,4 +1,4 @@
-// Nested vectored interrupt controller: which exception goes before which (ARMv7-M, B1.5).
+// Nested vectored interrupt controller: priorities of exceptions (ARMv7-M, B1.5).
 #pragma once
 
 #include <algorithm>
@@ -63,7 +63,7 @@ class Nvic {
     changed_ = true;
   }
 
-  // A device asks for its interrupt until it takes that back.
+  // A device requests its interrupt until it withdraws the request.
   void set_line(int n, bool high) {
     if (high && !line_[n]) pend(n);
     line_[n] = high;
@@ -79,10 +79,10 @@ class Nvic {
     changed_ = true;
   }
 
-  // Something has changed that may let an exception in; asking clears it.
+  // Whether a change may let an exception enter; reading clears it.
   bool changed() { return std::exchange(changed_, false); }
 
-  // The exception that goes first of those that wait, 0: none.
+  // The pending exception of highest priority, 0: none.
   int first() const {
     int best = 0;
     if (pending_.none()) return best;
@@ -106,7 +106,7 @@ class Nvic {
     if (masks.primask & 1) now = std::min(now, 0);
     return group(n) < under(now, masks.basepri);
   }
-  // Whether it ends a sleep: as if PRIMASK was 0.
+  // Whether it ends a sleep, as if PRIMASK were 0.
   bool may_wake(int n, const Masks& masks) const {
     return may_enter(n, {0, masks.basepri, masks.faultmask});
   }

@@ -1,4 +1,4 @@
-// Memory-mapped registers: words that keep what was written, some of which do more.
+// Memory-mapped registers: words that keep the written value, some with side effects.
 #pragma once
 
 #include <bit>
@@ -23,12 +23,12 @@ class Registers {
   }
 
   bool has(uint32_t at) { return find(at).block; }
-  // The stored word of a register that is there.
+  // The stored word of an existing register.
   uint32_t& word(uint32_t at) { return find(at).word(); }
   float number(uint32_t at) { return std::bit_cast<float>(word(at)); }
   void put(uint32_t at, float number) { word(at) = std::bit_cast<uint32_t>(number); }
 
-  // Whether one that does more was read or written since it was asked last.
+  // Whether a register with side effects was accessed since the last call.
   bool special() { return std::exchange(special_, false); }
 
   void on_read(uint32_t at, Read read) {

@@ -1,5 +1,5 @@
-// The microcontroller in the loop: per servo period measurements go into registers, the firmware
-// runs for as many cycles, and compare registers come out as voltages.
+// The microcontroller in the loop: in each servo period measurements go into registers, the
+// firmware runs for that time, and compare registers become voltages.
 #pragma once
 
 #include <cstdio>
@@ -47,7 +47,7 @@ class Runner : public Bus, public Debugged {
     wire();
   }
 
-  // Return null, or why it does not work.
+  // Return null, or the reason for a failure.
   const char* open() {
     if (!cpu_.is_open()) return "Unicorn does not give a Cortex-M";
     if (!cpu_.map_memory()) return "flash and RAM cannot be mapped";
@@ -160,7 +160,7 @@ class Runner : public Bus, public Debugged {
     return static_cast<Time>(seconds * board_.clock + 0.5) * CYCLE;
   }
 
-  // Make registers, and what is behind them, as after a reset.
+  // Set registers and devices as after a reset.
   void wire() {
     registers_ = {};
     encoders_.clear(), adcs_.clear(), pins_.clear(), pwms_.clear(), uarts_.clear();
@@ -286,7 +286,7 @@ class Runner : public Bus, public Debugged {
     awake_from_ = cpu_.instructions;
   }
 
-  // Let the exception in that goes first, if it may; false: the run has ended.
+  // Enter the pending exception of highest priority, if permitted; false: the run has ended.
   bool take_exception() {
     cpu_.masked_wait = false;
     nvic_.changed();
@@ -356,7 +356,7 @@ class Runner : public Bus, public Debugged {
     return faulted();
   }
 
-  // Begin again, as the reset pin does it: memory keeps what it holds, and time goes on.
+  // Restart like the reset pin: memory keeps its contents, and time continues.
   bool restart() {
     nvic_ = Nvic(board_.interrupts, board_.priority_bits);
     std::destroy_at(&systick_);
@@ -371,7 +371,7 @@ class Runner : public Bus, public Debugged {
     return !stopped;
   }
 
-  // Go on in the handler of the fault; false: the run has ended, since none handles it.
+  // Continue in the handler of the fault; false: no handler, the run has ended.
   bool faulted() {
     const Cpu::Fault fault = cpu_.fault;
     if (fault.kind == Kind::none || debugger_halts(fault)) return failed();
@@ -395,11 +395,11 @@ class Runner : public Bus, public Debugged {
       first_fault_ = fault, first_fault_pc_ = cpu_.pc;
     return enter(handler);
   }
-  // A breakpoint instruction is the debugger's, if there is one.
+  // A debugger, if connected, handles breakpoint instructions.
   bool debugger_halts(const Cpu::Fault& fault) const {
     return debugger_ && fault.kind == Kind::breakpoint;
   }
-  // Whether there is nothing but a branch to itself.
+  // Whether the code is a branch to itself.
   bool stands_still(uint32_t at) const {
     uint16_t code = 0;
     return memory_.read(at, &code, 2) && code == 0xe7fe;

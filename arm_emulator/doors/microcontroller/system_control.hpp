@@ -78,7 +78,7 @@ class SystemControl {
         return Nvic::USAGE_FAULT;
     }
   }
-  // Have the status registers show what it was (ARMv7-M, B3.2.15).
+  // Set the status registers to the fault (ARMv7-M, B3.2.15).
   void record(const Cpu::Fault& fault) {
     using Kind = Cpu::Fault::Kind;
     switch (fault.kind) {

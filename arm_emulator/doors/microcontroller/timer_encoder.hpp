@@ -14,7 +14,7 @@ class TimerEncoder {
       : description_(description),
         mask_(description.bits == 32 ? ~0u : (1u << description.bits) - 1),
         registers_(registers) {
-    // Firmware sets where counting begins.
+    // Firmware sets the initial count.
     registers.on_write(description.at, [this](uint32_t value, uint32_t) {
       offset_ = (value - counts_) & mask_;
       return value & mask_;

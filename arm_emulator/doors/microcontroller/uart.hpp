@@ -61,7 +61,7 @@ class Uart {
     }
   }
 
-  // Take what somebody has typed.
+  // Read typed input.
   void listen() {
     if (description_.in < 0 || arrives_.size() >= MOST) return;
     uint8_t bytes[256];

@@ -1,8 +1,8 @@
-// One axis as its modes of operation see it: the dictionary, what was measured, what is demanded of
-// the inner loops, and the limits of all that.
+// One axis for its modes of operation: dictionary, measurements, demands of the inner loops,
+// limits.
 //
-// Inside, positions are counts of the encoder since the machine began; those of the dictionary are
-// less by `shift`, which homing sets.
+// Internal positions are encoder counts since the start of the machine; those of the dictionary are
+// lower by `shift`, which homing sets.
 #pragma once
 
 #include "drives.h"
@@ -25,7 +25,7 @@ struct Demand {
 
 struct Measured {
   std::int64_t counts = 0, turned = 0;  // turned: in the newest period
-  std::int64_t index = 0, pulses = 0;   // counts at the newest index pulse, how many there were
+  std::int64_t index = 0, pulses = 0;   // counts at the newest index pulse, number of pulses
   double speed = 0.0;                   // counts/s
   double torque = 0.0;                  // 0.1 %
   double command = 0.0;                 // V or A that the motor got
@@ -57,7 +57,7 @@ struct Axis {
     return static_cast<double>(values.get<index, sub>());
   }
   double counts() const { return static_cast<double>(measured.counts); }
-  // Whether a bit of the controlword has come in this period.
+  // Whether a bit of the controlword was set in this period.
   bool rises(std::uint16_t bit) const { return (word & bit) && !(word_before & bit); }
 
   // ------------------------------------------------------------------------------------ limits
@@ -117,14 +117,14 @@ struct Axis {
 
   // ----------------------------------------------------------------------- from loop to loop
 
-  // Demands at the motor as it is, without speed.
+  // Demands at the motor's present position, without speed.
   void follow_motor() {
     demand.loop = Loop::position;
     demand.position = counts();
     demand.speed = demand.torque = 0.0;
     demand.position_cut = false;
   }
-  // Change to a loop, the motion going on.
+  // Change to a loop without a jump of the motion.
   void control_position() {
     if (demand.loop != Loop::position) demand.position = counts();
     if (demand.loop == Loop::torque) demand.speed = measured.speed;

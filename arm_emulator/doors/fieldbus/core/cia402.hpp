@@ -1,4 +1,4 @@
-// The state machine of a drive after CiA 402 (IEC 61800-7-201), and no bus in it.
+// The state machine of a drive after CiA 402 (IEC 61800-7-201), independent of the bus.
 //
 //   0, 1  start-up, then Switch on disabled      9  Operation enabled -> Switch on disabled
 //   2  Switch on disabled -> Ready               10  Switched on -> Switch on disabled
@@ -69,7 +69,7 @@ enum class Stop : std::uint8_t {
   none,          // keep going
   profile_ramp,  // slow down by 0x6084
   quick_ramp,    // slow down by 0x6085
-  torque_limit,  // slow down by what torque there is
+  torque_limit,  // slow down by the largest torque
 };
 
 // Options set by the master.
@@ -98,7 +98,7 @@ class StateMachine {
   }
 
   // Take a controlword, once per period. `voltage`: whether the supply is there; `released`:
-  // whether the brake is open; `cause`: whether what led to a fault is still there.
+  // whether the brake is open; `cause`: whether the cause of a fault is still present.
   void take(std::uint16_t word, const StopOptions& options, bool voltage, bool released,
             bool cause) {
     opening_ = false;
@@ -157,7 +157,7 @@ class StateMachine {
       go(leaving_, leaving_ == 8 ? State::ready : State::switched_on);
   }
 
-  // Something went wrong. `can_stop`: whether the motor can still be slowed down.
+  // A fault occurred. `can_stop`: whether the motor can still be slowed down.
   void fail(std::uint16_t error, const StopOptions& options, bool can_stop) {
     if (state_ == State::fault || state_ == State::fault_reaction) {
       if (!can_stop && state_ == State::fault_reaction) go(14, State::fault);
@@ -173,8 +173,8 @@ class StateMachine {
       go(14, State::fault);
   }
 
-  // The master is gone, with what 0x6007 states of that. A motor that is not controlled needs no
-  // reaction: its drive is back in Switch on disabled.
+  // The master is lost; 0x6007 states the reaction. A drive whose motor is not controlled returns
+  // to Switch on disabled.
   void lose_master(std::int64_t reaction, std::uint16_t error, const StopOptions& options,
                    bool can_stop) {
     constexpr std::int64_t fault = 1, disable = 2;

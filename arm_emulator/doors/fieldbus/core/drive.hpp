@@ -1,4 +1,4 @@
-// One CiA 402 drive: its dictionary, its state machine, and what its motor gets in a servo period.
+// One CiA 402 drive: its dictionary, its state machine, and its motor's command per servo period.
 //
 // A bus reads and writes between two periods. In `begin_period` the drive takes the controlword and
 // its targets, in `end_period` what was measured. What a mode of operation makes of the targets is
@@ -63,14 +63,14 @@ class Drive {
     return slot >= 0;
   }
 
-  // Process data. What is mapped is in values().mapping(...), values().process_data(...).
+  // Process data. The mapping is in values().mapping(...), values().process_data(...).
   void read_mapped(const Mapped& one, std::byte* out) const {
     if (one.slot < 0)
       std::memset(out, 0, static_cast<std::size_t>(one.bits) / 8);
     else
       std::memcpy(out, axis_.values.place(one.slot), static_cast<std::size_t>(one.bits) / 8);
   }
-  // A value out of its range is not taken; its abort code is returned.
+  // A value out of its range is refused; its abort code is returned.
   std::uint32_t write_mapped(const Mapped& one, const std::byte* in) {
     if (one.slot < 0) return abort_code::none;
     const std::int64_t value = Values::number(Values::entry(one.slot), in);
@@ -81,7 +81,7 @@ class Drive {
 
   // ---------------------------------------------------------------------------------- its life
 
-  // Begin anew where the motor is now.
+  // Restart at the motor's present position.
   void begin(const arm_joint_measurement& measured, const arm_joint_sensors& sensors,
              bool powered) {
     loops_.begin();
@@ -90,7 +90,7 @@ class Drive {
     look(measured, sensors, powered);
     restart();
   }
-  // Values as they were made, Switch on disabled.
+  // Initial values, Switch on disabled.
   void restart() {
     Values& values = axis_.values;
     const bool locked = values.mapping_locked;
@@ -116,7 +116,7 @@ class Drive {
     lost_ = true;
     publish();
   }
-  // The machine has diverged, and stays where it was.
+  // The machine has diverged, and keeps its state.
   void diverged() {
     axis_.measured.diverged = true;
     fail(error_code::software, false);
@@ -211,7 +211,7 @@ class Drive {
     mode_.choose(asked);
     if (controlled_) mode_->take_over(axis_);
   }
-  // The motor gets nothing; the brake closes.
+  // The command is 0; the brake closes.
   arm_joint_command let_go() {
     hold();
     controlled_ = false;
@@ -225,7 +225,7 @@ class Drive {
     mode_->hold(axis_);
   }
 
-  // Set the demands of this period; return what they take.
+  // Set the demands of this period; return the command.
   double move() {
     axis_.demand.speed_cut = false;
     const bool operates = machine_.state() == State::operation_enabled;
@@ -390,7 +390,7 @@ class Drive {
   Modes mode_;
   Stopping stopping_;
   TouchProbe probe_[2];
-  bool controlled_ = false;  // the motor gets what the loops ask for
+  bool controlled_ = false;  // the loops command the motor
   bool closing_ = false;     // ... while its brake closes behind a stop
   bool lost_ = false;        // the master is gone, until it writes a controlword
   bool off_ = false;         // the following error is beyond its window

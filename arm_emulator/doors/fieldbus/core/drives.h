@@ -25,12 +25,12 @@ enum { DRIVES_UNITS = 2 }; /* inertial measurement units on a link, at most */
 /* Data of a joint. */
 typedef struct drives_joint {
   const char* name;
-  servo_joint servo;       /* what its inner loops work with */
+  servo_joint servo;       /* data of its inner loops */
   int64_t counts_per_turn; /* of the encoder at the motor */
   int64_t lower, upper;    /* counts, within which its link may be */
   int32_t brake;           /* 1: it has one */
   int32_t index;           /* 1: its encoder at the motor has an index pulse */
-  int32_t stops;           /* 1: its way ends at stops on both sides */
+  int32_t stops;           /* 1: it has stops on both sides */
   int32_t mode;            /* enum arm_mode that its motor takes; ARM_VOLTAGE or _CURRENT */
   uint32_t modes;          /* of 0x6502 that its loops hold the machine in */
   uint32_t reserved;
@@ -65,11 +65,11 @@ typedef struct drives_machine {
 drives* drives_new(const drives_machine* machine);
 void drives_delete(drives* all);
 int32_t drives_count(const drives* all);
-/* Begin anew at the machine as it is now: drives as they were made. Call it after a reset or a
- * restore of the machine. */
+/* Restart at the machine's present state, with initial values of the drives. Call it after a reset
+ * or a restore of the machine. */
 void drives_begin(drives* all);
 
-/* Go through one servo period: every drive's loops, one arm_exchange. Returns its result; once it
+/* Advance by one servo period: every drive's loops, one arm_exchange. Returns its result; once it
  * is not ARM_OK the drives are in Fault. */
 int drives_period(drives* all);
 /* The same for so many periods, or fewer where one is not ARM_OK. */
@@ -134,15 +134,15 @@ int drives_set(drives* all, int32_t drive, uint16_t index, uint8_t sub, int64_t 
  * through so many of them per cycle. */
 int32_t drives_periods_per_target(const drives* all, int32_t drive);
 
-/* Report to a drive (-1: all) that its master is gone, once per loss: a motor that is controlled
- * does as 0x6007 states, with this error code (0x603F), 0x8100 in general; a drive that is only
- * ready is back in Switch on disabled. */
+/* Report the loss of the master to a drive (-1: all), once per loss: a controlled motor reacts by
+ * 0x6007, with this error code (0x603F), 0x8100 in general; a drive that is only ready returns to
+ * Switch on disabled. */
 void drives_lost(drives* all, int32_t drive, uint16_t error);
 /* Forbid or allow that the mapping of process data is changed (-1: of all drives), of CANopen only
  * where a PDO uses it. Buses forbid it beyond pre-operational. */
 void drives_lock_mapping(drives* all, int32_t drive, int locked);
-/* Reset a drive (-1: all) as NMT or a new start does: values as they were made, Switch on
- * disabled. The motor goes on turning. */
+/* Reset a drive (-1: all) as NMT or a new start does: initial values, Switch on disabled. The motor
+ * continues to turn. */
 void drives_restart(drives* all, int32_t drive);
 
 /* ----------------------------------------------------------- service data objects on CANopen */
@@ -150,7 +150,7 @@ void drives_restart(drives* all, int32_t drive);
 /* Answer a request of 8 bytes. Returns how many replies of 8 bytes there are. */
 enum { DRIVES_SDO_REPLIES = 127 }; /* at most */
 int32_t drives_sdo(drives* all, int32_t drive, const uint8_t* request, uint8_t* replies);
-/* Forget a transfer that is under way. */
+/* Discard a transfer in progress. */
 void drives_sdo_begin(drives* all, int32_t drive);
 /* Times that an object of a drive's communication, 0x1005 to 0x1FFF, was written. */
 uint32_t drives_communication(const drives* all, int32_t drive);

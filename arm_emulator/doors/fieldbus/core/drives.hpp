@@ -34,7 +34,7 @@ struct drives {
   const fieldbus::Drive& at(int j) const { return one[static_cast<std::size_t>(j)]; }
   std::int64_t tick() const { return measurement.tick; }
 
-  // Begin anew at the machine as it is now.
+  // Restart at the machine's present state.
   void begin() {
     machine.measure(machine.machine, &measurement);
     for (int j = 0; j < count(); ++j) {
@@ -42,7 +42,7 @@ struct drives {
       at(j).begin(measured[k], sensors[k], measurement.powered != 0);
     }
   }
-  // One servo period of every drive and the machine. Returns what arm_exchange did.
+  // One servo period of every drive and the machine. Returns the result of arm_exchange.
   int period() {
     for (int j = 0; j < count(); ++j) command[static_cast<std::size_t>(j)] = at(j).begin_period();
     arm_command all = {};
@@ -59,7 +59,7 @@ struct drives {
     }
     return result;
   }
-  // Do something with a drive, -1: with all.
+  // body(drive) for a drive, -1: for all.
   template <class Does>
   void with(int j, Does&& does) {
     for (int k = 0; k < count(); ++k)

@@ -28,7 +28,7 @@ typedef struct ethercat_figures {
   int64_t periods;     /* servo periods that have passed */
   int64_t malformed;   /* frames thrown away: lengths that do not fit */
   int64_t foreign;     /* frames thrown away that are not EtherCAT's */
-  int64_t circulating; /* frames thrown away that have been around already */
+  int64_t circulating; /* frames thrown away that have passed the segment already */
   int64_t unknown;     /* datagrams with an unknown command, which pass as they are */
   int64_t lost_cycles; /* by the clock: periods with a drive in OP and no complete exchange */
   int64_t
@@ -42,11 +42,11 @@ typedef struct ethercat_figures {
 ethercat_segment* ethercat_new(const ethercat_options* options);
 void ethercat_delete(ethercat_segment* segment);
 
-/* Let a frame go through the segment, in place, where the clock is `now` [ns] (not used in
- * lock-step). Returns how many bytes come back, 0: none. In lock-step the servo period follows that
- * it sets off. */
+/* Pass a frame through the segment, in place, at the time `now` [ns] (not used in lock-step).
+ * Returns the number of bytes that come back, 0: none. In lock-step the servo period of an exchange
+ * follows. */
 int64_t ethercat_frame(ethercat_segment* segment, uint8_t* frame, int64_t size, int64_t now);
-/* Let a servo period pass, by the clock. Returns the result of the machine's exchange. */
+/* Advance by a servo period, by the clock. Returns the result of the machine's exchange. */
 int ethercat_period(ethercat_segment* segment, int64_t now);
 void ethercat_get_figures(const ethercat_segment* segment, ethercat_figures* out);
 /* Registers and memory of a slave, 0x3000 bytes; null if there are not so many. */

@@ -1,6 +1,6 @@
-// The state machine of a slave (ETG.1000.6, section 6.4): INIT, PREOP, SAFEOP, OP. Each step up is
-// asked for by the master and checked; whatever goes wrong is reported with a code, and stays
-// reported until the master acknowledges it.
+// The state machine of a slave (ETG.1000.6, section 6.4): INIT, PREOP, SAFEOP, OP. The master
+// requests each step up, which is checked; an error is reported with a code until the master
+// acknowledges it.
 #pragma once
 
 #include <cstdint>
@@ -51,7 +51,7 @@ class AlState {
     if (code_ == AlCode::none) state_ = wanted;
     report();
   }
-  // Something went wrong.
+  // An error occurred.
   void set(State to, AlCode why) {
     state_ = to;
     code_ = why;

@@ -1,5 +1,5 @@
 // CANopen over EtherCAT (ETG.1000.6, section 5.6): a master reads and writes a drive's object
-// dictionary (SDO), asks what is in it (SDO information), and gets emergencies.
+// dictionary (SDO), lists it (SDO information), and receives emergencies.
 #pragma once
 
 #include <cstddef>
@@ -28,7 +28,7 @@ class Coe {
   Coe(const Objects& objects, const Door& door)
       : objects_(objects), door_(door), dictionary_(objects, door) {}
 
-  // Forget a transfer that is under way.
+  // Discard a transfer in progress.
   void begin() { server_.begin(); }
 
   // Serve a request: CoE header and what follows it. `room`: how long a reply may be. Replies are
@@ -93,7 +93,7 @@ class Coe {
     }
   }
 
-  // As many messages as it takes.
+  // As many messages as needed.
   static void send(std::uint8_t opcode, const Bytes& body, std::size_t room,
                    std::vector<Bytes>& out) {
     const std::size_t each = (room - 4) & ~std::size_t{1};
@@ -161,7 +161,7 @@ class Coe {
     if (sub >= object.size()) return abort_code::no_sub;
     const drives_entry& entry = object[sub];
     const std::size_t size = (entry.bits + 7u) / 8;
-    // Default, least and most, where asked for; units stand in the name.
+    // Default, minimum and maximum, as requested; units are in the name.
     const auto given = static_cast<std::uint8_t>(wanted & (size ? 0x77 : 0x07));
     std::uint32_t length = 0;
     if (size == 0) {

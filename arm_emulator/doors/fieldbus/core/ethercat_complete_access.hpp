@@ -58,7 +58,7 @@ class Dictionary final : public fieldbus::SdoDictionary {
     return 0;
   }
 
-  // All or nothing: what was written is taken back when a later entry is refused.
+  // All or nothing: written entries are restored when a later one is refused.
   std::uint32_t write_all(std::uint16_t index, std::uint8_t from,
                           std::span<const std::uint8_t> data) {
     const auto object = objects_.object(index);

@@ -1,7 +1,7 @@
 // Distributed clocks: each slave has a clock of its own, which a master measures, sets and steers
 // after the clock of the first slave (ETG.1000.4, section 6.8; registers from 0x0900 on). Frames
-// take time from slave to slave, which masters find from the times at which a frame came by on its
-// way there and back.
+// are delayed from slave to slave; masters compute the delays from the times at which a frame
+// passed on its way there and back.
 #pragma once
 
 #include <algorithm>
@@ -37,7 +37,7 @@ class DistributedClock {
     memory_.put16(0x0982, 1000);    // length of a pulse, 10 ns
   }
 
-  // A frame comes by.
+  // A frame passes.
   void pass(const Passage& now) { passage_ = now; }
 
   // Puts the time into the registers that a master is about to read.
@@ -84,8 +84,7 @@ class DistributedClock {
     memory_.put64(kUnitReceived, local(passage_.there));
   }
 
-  // The reference clock's time has come: go faster or slower, which here takes effect at once, by
-  // so much at most.
+  // The reference clock's time has arrived: adjust the clock at once, by at most this much.
   void steer(std::size_t size) {
     constexpr std::int64_t kMost = 1000;  // ns
     const std::uint64_t here = system_time();

@@ -70,7 +70,7 @@ constexpr std::size_t kLongestFrame = 1518;  // with a VLAN tag, without the che
 
 enum class FrameCheck { sound, foreign, malformed, circulating };
 
-// The datagrams of a frame that was found sound: `next` gives one after the other.
+// The datagrams of a valid frame: `next` returns one after the other.
 class Datagrams {
  public:
   explicit Datagrams(std::span<std::uint8_t> frame)
@@ -104,7 +104,7 @@ inline FrameCheck check(std::span<std::uint8_t> frame) {
     const Datagram datagram(frame.data() + kEthernetHeader + kFrameHeader + used);
     used += datagram.length();
     if (used > length) return FrameCheck::malformed;
-    // It has been around the segment already, without having met the master.
+    // It has passed the segment already, without reaching the master.
     if (datagram.circulating()) return FrameCheck::circulating;
     more = datagram.more();
   }

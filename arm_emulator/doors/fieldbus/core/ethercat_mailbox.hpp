@@ -28,8 +28,7 @@ class Mailbox {
     managers_.acknowledge_repeat(kIn);
   }
 
-  // The master has written a whole message, which stays where it is until there is room for
-  // replies.
+  // The master has written a whole message, which waits until there is room for replies.
   void written() {
     managers_.set_full(kOut, true);
     serve();
@@ -40,7 +39,7 @@ class Mailbox {
     fill();
     serve();
   }
-  // The master has not got what it has read, and asks for it once more.
+  // The master has lost a reply, and requests it again.
   void after_write() {
     if (!managers_.enabled(kIn)) return;
     if (managers_.repeat_requested(kIn) == repeated_) return;
@@ -64,7 +63,7 @@ class Mailbox {
     managers_.set_full(kOut, false);
     const std::size_t size = get16(message.data());
     const int type = message[5] & 0x0f, counter = (message[5] >> 4) & 7;
-    if (counter != 0 && counter == counted_) return;  // sent twice: the answer is on its way
+    if (counter != 0 && counter == counted_) return;  // sent twice: the answer follows
     counted_ = counter;
     MailboxError error = MailboxError::none;
     std::vector<Bytes> replies;

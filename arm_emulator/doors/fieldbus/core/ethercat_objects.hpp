@@ -1,5 +1,4 @@
-// The object dictionary as a master on EtherCAT sees it: what is in it, and the door to the values
-// of one drive.
+// The object dictionary for a master on EtherCAT: its entries, and the values of one drive.
 #pragma once
 
 #include <algorithm>
@@ -54,7 +53,7 @@ class Door {
  public:
   Door(drives* all, std::int32_t drive) : all_(all), drive_(drive) {}
 
-  // An abort code, 0 for none. `size` gets how many bytes there are.
+  // An abort code, 0 for none. `size` gets the number of bytes.
   std::uint32_t read(std::uint16_t index, std::uint8_t sub, std::span<std::uint8_t> out,
                      std::uint32_t& size) const {
     size = 0;

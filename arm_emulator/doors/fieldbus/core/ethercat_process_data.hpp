@@ -1,5 +1,5 @@
-// Process data: what the mapping (0x1600.., 0x1A00..) of the assigned objects (0x1C12, 0x1C13)
-// states goes between a buffer and the drive in each servo period.
+// Process data: the entries in the mapping (0x1600.., 0x1A00..) of the assigned objects (0x1C12,
+// 0x1C13) go between a buffer and the drive in each servo period.
 #pragma once
 
 #include <vector>
@@ -18,8 +18,8 @@ class ProcessData {
   ProcessData(const Objects& objects, const Door& door, Way way)
       : objects_(objects), door_(door), way_(way) {}
 
-  // Takes over the mapping as it is now. The dictionary has seen to it that all of it can be
-  // mapped, in whole bytes.
+  // Takes over the present mapping. The dictionary ensures that all of it can be mapped, in whole
+  // bytes.
   void compile() {
     items_.clear();
     bytes_ = 0;

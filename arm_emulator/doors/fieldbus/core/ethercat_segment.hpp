@@ -16,8 +16,8 @@ class Segment {
       slaves_.push_back(std::make_unique<Slave>(arm_.all, objects_, k, arm_.period));
   }
 
-  // Lets a frame through, in place, where the clock is `now` [ns]; returns how long it comes back,
-  // 0: it does not. Clocks and watchdogs of slaves go by logical time in lock-step.
+  // Passes a frame, in place, at the time `now` [ns]; returns its length on return, 0: lost. Clocks
+  // and watchdogs of slaves use logical time in lock-step.
   std::size_t pass(std::span<std::uint8_t> frame, std::int64_t now) {
     const std::int64_t time = arm_.lockstep ? logical_ : now;
     switch (check(frame)) {
@@ -60,8 +60,7 @@ class Segment {
     return frame.size();
   }
 
-  // In lock-step: lets the servo period pass that a frame has set off, if it completed an exchange
-  // with all drives.
+  // In lock-step: advances by a servo period if a frame has completed an exchange with all drives.
   void finish_exchange() {
     if (!arm_.lockstep || !exchanged()) return;
     ++figures_.exchanges;
@@ -70,7 +69,7 @@ class Segment {
       step(logical_);
     }
   }
-  // Lets a servo period pass by the clock, where it is `now` [ns].
+  // Advances by a servo period, by the clock, at the time `now` [ns].
   int period(std::int64_t now) {
     bool operational = false;
     for (const auto& slave : slaves_) operational = operational || slave->operational();
@@ -127,7 +126,7 @@ class Segment {
     }
     return shortest == 0 ? 1 : shortest;
   }
-  // A machine that has diverged stays where it is.
+  // A diverged machine keeps its state.
   int step(std::int64_t time) {
     for (const auto& slave : slaves_) slave->before_period(time);
     const int result = drives_period(arm_.all);

@@ -1,4 +1,4 @@
-// Slave information interface: the EEPROM that reports a master what a slave is (ETG.2010), and the
+// Slave information interface: the EEPROM that describes a slave to its master (ETG.2010), and the
 // registers from 0x0500 on through which it is read and written.
 #pragma once
 
@@ -105,7 +105,7 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
   manager(area::kOutputs, (bits[2] + 7) / 8, area::kOutputsControl, 1, 3);
   manager(area::kInputs, (bits[3] + 7) / 8, area::kInputsControl, 1, 4);
   category(41, managers);
-  for (const std::uint16_t kind : {50, 51}) {  // what the slave sends, what it receives
+  for (const std::uint16_t kind : {50, 51}) {  // transmitted, received
     std::vector<std::uint8_t> body;
     for (const Pdo& pdo : pdos) {
       if ((pdo.index >= 0x1a00) != (kind == 50)) continue;

@@ -1,5 +1,5 @@
-// One slave: a slave controller with a drive behind it. Datagrams read and write its memory; what
-// they set off stands in `after_read` and `after_write`.
+// One slave: a slave controller with a drive behind it. Datagrams read and write its memory;
+// `after_read` and `after_write` react.
 #pragma once
 
 #include <algorithm>
@@ -43,13 +43,13 @@ class Slave {
 
   // ------------------------------------------------------------------------ where frames come by
 
-  // A frame comes by; `connected`: another slave is behind this one.
+  // A frame passes; `connected`: another slave is behind this one.
   void pass(const Passage& passage, bool connected, std::int64_t time) {
     clock_.pass(passage);
     now_ = time;
     next_ = connected;
   }
-  // Whether a frame goes on to the next slave, comes back from here, or is lost.
+  // Whether a frame continues to the next slave, returns from here, or is lost.
   enum class Onward { next, back, lost };
   Onward onward() const {
     const int port1 = (memory_.get8(reg::kDlControl + 1) >> 2) & 3;
@@ -148,7 +148,7 @@ class Slave {
     mailbox_.emergency(error, static_cast<std::uint8_t>(door_.number(0x1001, 0)));
   }
 
-  // A frame had to be thrown away.
+  // A frame was thrown away.
   void count_error() {
     std::uint8_t& count = *memory_.at(reg::kUnitErrors);
     count = static_cast<std::uint8_t>(count + (count < 0xff));
@@ -349,7 +349,7 @@ class Slave {
            managers_.written_by_master(k) == by_master && managers_.start(k) == start &&
            managers_.length(k) == size && start + 3 * size <= end;
   }
-  // A master that changes the guards of an area in use loses what depended on it.
+  // A master that changes a sync manager in use resets its dependents.
   void check_guards() {
     const State state = al_.state();
     if (state == State::init) return;

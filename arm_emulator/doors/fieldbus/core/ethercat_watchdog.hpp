@@ -23,7 +23,7 @@ class Watchdog {
     newest_ = now;
     memory_.put16(reg::kWatchdogStatus, 1);
   }
-  // Whether it has run out just now.
+  // Whether it has just run out.
   bool expires(std::int64_t now) {
     if (!(memory_.get16(reg::kWatchdogStatus) & 1) || limit() == 0 || now - newest_ <= limit())
       return false;

@@ -1,4 +1,4 @@
-// Homing: where the drive looks for its home, and how it knows that it is there.
+// Homing methods.
 //
 //   35, 37  here                       -3, -4  the stop ahead (-3) or behind (-4)
 //   33, 34  the next index pulse,      -1, -2  the same, then the first index pulse on the way back

@@ -1,5 +1,5 @@
-// The inner loops of a drive, those of arm_emulator/servo/c/servo.h: from what was measured and
-// demanded to what the motor gets.
+// The inner loops of a drive, those of arm_emulator/servo/c/servo.h: from measurements and demands
+// to the motor's command.
 #pragma once
 
 #include "axis.hpp"
@@ -14,7 +14,7 @@ class InnerLoops {
   InnerLoops& operator=(const InnerLoops&) = delete;
 
   void begin() { servo_joint_reset(&state_); }
-  // The motor gets nothing.
+  // The command is 0.
   void release() { servo_release(&arm_); }
   double current() const { return state_.current; }  // A
 

@@ -1,20 +1,20 @@
 // Cyclic positions: a line from target to target, over the interpolation time 0x60C2.
 //
-// The speed that belongs to it, for the feed-forward, is smoothed: targets are whole counts, and
-// their differences jump by a count per period.
+// Its speed, for the feed-forward, is smoothed, since differences of targets in whole counts jump
+// by a count per period.
 #pragma once
 
 namespace fieldbus {
 
 class Interpolation {
  public:
-  // Stand at a position.
+  // Hold a position.
   void begin(double position) {
     position_ = goal_ = position;
     speed_ = 0.0;
     left_ = 0;
   }
-  // A target has come; it is to be reached in so many periods.
+  // Take a target that is to be reached in so many periods.
   void aim(double goal, int periods) {
     goal_ = goal;
     left_ = periods;

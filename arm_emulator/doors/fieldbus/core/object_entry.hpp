@@ -54,8 +54,8 @@ enum class Code : std::uint8_t { variable = 7, array = 8, record = 9 };
 enum class Bus : std::uint8_t { ethercat = 1, canopen = 2 };
 inline constexpr std::uint8_t kEthercat = 1, kCanopen = 2, kEveryBus = 3;
 
-// One entry. `standard`, `least` and `most` are those of the type's range unless stated; what a
-// scene's drive begins with may differ, and is in Drive.
+// One entry. `standard`, `least` and `most` are those of the type's range unless stated; initial
+// values of a scene's drive may differ, and are in Drive.
 struct Entry {
   std::uint16_t index = 0;
   std::uint8_t sub = 0;

@@ -11,9 +11,8 @@ struct ProfileLimits {
   double deceleration;  // > 0
 };
 
-// The shortest way to a position within limits, at rest there: speed up, go on, slow down. Before
-// that, one that goes too fast, the wrong way, or too far slows down. In closed form, so that
-// it ends where and when it should.
+// The fastest motion to rest at a position within limits: speed up, cruise, slow down; first slow
+// down if too fast, or if the way leads back. In closed form, so that end and duration are exact.
 class Trapezoid {
  public:
   void plan(double position, double speed, double target, const ProfileLimits& limits) {
@@ -53,7 +52,7 @@ class Trapezoid {
     }
     add(x, sign * peak, peak / d, -sign * d);
   }
-  // Stand at a position.
+  // Hold a position.
   void stand(double position) {
     count_ = 0;
     time_ = 0.0;
@@ -102,7 +101,7 @@ class Trapezoid {
 inline double ramp(double speed, double target, double acceleration, double deceleration,
                    double dt) {
   double left = dt;
-  if (speed * (target - speed) < 0.0) {  // it slows down, to 0 at most
+  if (speed * (target - speed) < 0.0) {  // it slows down, at most to 0
     const double goal = speed * target > 0.0 ? target : 0.0;
     const double time = std::fabs(speed - goal) / deceleration;
     if (time >= left) return speed + (goal > speed ? deceleration : -deceleration) * left;

@@ -1,4 +1,4 @@
-// Homing: the drive looks for its home by a method of homing.hpp, and counts from there.
+// Homing: the drive searches its home by a method of homing.hpp, and counts from there.
 #pragma once
 
 #include "../homing.hpp"

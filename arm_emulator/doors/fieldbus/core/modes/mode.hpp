@@ -1,7 +1,7 @@
 // Interface of a mode of operation (0x6060).
 //
-// A mode is made anew each time it is chosen. In Operation enabled it sets the demands of the inner
-// loops, period after period; the drive enables, stops and publishes.
+// A mode is constructed each time it is chosen. In Operation enabled it sets the demands of the
+// inner loops in every period; the drive enables, stops and publishes.
 #pragma once
 
 #include <limits>
@@ -30,18 +30,18 @@ struct Offsets {
 // Inputs of the mode's bits of the statusword.
 struct Situation {
   bool operates;  // Operation enabled
-  bool stops;     // ... and on its way out of it
+  bool stops;     // ... and about to leave it
   bool halted;    // slowed down by a stop or a halt
   bool off;       // the following error is beyond its window
 };
 
 class Mode {
  public:
-  // The motor is not controlled: begin at it as it is.
+  // The motor is not controlled: start at its present state.
   virtual void hold(Axis&) {}
-  // The motor moves in another mode: go on from there.
+  // The motor moves in another mode: continue from there.
   virtual void take_over(Axis&) {}
-  // A stop has ended; `by_halt`: it was a halt, and what was under way goes on.
+  // A stop has ended; `by_halt`: it was a halt, and the interrupted motion continues.
   virtual void go_on(Axis& axis, bool /*by_halt*/) { take_over(axis); }
   // Set the demands of a period.
   virtual void run(Axis& axis) { axis.stand(); }
