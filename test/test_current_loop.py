@@ -198,7 +198,7 @@ def by_its_equations(rows: np.ndarray) -> np.ndarray:
 def test_a_heated_winding_is_one_that_the_drive_does_not_know(tmp_path: Path) -> None:
     rows = np.random.default_rng(8).uniform(-12.0, 12.0, (20, 3))  # beyond the limit, too
     truth, errors = by_its_equations(rows), []
-    file = write(tmp_path, winding=WINDING)
+    file = write(tmp_path, events="located", winding=WINDING)
     assert truth[-1, 1] > 15.0, "it gets hot"
     for dt in (5e-5, 2.5e-5):
         plant, found = Plant(load_scene(file, {"integrator.dt": dt})), []

@@ -14,7 +14,7 @@ from draws import FULL, some
 from machines import GRAVITY, MOTOR, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
 from test_fleet_calls import SENSED
-from test_fleet_step import BRAKED
+from test_fleet_step import LOCATED
 
 from arm_emulator.analysis.reference import ROWS, ReferenceMachine
 from arm_emulator.base.refusal import Refusal
@@ -374,7 +374,7 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
 
 
 def test_arms_of_a_fleet_are_pushed_in_one_call_each_as_alone() -> None:
-    scene = load_scene("three_axis", overrides=BRAKED)
+    scene = load_scene("three_axis", overrides=LOCATED)
     link, count = scene.chain.joints[2].link, 5
     rng = np.random.default_rng(11)
     force, moment, point = rng.normal(0.0, 20.0, (3, count, 3)) * [[[1.0]], [[0.1]], [[0.01]]]

@@ -47,6 +47,12 @@ def scene(request: pytest.FixtureRequest) -> Scene:
     return load_scene(name, overrides)
 
 
+@pytest.fixture
+def three_axis() -> Scene:
+    name, overrides = SCENES["three_axis"]
+    return load_scene(name, overrides)
+
+
 def targets(scene: Scene, rng: np.random.Generator, periods: int) -> tuple[np.ndarray, np.ndarray]:
     """Swings of every joint that reverse, rest for a while, and are too quick for some motors."""
     shape = 1, COUNT, len(scene.joints)
@@ -140,12 +146,12 @@ void mine_step(void* with, int32_t first, int32_t arms, const arm_joint_measurem
 """
 
 
-def test_code_of_users_commands_arm_by_arm(tmp_path: Path) -> None:
+def test_code_of_users_commands_arm_by_arm(tmp_path: Path, three_axis: Scene) -> None:
     source, built = tmp_path / "mine.c", tmp_path / "mine.so"
     source.write_text(MINE)
     command = ["cc", "-shared", "-fPIC", f"-I{BOUNDARY}", str(source), "-o", str(built)]
     run_compiler(command, tmp_path, "mine", "mine.c")
-    scene = load_scene("three_axis")
+    scene = three_axis
     step = ctypes.cast(ctypes.CDLL(str(built)).mine_step, ctypes.c_void_p).value
     keeps = np.array([len(scene.joints), *[0] * 16, -1], np.int32)
     fleet, other = Fleet(scene, COUNT, workers=2), Fleet(scene, COUNT)
@@ -162,8 +168,8 @@ def test_code_of_users_commands_arm_by_arm(tmp_path: Path) -> None:
     assert fleet.state.t[9] == pytest.approx(0.020) and fleet.state.t[0] == pytest.approx(0.025)
 
 
-def test_what_makes_no_sense_is_refused() -> None:
-    scene = load_scene("three_axis")
+def test_what_makes_no_sense_is_refused(three_axis: Scene) -> None:
+    scene = three_axis
     fleet, servo = Fleet(scene, 2), load_gains("three_axis").servo
     servos = ServoFleet(fleet, servo)
     nan = np.full((4, 3), np.nan)

@@ -227,7 +227,7 @@ def test_what_is_reported_to_hold_holds_under_the_voltage_at_hand(seed: int) -> 
     rng = np.random.default_rng([seed, 21])
     stiffness = {f"joints.{joint}.gear.stiffness": float(10 ** rng.uniform(4.0, 5.0))
                  for joint in ("waist", "shoulder", "elbow")}  # fmt: skip
-    overrides = {"varied": ["joints.*.gear.stiffness"], **stiffness}
+    overrides = {**SHARED, **stiffness}
     plant, reported = Plant(paper(1e-3, **overrides)), []
     for _ in range(20):
         plant.reset(rng.uniform(-2.0, 2.0, 3))
