@@ -430,7 +430,8 @@ def everything_at_ten_milliseconds(quick: bool) -> Iterator[Outcome]:
 def absurd_inputs(quick: bool) -> Iterator[Outcome]:
     """Huge is the supply, denormal is nothing, and what is no number changes nothing."""
     for scheme in SCHEMES:
-        yield Outcome(scheme, 1e-4, float(_breaches(Plant(three_axis(scheme, 1e-4, **SHARED)))), 0.0)
+        plant = Plant(three_axis(scheme, 1e-4, **SHARED))
+        yield Outcome(scheme, 1e-4, float(_breaches(plant)), 0.0)
 
 
 def _breaches(plant: Plant) -> int:
