@@ -22,7 +22,7 @@ def run(*words: str) -> tuple[int, str, str]:
 
 
 def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path) -> None:
-    with network(tmp_path / "log", start="first_answer") as (user, _):
+    with network(tmp_path / "log", clock="realtime", start="first_answer") as (user, _):
         user.wait("the run", lambda: user.tick > 20)
         code, out, errors = run("move", "--by", "0.01", "0", "0")
         lines = out.splitlines()
