@@ -8,6 +8,13 @@
 static const servo_real FARTHEST = (servo_real)1e6;
 static const servo_real HALF = (servo_real)0.5;
 static const servo_real NANOSECONDS = (servo_real)1e9;
+/* Of loads: slower changes are the integral's [s]. */
+static const servo_real SLOW = (servo_real)0.5;
+/* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
+ * changes in the observed load, for so long [s]. */
+static const servo_real DOUBTS = 5, DOUBTED = (servo_real)0.1;
+/* Evidence that is kept, relative to that; older evidence fades beside newer. */
+static const servo_real KEPT = 100;
 
 /* Code that every joint runs in every period is inlined: calls cost as much. */
 #ifdef __GNUC__
@@ -33,6 +40,11 @@ SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_r
 
 /* ---------------------------------------------------------------------------------- one joint */
 
+static void unlearn(servo_state* state) {
+  state->scale = 1;
+  state->tau_mean = state->load_mean = state->evidence = state->product = 0;
+}
+
 void servo_joint_reset(servo_state* state) {
   if (!state) return;
   state->counts = 0;
@@ -43,6 +55,7 @@ void servo_joint_reset(servo_state* state) {
   state->q_target = state->v_target = state->tau = 0;
   state->a_target = state->tau_rate = 0;
   state->q_hold = 0;
+  unlearn(state);
 }
 
 /* Take the motor as standing in the middle of its count, its load held by its current. */
@@ -310,8 +323,54 @@ static void expect_load(servo* arm, int64_t now) {
   const int64_t last = now < ends ? now : ends;
   if (arm->does != SERVO_FOLLOWS || !arm->aimed || last <= begins) return;
   const servo_real passed = (servo_real)(last - begins) / NANOSECONDS;
-  for (int32_t j = 0; j < arm->joints; ++j)
-    arm->state[j].load += arm->joint[j].ratio * arm->state[j].tau_rate * passed;
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    const servo_state* state = &arm->state[j];
+    arm->state[j].load += arm->joint[j].ratio * state->scale * state->tau_rate * passed;
+  }
+}
+
+/* Learn from a servo period in which `tau` was announced to the motor [N m] how much of it comes. */
+static void learn(const servo_joint* joint, servo_state* state, servo_real tau, servo_real passed) {
+  if (state->tau_rate == 0 || state->stood) { /* all that is at rest is the integral's */
+    state->tau_mean = tau;
+    state->load_mean = state->load;
+    return;
+  }
+  const servo_real count = joint->load_gain * joint->count_angle;
+  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * count * count, most = KEPT * doubt;
+  const servo_real share = passed < SLOW ? passed / SLOW : 1;
+  state->tau_mean += share * (tau - state->tau_mean);
+  state->load_mean += share * (state->load - state->load_mean);
+  const servo_real fast = tau - state->tau_mean;
+  state->evidence += passed * fast * fast;
+  state->product += passed * fast * (state->load - state->load_mean);
+  if (state->evidence > most) {
+    state->product *= most / state->evidence;
+    state->evidence = most;
+  }
+  const servo_real learned = (doubt + state->product) / (doubt + state->evidence);
+  if (!is_finite(learned)) {
+    unlearn(state);
+    return;
+  }
+  const servo_real scale = bound(learned, SERVO_LEAST, SERVO_MOST);
+  state->integral -= (scale - state->scale) * state->tau_mean / joint->torque_constant;
+  state->scale = scale;
+}
+
+/* Learn from the servo period that ends now, if a target was followed in it. */
+static void learn_of_targets(servo* arm, int64_t now) {
+  const int64_t since = now - arm->target_time;
+  if (arm->does != SERVO_FOLLOWS || !arm->aimed || now <= arm->now || since > arm->motion_period)
+    return;
+  const servo_real passed = (servo_real)(now - arm->now) / NANOSECONDS;
+  const servo_real middle = HALF * (servo_real)arm->motion_period / NANOSECONDS;
+  const servo_real ahead = (servo_real)since / NANOSECONDS - middle;
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    servo_state* state = &arm->state[j];
+    const servo_real tau = state->tau + ahead * state->tau_rate;
+    learn(&arm->joint[j], state, arm->joint[j].ratio * tau, passed);
+  }
 }
 
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
@@ -319,6 +378,7 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
   if (!complete(arm) || !counts || !current) return;
   expect_load(arm, now);
   servo_observe(arm, counts, current, applied);
+  if (arm->measured) learn_of_targets(arm, now);
   arm->now = now;
   arm->measured = 1;
   servo_watchdog_state(&arm->watchdog, now);
@@ -369,7 +429,7 @@ SERVO_INLINE servo_real pursue(servo* arm, int32_t j, servo_real ahead) {
   const servo_real a = state->a_target, period = (servo_real)arm->motion_period / NANOSECONDS;
   const servo_real begins = state->v_target - HALF * a * period;
   const servo_real q = state->q_target + (begins + HALF * a * ahead) * ahead;
-  const servo_real tau = state->tau + arm->joint[j].rotor * a;
+  const servo_real tau = state->scale * state->tau + arm->joint[j].rotor * a;
   return control(arm, j, clip(q, FARTHEST), begins + a * ahead, tau);
 }
 
@@ -396,7 +456,7 @@ void servo_command(servo* arm, int32_t powered, servo_real* command) {
       state->q_hold = state->theta_measured * arm->joint[j].ratio;
     command[j] = follows && !state->braked
                      ? pursue(arm, j, ahead)
-                     : control(arm, j, state->q_hold, 0, follows ? state->tau : 0);
+                     : control(arm, j, state->q_hold, 0, follows ? state->scale * state->tau : 0);
   }
   arm->holding = !follows;
 }

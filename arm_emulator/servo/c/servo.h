@@ -18,6 +18,13 @@
  * read A for V in all that follows. A drive that is commanded a torque measures no current: the
  * torque that is predicted takes its place, with a torque constant of 1; read N m for V and A.
  *
+ * The announced torque of a target is multiplied by a factor that the servo learns: how much the
+ * observed load changes per announced change, by least squares, from SERVO_LEAST to SERVO_MOST. So
+ * links that are 30 % heavier than the motion controller believes do not wait for the integral. What
+ * stays the same, or changes within more than half a second, is left to the integral: a factor that
+ * is learned in motion changes nothing at rest. Little evidence beside the resolution of the encoder
+ * leaves the factor near 1.
+ *
  * Every stage is limited (speed, current, supply voltage), and the integral follows the current
  * that the limits have left over (automatic reset), so that it cannot wind up.
  *
@@ -98,7 +105,14 @@ typedef struct servo_state {
   servo_real q_target, v_target, tau;            /* newest target */
   servo_real a_target, tau_rate;                 /* how it changes, by the one before */
   servo_real q_hold;                             /* where it is held without one */
+  servo_real scale;                              /* of announced torques, as learned */
+  servo_real tau_mean, load_mean;                /* slow parts of torque and load, N m, motor */
+  servo_real evidence, product;                  /* integrals of tau^2, tau load without them */
 } servo_state;
+
+/* Range of the factor that is learned for announced torques. */
+#define SERVO_LEAST ((servo_real)0.5)
+#define SERVO_MOST ((servo_real)2.0)
 
 /* Request to a joint for one period, beyond a target: a drive that is commanded
  * in speeds or currents, or has limits of its own. */
@@ -190,7 +204,8 @@ void servo_brakes(servo* arm, const int64_t* closed);
  *   q + (v - a T / 2) s + a s^2 / 2
  *
  * The rotors' part of the torque is added here, rotor a, and the observer takes the load to change
- * as the torques do: it lags a load that grows.
+ * as the torques do: it lags a load that grows. From torques that change between targets the servo
+ * learns by which factor the load follows them.
  */
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
 /* Commands for the period that begins with the newest measurement: follow the newest target, hold
