@@ -12,7 +12,7 @@ static const servo_real NANOSECONDS = (servo_real)1e9;
 static const servo_real SLOW = (servo_real)0.5;
 /* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
  * changes in the observed load, for so long [s]. */
-static const servo_real DOUBTS = 5, DOUBTED = (servo_real)0.1;
+static const servo_real DOUBTS = 10, DOUBTED = (servo_real)0.1;
 /* Evidence that is kept, relative to that; older evidence fades beside newer. */
 static const servo_real KEPT = 100;
 
@@ -323,10 +323,8 @@ static void expect_load(servo* arm, int64_t now) {
   const int64_t last = now < ends ? now : ends;
   if (arm->does != SERVO_FOLLOWS || !arm->aimed || last <= begins) return;
   const servo_real passed = (servo_real)(last - begins) / NANOSECONDS;
-  for (int32_t j = 0; j < arm->joints; ++j) {
-    const servo_state* state = &arm->state[j];
-    arm->state[j].load += arm->joint[j].ratio * state->scale * state->tau_rate * passed;
-  }
+  for (int32_t j = 0; j < arm->joints; ++j)
+    arm->state[j].load += arm->joint[j].ratio * arm->state[j].tau_rate * passed;
 }
 
 /* Learn from a servo period in which `tau` was announced to the motor [N m] how much of it comes. */
