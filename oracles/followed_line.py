@@ -3,6 +3,10 @@
 The whole machine follows a line of the tool while servo and motion controller know its gears,
 friction and inertia right, wrong, or not at all. The truth is the emulated machine's own state, the
 reference what the servo was given, less the wind-up that its motor is to be ahead by.
+
+Encoders at the motors measure the motors. Wrong numbers of stiffness, inertia and friction send the
+motors to wrong places, by the difference between assumed and true wind-up; a servo that put every
+motor exactly there would leave the tool off by that, at rest as well. `unseen` is this part.
 """
 
 from __future__ import annotations
@@ -16,14 +20,17 @@ import numpy as np
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.known_drive import known_drives
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.elastic_arm import ElasticArm
+from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
 
-SETTLE = 1.0  # s, before the line begins
+SETTLE = 5.0  # s, before the line begins: the integrals of heavy arms take 1 s
 REST = 0.5  # s, after it ends
+PATIENCE = 20.0  # s, of all of it
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,14 @@ class Followed:
     """Of the reference along the line (K,) [m]."""
     deviation: Array
     """Of the true tool from its reference (K, 3) [m]; along the line it is the first column."""
+
+    astray: Array
+    """Distance of the tool if every motor were where it is sent (K,) [m]."""
+
+    @property
+    def unseen(self) -> float:
+        """Largest distance that no encoder at a motor can see [m]."""
+        return float(self.astray.max())
 
     @property
     def off(self) -> float:
@@ -98,6 +113,7 @@ def follow(scene_name: str, known: Known, line: Line | None = None) -> Followed:
             )
             for name, drive in known_drives(scene.joints).items()
         },
+        tool_path_tolerance=0.0,  # a path that is followed badly is measured to its end
         tool_speed=line.speed,
         tool_acceleration=line.acceleration,
         tool_jerk=line.jerk,
@@ -114,18 +130,47 @@ def follow(scene_name: str, known: Known, line: Line | None = None) -> Followed:
     R_WT, start = kinematics.forward(_reference(run))
     ends = Pose(start, R_WT), Pose(start + line.length * along, R_WT)
     run.instructor.add_path(run.controller, ends)
-    times, places, deviations = [], [], []
-    seconds = line.length / line.speed + 2.0 * line.speed / line.acceleration + 1.0 + REST
+    times: list[float] = []
+    places: list[float] = []
+    deviations, references, wound = [], [], []
+    latest, rests = round(PATIENCE / motion.period), round(REST / motion.period)
     frame = np.linalg.qr(np.column_stack([along, np.eye(3)]))[0]
     frame[:, 0] = along
-    for _ in range(round(seconds / motion.period)):
+    while len(times) < latest and (rests := rests - _at_end(places, line)) >= 0:
         tool = kinematics.forward(run.session.state.q)[1]
         times.append(run.session.logical_ns * 1e-9)
         run.advance(run.motion_ticks)
-        reference = kinematics.forward(_reference(run))[1]
+        references.append(_reference(run))
+        wound.append(run.wound)
+        reference = kinematics.forward(references[-1])[1]
         places.append(float((reference - start) @ along))
         deviations.append((tool - reference) @ frame)
-    return Followed(np.array(times), np.array(places), np.array(deviations))
+    ahead = np.array(wound) - _wind_up(scene, np.array(references), motion.period)
+    astray = [
+        np.linalg.norm(kinematics.forward(q + off)[1] - kinematics.forward(q)[1])
+        for q, off in zip(references, ahead, strict=True)
+    ]
+    return Followed(np.array(times), np.array(places), np.array(deviations), np.array(astray))
+
+
+def _at_end(places: list[float], line: Line) -> bool:
+    """Return whether the reference has come to the end of the line."""
+    return bool(places) and places[-1] > line.length - 1e-6
+
+
+def _wind_up(scene: Scene, q: Array, period: float) -> Array:
+    """Return by how much the scene's own gears are wound up along a motion of the links (K, N)."""
+    known = known_drives(scene.joints)
+    arm = ElasticArm(
+        LinkTorques(scene.urdf, scene.joint_names, scene.gravity or (0.0, 0.0, 0.0)),
+        [known[name] for name in scene.joint_names],
+        np.full(len(scene.joints), np.inf),
+    )
+    v = np.gradient(q, period, axis=0)
+    a = np.gradient(v, period, axis=0)
+    still = np.zeros(q.shape[1])
+    rows = zip(q, v, a, strict=True)
+    return np.array([arm.at(*row, still).theta - row[0] for row in rows])
 
 
 def _reference(run: OfflineRun) -> Array:

@@ -327,7 +327,8 @@ static void expect_load(servo* arm, int64_t now) {
     arm->state[j].load += arm->joint[j].ratio * arm->state[j].tau_rate * passed;
 }
 
-/* Learn from a servo period in which `tau` was announced to the motor [N m] how much of it comes. */
+/* Learn from a servo period in which `tau` was announced to the motor [N m] how much of it comes.
+ */
 static void learn(const servo_joint* joint, servo_state* state, servo_real tau, servo_real passed) {
   if (state->tau_rate == 0 || state->stood) { /* all that is at rest is the integral's */
     state->tau_mean = tau;

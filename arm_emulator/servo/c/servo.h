@@ -20,10 +20,10 @@
  *
  * The announced torque of a target is multiplied by a factor that the servo learns: how much the
  * observed load changes per announced change, by least squares, from SERVO_LEAST to SERVO_MOST. So
- * links that are 30 % heavier than the motion controller believes do not wait for the integral. What
- * stays the same, or changes within more than half a second, is left to the integral: a factor that
- * is learned in motion changes nothing at rest. Little evidence beside the resolution of the encoder
- * leaves the factor near 1.
+ * links that are 30 % heavier than the motion controller believes do not wait for the integral.
+ * What stays the same, or changes within more than half a second, is left to the integral: a factor
+ * that is learned in motion changes nothing at rest. Little evidence beside the resolution of the
+ * encoder leaves the factor near 1.
  *
  * Every stage is limited (speed, current, supply voltage), and the integral follows the current
  * that the limits have left over (automatic reset), so that it cannot wind up.
