@@ -27,11 +27,23 @@ from typing import Any
 import numpy as np
 import yaml
 
+from arm_emulator.base.number import REQUIRED
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import Section
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.known import EXTRAS, GEARS, LOOPS, MOTORS
+from arm_emulator.machine.parts.known import (
+    DECORATORS,
+    EXTRAS,
+    GEARS,
+    LOOPS,
+    MOTORS,
+    PARTS,
+    read_motor,
+)
 from arm_emulator.machine.parts.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant import Plant
@@ -173,14 +185,6 @@ def _stops(rng: Rng) -> Numbers:
     return {"lower": -way, "upper": way, "stiffness": scaled(rng, 1e3, 2e4), "damping": 10.0}
 
 
-def _counterbalance(rng: Rng) -> Numbers:
-    return {
-        "base_distance": 0.4, "link_distance": scaled(rng, 0.05, 0.2), "length": 0.5,
-        "angle": float(rng.uniform(-3.0, 3.0)), "force": scaled(rng, 20.0, 200.0),
-        "stiffness": scaled(rng, 20.0, 200.0),
-    }  # fmt: skip
-
-
 def _torque_table(rng: Rng) -> Numbers:
     angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(4, 12)))) - 1.5
     torques = rng.uniform(-5.0, 5.0, len(angles))
@@ -202,13 +206,6 @@ def _law(size: float, viscous: float, **more: float) -> Callable[[Rng], Numbers]
 
 def _ripple(rng: Rng) -> Numbers:
     return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
-
-
-def _winding(rng: Rng) -> Numbers:
-    return {
-        "heat_capacity": scaled(rng, 0.2, 5.0), "thermal_resistance": scaled(rng, 0.1, 2.0),
-        "magnet_coefficient": float(rng.choice([0.0, -0.001])),
-    }  # fmt: skip
 
 
 def _brake(rng: Rng) -> Numbers:
@@ -238,8 +235,24 @@ def sized(kind: type[Motor]) -> Callable[[Rng], Numbers]:
     return draw
 
 
-# By the name of the Python class. A part that is not here stops the run; motors are drawn as they
-# are sized.
+def declared(kind: type[Part]) -> Callable[[Rng], Numbers]:
+    """Return what draws a part by the usual values that it declares; half of what may be absent."""
+
+    def draw(rng: Rng) -> Numbers:
+        drawn: Numbers = {}
+        for key, one in kind.numbers().items():
+            if one.default is REQUIRED:
+                assert one.typical, f"{kind.__name__}.{key} states no usual values (typical=)"
+            if one.typical and (one.default is REQUIRED or rng.random() < 0.5):
+                low, high = one.typical
+                drawn[key] = scaled(rng, low, high) if low > 0.0 else float(rng.uniform(low, high))
+        return drawn
+
+    return draw
+
+
+# By the name of the Python class. Other motors are drawn as they are sized, other parts by the
+# usual values that they declare.
 DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "DcMotor": _dc,
     "Pmsm": _pmsm,
@@ -250,7 +263,6 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "ProgressiveGear": _progressive,
     "BacklashGear": _backlash,
     "KinematicErrorGear": _kinematic_error,
-    "Counterbalance": _counterbalance,
     "EndStops": _stops,
     "Cogging": _cogging,
     "LinkLuGre": _lugre,
@@ -258,7 +270,6 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "TorqueTable": _torque_table,
     "CurrentLoop": _current_loop,
     "FieldOrientedLoop": _current_loop,
-    "Winding": _winding,
     "TorqueRipple": _ripple,
     "Brake": _brake,
     "LinkFriction": _law(0.6, 0.1),
@@ -268,7 +279,11 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "RotorStribeck": _law(0.01, 1e-5, stribeck=6.0),
     "RotorLoadFriction": _law(0.01, 1e-5, load=0.2),
 }
-DRAWS |= {kind.__name__: sized(kind) for kind in MOTORS if kind.__name__ not in DRAWS}
+DRAWS = {
+    **{kind.__name__: declared(kind) for kind in PARTS},
+    **{kind.__name__: sized(kind) for kind in MOTORS},
+    **DRAWS,
+}
 
 
 def drawn_joint(rng: Rng) -> Numbers:
@@ -295,20 +310,28 @@ def drawn_joint(rng: Rng) -> Numbers:
 
 
 def add_surroundings(rng: Rng, scene: Numbers) -> None:
-    """Add what acts on other parts: brakes, ripple and temperature of motors, a wrench."""
+    """Add what acts on other parts: decorators of motors, brakes, a wrench."""
     for joint in scene["joints"].values():
         motor = joint.get("motor")
         if motor is None:
             continue
-        # Both ask for a current that is a state.
-        inductive = motor["kind"] != "dc" or "inductance" in motor
-        if inductive and rng.random() < 0.3:
-            motor["ripple"] = _ripple(rng)
-        if inductive and motor["kind"] in ("dc", "pmsm") and rng.random() < 0.3:
-            motor["winding"] = _winding(rng)
+        for kind in DECORATORS[::-1]:
+            if kind not in LOOPS and _fits(kind, joint) and rng.random() < 0.3:
+                motor[kind.section.rpartition(".")[2]] = DRAWS[kind.__name__](rng)
         if rng.random() < 0.2:
             joint["brake"] = _brake(rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
+
+
+def _fits(kind: type[Decorator], joint: Numbers) -> bool:
+    """Return whether a decorator goes around the motor of a joint."""
+    motor = read_motor(Section(joint["motor"], "mixture"))
+    drawn = DRAWS[kind.__name__](np.random.default_rng(0))
+    try:
+        kind.read(Section(drawn, "mixture")).check_motor(motor, Section(joint, "mixture"))
+    except Refusal:
+        return False
+    return True
 
 
 def write_mixture(folder: Path, seed: int) -> Path:

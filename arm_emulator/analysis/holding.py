@@ -10,7 +10,6 @@ import numpy as np
 from arm_emulator.analysis.link_loads import Array, LinkLoads
 from arm_emulator.analysis.servo_loop import poses
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.parts.counterbalance import Counterbalance
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Scene
 
@@ -80,12 +79,13 @@ def largest_torque(joint: Joint, supply_voltage: float) -> float:
 
 
 def _springs(scene: Scene, q: Array) -> Array:
-    """Return the torques that hold counterbalances at rest, (N,)."""
-    torque = np.zeros(len(q))
+    """Return the torques that hold counterbalances and the like at rest, (N,)."""
+    torque, none = np.zeros(len(q)), np.zeros(1)
     for j, joint in enumerate(scene.joints):
-        spring = joint.find(Counterbalance)
-        if spring is not None:
-            none = np.zeros(1)
-            at = ShaftMotion(none, q[j : j + 1], none, none, none, none, joint.gear.ratio)
-            torque[j] = float(spring.effort(at)[0])
+        at = ShaftMotion(none, q[j : j + 1], none, none, none, none, joint.gear.ratio)
+        for part in joint.extras:
+            if part.of_angle and part.shaft == "link":
+                effort = part.effort(at)
+                assert effort is not None, "its angle determines it"
+                torque[j] += float(effort[0])
     return torque

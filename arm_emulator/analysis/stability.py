@@ -18,7 +18,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.integrator import LOCATING_SCHEMES, SCHEMES, Integrator
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
@@ -280,7 +279,7 @@ def _why(fault: Diverged, motions: SmallMotions | None) -> str:
 
 
 def _stiffened(scene: Scene) -> str:
-    progressive = any(isinstance(joint.gear, ProgressiveGear) for joint in scene.joints)
+    progressive = any(joint.gear.stiffens for joint in scene.joints)
     return ", or a gear is wound up beyond what is linear in it" if progressive else ""
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
@@ -21,10 +20,9 @@ def report_safety(scene: Scene, q: Array) -> Iterator[str]:
     if any(joint.brake for joint in scene.joints):
         yield _power_cut(scene, q)
     for j, joint in enumerate(scene.joints):
-        for part in joint.extras if joint.motor else ():
-            if isinstance(part, EndStops):
-                yield _hit(scene, j, part)
-                return
+        if joint.motor and joint.stops:
+            yield _hit(scene, j, joint.stops[1])
+            return
 
 
 def _power_cut(scene: Scene, q: Array) -> str:
@@ -50,7 +48,7 @@ def _power_cut(scene: Scene, q: Array) -> str:
     )
 
 
-def _hit(scene: Scene, j: int, stops: EndStops) -> str:
+def _hit(scene: Scene, j: int, stop: float) -> str:
     plant, command = Plant(scene), np.zeros(len(scene.joints))
     command[j] = scene.largest_commands[j] * np.sign(scene.joints[j].gear.ratio)
     name, fastest, deepest, back = scene.joints[j].name, 0.0, 0.0, 0.0
@@ -61,7 +59,7 @@ def _hit(scene: Scene, j: int, stops: EndStops) -> str:
         for _ in range(round(RUN_UP / scene.servo_period)):
             plant.advance(command, scene.steps_per_period)
             x = plant.state
-            depth, v = float(x.q[j]) - stops.upper, float(x.v[j])
+            depth, v = float(x.q[j]) - stop, float(x.v[j])
             if depth > 0.0:
                 command[j] = 0.0
             elif deepest > 0.0:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from arm_emulator.base.number import numbers_of
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.motion.drive_numbers import DriveNumbers
 
 
@@ -17,10 +16,9 @@ def known_drives(joints: Iterable[Joint]) -> dict[str, DriveNumbers]:
 
 def _known_drive(joint: Joint) -> DriveNumbers:
     gear, values = joint.gear, dict[str, float]()
-    if isinstance(gear, ElasticGear):
-        values |= {"stiffness": gear.stiffness, "damping": gear.damping}
-    if isinstance(gear, ProgressiveGear):
-        values["cubic_stiffness"] = gear.cubic_stiffness
+    known = numbers_of(DriveNumbers)
+    if gear.stiffness is not None:
+        values |= {key: getattr(gear, key) for key in gear.numbers() if key in known}
     for law, prefix, per in (
         (joint.friction, "", 1.0),
         (joint.rotor_friction, "rotor_", abs(gear.ratio)),

@@ -15,6 +15,7 @@ from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from arm_emulator.machine.parts.end_stops import put_limits
+from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.friction import Friction, LinkFriction
 from arm_emulator.machine.parts.gear import Gear, RigidGear
 from arm_emulator.machine.parts.input import VOLTAGE, Input
@@ -48,7 +49,7 @@ class Joint:
     rotor_friction: Friction | None = None
     decorators: tuple[Decorator, ...] = ()  # around its motor, innermost first
     brake: Brake | None = None
-    extras: tuple[Part, ...] = ()  # that stand in sections of their own
+    extras: tuple[Extra, ...] = ()  # that stand in sections of their own
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -79,6 +80,11 @@ class Joint:
         """Inputs of its motor: the command first, then further ones."""
         of_motor = self.motor.inputs if self.motor else (VOLTAGE,)
         return next((one.inputs for one in self.decorators[::-1] if one.inputs), of_motor)
+
+    @property
+    def stops(self) -> tuple[float, float] | None:
+        """Positions between which stops keep its link [rad or m]; None: there are no stops."""
+        return next((one.stops for one in self.extras if one.stops), None)
 
     @property
     def unit(self) -> str:

@@ -33,7 +33,7 @@
 #include "mechanics/modes.hpp"
 #include "mechanics/usual.hpp"
 #include "numerics/finite.hpp"
-#include "schemes/drive_table.hpp"
+#include "schemes/drive_tables.hpp"
 
 namespace arm {
 

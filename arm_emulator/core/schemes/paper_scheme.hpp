@@ -5,7 +5,7 @@
 #include "mechanics/at_once.hpp"
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
-#include "schemes/drive_table.hpp"
+#include "schemes/drive_tables.hpp"
 
 namespace arm {
 

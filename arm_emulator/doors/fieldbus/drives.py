@@ -21,7 +21,6 @@ from arm_emulator.doors.fieldbus import declared
 from arm_emulator.machine.inputs import modes_of
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.measured import rows_of
-from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.parts.output import FURTHER, READINGS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
@@ -416,7 +415,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
         row["lower"], row["upper"] = _limits(joint, limits.get(joint.name))
         row["brake"] = joint.brake is not None
         row["index"] = joint.encoder is not None and joint.encoder.index != "none"
-        row["stops"] = any(isinstance(part, EndStops) for part in joint.parts)
+        row["stops"] = joint.stops is not None
         row["mode"] = takes
         row["modes"] = sum(1 << mode.number - 1 for mode in modes())
     return rows

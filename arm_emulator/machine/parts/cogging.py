@@ -8,17 +8,19 @@ from typing import Any
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cogging(Part):
+class Cogging(Extra):
     """Attraction of the magnets by the stator's teeth, with or without current."""
 
     section = "motor.cogging"
+    rank = 4
+    of_angle = True
     shaft = "rotor"
     header = "cogging.hpp"
     cxx = "Cogging"

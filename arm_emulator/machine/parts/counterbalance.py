@@ -8,25 +8,38 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @dataclass(frozen=True, kw_only=True)
-class Counterbalance(Part):
+class Counterbalance(Extra):
     """A spring between the link and its parent, by its geometry; a negative force pulls."""
 
     section = "counterbalance"
+    rank = 0
+    of_angle = True
     header = "counterbalance.hpp"
     cxx = "Counterbalance"
 
-    base_distance: float = number("a", "m", above=0.0, at_most=100.0, varied=False)
-    link_distance: float = number("b", "m", above=0.0, at_most=100.0, varied=False)
-    angle: float = number("phi", "rad", at_least=-1e4, at_most=1e4, default=0.0)
-    force: float = number("F0", "N", at_least=-1e7, at_most=1e7, sought="known")
-    length: float = number("l0", "m", above=0.0, at_most=200.0)
-    stiffness: float = number("k", "N/m", at_least=0.0, sought="known", default=0.0)
+    base_distance: float = number(
+        "a", "m", above=0.0, at_most=100.0, varied=False, typical=(0.3, 0.5)
+    )
+    link_distance: float = number(
+        "b", "m", above=0.0, at_most=100.0, varied=False, typical=(0.05, 0.2)
+    )
+    angle: float = number(
+        "phi", "rad", at_least=-1e4, at_most=1e4, default=0.0, typical=(-3.0, 3.0)
+    )
+    force: float = number(
+        "F0", "N", at_least=-1e7, at_most=1e7, sought="known", typical=(20.0, 200.0)
+    )
+    length: float = number("l0", "m", above=0.0, at_most=200.0, typical=(0.4, 0.6))
+    stiffness: float = number(
+        "k", "N/m", at_least=0.0, sought="known", default=0.0, typical=(20.0, 200.0)
+    )
     gas_column: float = number("h", "m", at_least=0.0, varied=False, default=0.0)
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102

@@ -8,16 +8,18 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @dataclass(frozen=True, kw_only=True)
-class EndStops(Part):
+class EndStops(Extra):
     """A spring and a damper at each end that push the link back and never hold it."""
 
     section = "end_stops"
+    rank = 1
     header = "end_stops.hpp"
     cxx = "EndStops"
 
@@ -36,6 +38,10 @@ class EndStops(Part):
 
     def rests(self, at: AtRest) -> Share | str:  # noqa: D102
         return Share(torque=Around(-float(self.effort(at.motion)[0])))
+
+    @property
+    def stops(self) -> tuple[float, float]:  # noqa: D102
+        return self.lower, self.upper
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:

@@ -16,4 +16,19 @@ def kinds_of(base: type[Kind]) -> list[type[Kind]]:
     """Return the classes that inherit a class directly, by their sections."""
     for module in pkgutil.iter_modules(parts.__path__):
         importlib.import_module(f"{parts.__name__}.{module.name}")
-    return sorted(base.__subclasses__(), key=lambda one: one.section)
+    return sorted(base.__subclasses__(), key=_section)
+
+
+def kinds_below(base: type[Kind]) -> list[type[Kind]]:
+    """Return the classes that inherit a class, directly or not."""
+    return [one for kind in kinds_of(base) for one in (kind, *kinds_below(kind))]
+
+
+def last_kinds(base: type[Kind]) -> list[type[Kind]]:
+    """Return those that no class inherits, by their sections."""
+    last = (one for one in kinds_below(base) if not one.__subclasses__())
+    return sorted(last, key=_section)
+
+
+def _section(kind: type[Part]) -> str:
+    return getattr(kind, "section", "")

@@ -22,6 +22,7 @@ class Gear(Part):
     section = "gear"
     shaft = "rotor"
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
+    stiffens: ClassVar[bool] = False  # with its wind-up
 
     # Negative: the link turns the other way.
     ratio: float = number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, in_size=True, varied=False)

@@ -1,31 +1,23 @@
-"""The parts that a scene may have.
-
-A new one is entered here and nowhere else; motors, decorators and sensors are found by their files.
-"""
+"""The parts that a scene may have, found by their files."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
 from arm_emulator.base.section import Section
-from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.cogging import Cogging
-from arm_emulator.machine.parts.counterbalance import Counterbalance
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.decorator import Decorator
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.parts.found import kinds_of
-from arm_emulator.machine.parts.friction import Friction, LinkFriction, RotorFriction
-from arm_emulator.machine.parts.gear import Gear, RigidGear
-from arm_emulator.machine.parts.kinematic_error_gear import KinematicErrorGear
-from arm_emulator.machine.parts.load_friction import LinkLoadFriction, RotorLoadFriction
-from arm_emulator.machine.parts.lugre import LinkLuGre, RotorLuGre
+from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.found import kinds_below, kinds_of, last_kinds
+from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.parts.stribeck import LinkStribeck, RotorStribeck
-from arm_emulator.machine.parts.torque_table import TorqueTable
+
+KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 
 # The first is meant where a scene gives no `motor.kind`.
 MOTORS: tuple[type[Motor], ...] = (
@@ -33,28 +25,22 @@ MOTORS: tuple[type[Motor], ...] = (
     *(one for one in kinds_of(Motor) if one is not DcMotor),
 )
 
+
+def _by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
+    return tuple(sorted(kinds, key=lambda one: (-len(one.named_by), one.__module__)))
+
+
 # A gear is the first of these whose keys it has all.
-GEARS: tuple[type[Gear], ...] = (
-    ProgressiveGear,
-    BacklashGear,
-    KinematicErrorGear,
-    ElasticGear,
-    RigidGear,
-)
+GEARS = _by_keys(kinds_below(Gear))
 
 # And so is friction.
-LINK_FRICTIONS: tuple[type[LinkFriction], ...] = (LinkLoadFriction, LinkStribeck, LinkFriction)
-ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck, RotorFriction)
+LINK_FRICTIONS: tuple[type[LinkFriction], ...] = _by_keys(
+    (LinkFriction, *kinds_below(LinkFriction))
+)
+ROTOR_FRICTIONS = _by_keys(kinds_below(OfRotor))
 
 # Parts with an optional section of their own.
-EXTRAS: tuple[type[Part], ...] = (
-    Counterbalance,
-    EndStops,
-    LinkLuGre,
-    RotorLuGre,
-    Cogging,
-    TorqueTable,
-)
+EXTRAS = tuple(sorted(last_kinds(Extra), key=lambda one: one.rank))
 
 # Decorators around a motor, innermost first.
 DECORATORS = tuple(sorted(kinds_of(Decorator), key=lambda one: one.layer))
@@ -98,12 +84,12 @@ def read_gear(section: Section) -> Gear:
     return gear
 
 
-def read_friction(section: Section, kinds: tuple[type[Friction], ...]) -> Friction:
+def read_friction(section: Section, kinds: Sequence[type[Friction]]) -> Friction:
     """Return the friction that a section describes, of a link or of a rotor."""
     return next(one for one in kinds if all(map(section.has, one.named_by))).read(section)
 
 
-def read_extras(joint: Section) -> tuple[Part, ...]:
+def read_extras(joint: Section) -> tuple[Extra, ...]:
     """Return the parts of a joint that stand in sections of their own."""
     found = []
     for kind in EXTRAS:

@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.friction import sticking_link
-from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
 
 @dataclass(frozen=True, kw_only=True)
-class LuGre(Part):
+class LuGre(Extra):
     """Bristle friction, for motion before sliding: positioning, reversals, stick-slip."""
 
     header = "lugre.hpp"
@@ -54,6 +55,7 @@ class LinkLuGre(LuGre):
     """At the link."""
 
     section = "lugre"
+    rank = 2
     shaft = "link"
 
     def rests(self, at: AtRest) -> Share | str:
@@ -66,6 +68,7 @@ class RotorLuGre(LuGre):
     """At the motor's shaft."""
 
     section = "motor.lugre"
+    rank = 3
     shaft = "rotor"
 
     def rests(self, at: AtRest) -> Share | str:

@@ -37,12 +37,14 @@ class PartNumber(Number):
         varied: whether a scene may list it as varied, unless it is whole or follows another one.
         sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
             "unknown".
+        typical: ends of usual values, between which random machines have it.
     """
 
     symbol: str
     follows: str | None = None
     varied: bool = True
     sought: str = ""
+    typical: tuple[float, float] | None = None
 
 
 def number(symbol: str, unit: str, *, default: Any = REQUIRED, **declared: Any) -> Any:

@@ -16,6 +16,7 @@ class ProgressiveGear(ElasticGear):
     header = "progressive_gear.hpp"
     cxx = "ProgressiveGear"
     named_by = ("stiffness", "cubic_stiffness")
+    stiffens = True
 
     cubic_stiffness: float = number("Kg3", "N m/rad3", at_least=0.0)
 

@@ -13,7 +13,7 @@ from arm_emulator.base.number import LARGEST, Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -24,10 +24,12 @@ _TORQUES = Number.within("torques", "N m", LARGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueTable(Part):
+class TorqueTable(Extra):
     """A torque over the angle: points, joined by monotone cubics."""
 
     section = "torque_table"
+    rank = 5
+    of_angle = True
     header = "torque_table.hpp"
     cxx = "TorqueTable"
 

@@ -33,15 +33,17 @@ class Winding(Decorator):
                "degC"),
     )  # fmt: skip
 
-    heat_capacity: float = number("C", "J/K", above=0.0)
-    thermal_resistance: float = number("Rth", "K/W", above=0.0)
+    heat_capacity: float = number("C", "J/K", above=0.0, typical=(0.2, 5.0))
+    thermal_resistance: float = number("Rth", "K/W", above=0.0, typical=(0.1, 2.0))
     ambient: float = number("ambient", "degC", at_least=-50.0, at_most=150.0, default=20.0)
     reference: float = number("reference", "degC", at_least=-50.0, at_most=150.0, default=20.0)
     # Of copper.
     resistance_coefficient: float = number(
         "alpha", "1/K", at_least=0.0, at_most=0.0045, default=0.0039
     )
-    magnet_coefficient: float = number("beta", "1/K", at_least=-0.01, at_most=0.0, default=0.0)
+    magnet_coefficient: float = number(
+        "beta", "1/K", at_least=-0.01, at_most=0.0, default=0.0, typical=(-0.001, 0.0)
+    )
     limit: float | None = number("limit", "degC", above=0.0, at_most=1000.0, default=None)
 
     def effort(self, motion: ShaftMotion) -> Array | None:

@@ -1,0 +1,26 @@
+"""Parts of a joint in sections of their own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from arm_emulator.machine.parts.part import Part
+
+
+@dataclass(frozen=True)
+class Extra(Part):
+    """A part that exerts a torque on the link or the rotor, beside motor, gear and friction.
+
+    A class in this package that inherits it is a section of joints, unless others inherit it; it
+    needs to be entered nowhere. Torques are added in the order of ranks, then of sections.
+    """
+
+    rank: ClassVar[float] = math.inf
+    of_angle: ClassVar[bool] = False  # whether the angle alone determines its torque
+
+    @property
+    def stops(self) -> tuple[float, float] | None:
+        """Positions between which it keeps the link [rad or m]; None: anywhere."""
+        return None
