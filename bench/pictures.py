@@ -7,13 +7,11 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from arm_emulator.machine.integrator import SCHEMES
+
 # Colours of our schemes; colours and markers of the others.
-COLOURS = {
-    "paper": "#d9731a",
-    "implicit": "#3c8f4f",
-    "rosenbrock": "#2a6fb0",
-    "extrapolated": "#0aa5a0",
-}
+PALETTE = ("#2a6fb0", "#0aa5a0", "#3c8f4f", "#d9731a", "#8a6d3b", "#c44e8a", "#5b5bd6", "#7f9f2f")
+COLOURS = dict(zip(SCHEMES, PALETTE, strict=False))
 PEERS = {
     "MuJoCo Euler": ("#8c8c8c", "v"),
     "MuJoCo implicit": ("#b58fc7", "<"),

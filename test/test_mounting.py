@@ -76,3 +76,13 @@ def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None
     # j1 turns about z, and on a wall the arm stretched out pulls at its own length.
     stretched = 9.81 * (1.5 * 0.15 + 0.8 * 0.4)
     assert 0.8 < on_wall[0].takes / stretched <= 1.05
+
+
+def test_what_holds_a_joint_is_the_sum_of_its_weight_and_all_that_goes_with_its_angle() -> None:
+    """A table of torques counts as the spring does that it was measured at."""
+    push = {"angles": [-7.0, -2.0, 2.0, 7.0], "torques": [-1e4] * 4}
+    free, pushed = (load_scene("ur5", {"joints.elbow_joint.torque_table": one})
+                    for one in (None, push))  # fmt: skip
+    assert "elbow_joint" not in {one.joint for one in overloads(free)}
+    (found,) = (one for one in overloads(pushed) if one.joint == "elbow_joint")
+    assert found.takes == pytest.approx(1e4, rel=1e-2)
