@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path as File
 
 import numpy as np
 import pytest
 import yaml
 from draws import some
+from scipy.spatial import ConvexHull
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.collision_guard import CollisionGuard
-from arm_emulator.motion.collisions import Collisions
+from arm_emulator.motion.collisions import OWN_SHARE, Collisions
 from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.kinematics import Kinematics
@@ -75,6 +77,47 @@ def test_pairs_that_belong_together_are_left_out() -> None:
     assert one.first(folded) != ""
     bare = Collisions(two_links(), ("a", "b"), (), MARGIN)
     assert bare.pairs == 0 and bare.first(np.zeros(2)) == ""
+
+
+@pytest.mark.parametrize("margin", [0.0, MARGIN, 5.0 * MARGIN])
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_no_pair_is_tested_that_touches_at_rest(name: str, margin: float) -> None:
+    """Those are left out, and no others in their place."""
+    scene = load_scene(name)
+    arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    rest = np.where((arm.lower > 0.0) | (arm.upper < 0.0), 0.5 * (arm.lower + arm.upper), 0.0)
+    assert Collisions(scene.urdf, scene.joint_names, (), margin).first(rest) == ""
+
+
+PLATES = """<robot name="plates">
+<link name="base"><collision><geometry><mesh filename="file://{mesh}"/></geometry></collision></link>
+<joint name="a" type="prismatic"><parent link="base"/><child link="slide"/><axis xyz="1 0 0"/>
+  <limit lower="-2" upper="2" effort="1" velocity="1"/></joint><link name="slide"/>
+<joint name="b" type="prismatic"><parent link="slide"/><child link="ball"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+{ball}</robot>"""
+
+
+def test_what_is_hollow_may_be_entered(tmp_path: File) -> None:
+    """A ball between two plates of one mesh, whose convex hull fills the gap: closed form."""
+    corners = np.array([(x, z) for x in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    text = "solid plates\n"
+    for side in (-1.0, 1.0):
+        plate = [(x, side * y, z) for y in (0.2, 0.25) for x, z in corners]
+        for face in ConvexHull(plate).simplices:
+            rows = "".join("vertex {} {} {}\n".format(*plate[k]) for k in face)
+            text += f"facet normal 0 0 0\nouter loop\n{rows}endloop\nendfacet\n"
+    mesh = tmp_path / "plates.stl"
+    mesh.write_text(text + "endsolid plates\n")
+    urdf = PLATES.format(mesh=mesh, ball=BALL.format("ball", 0.0, 0.05))
+    tested, rng, touched = Collisions(urdf, ("a", "b"), (), MARGIN), np.random.default_rng(0), 0
+    for _ in range(200):
+        q = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.19, 0.19)])
+        apart = 0.2 - abs(q[1]) - 0.05 - OWN_SHARE * MARGIN
+        if abs(apart) > 1e-4:
+            assert bool(tested.first(q)) == (apart < 0.0), q
+            touched += apart < 0.0
+    assert 0 < touched < 200
 
 
 class Arm:

@@ -1,7 +1,8 @@
 """Contacts between parts of an arm, or with obstacles, in a configuration: Pinocchio with coal.
 
-The shapes are those for collisions in the robot description, meshes by their convex hulls. Two
-parts count as touching when they are nearer than a margin.
+The shapes are those for collisions in the robot description. Meshes are tested triangle by
+triangle where their convex hulls touch; distances are those of the hulls. Two parts count as
+touching when they are nearer than a margin.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from arm_emulator.motion.obstacles import Obstacle
 _DRAWN = 100  # configurations
 _ALWAYS = 0.95  # share of them above which two touching parts count as joined
 _FAR = 1e3  # m
+OWN_SHARE = 0.2  # of the margin, between parts of the arm: their shapes and places are known
 
 
 class Collisions:
@@ -39,7 +41,7 @@ class Collisions:
         urdf_xml: the robot description.
         joint_names: the joints commanded, in the order of all arrays; the others stay at 0.
         obstacles: in the world.
-        margin: [m].
+        margin: to obstacles, and `OWN_SHARE` of it between parts of the arm [m].
 
     Attributes:
         pairs: how many pairs are tested.
@@ -63,6 +65,7 @@ class Collisions:
         except (ValueError, RuntimeError, IndexError) as error:
             rule = "have readable shapes for collisions (meshes by file:// or ROS_PACKAGE_PATH)"
             raise Refusal(WHERE, "the robot", rule, str(error).splitlines()[0]) from error
+        self._meshes = pin.GeometryModel(self._shapes)  # as they are
         for shape in self._shapes.geometryObjects:
             shape.geometry = _hull(shape.geometry)
         self._shafts = Shafts(urdf_xml, joint_names)
@@ -71,16 +74,17 @@ class Collisions:
         self._columns = [joint.idx_v for joint in joints]
         self._neutral = pin.neutral(self._model)
         self._data = self._model.createData()
-        own = len(self._shapes.geometryObjects)
+        self._own = len(self._shapes.geometryObjects)
         self._names = [
             str(self._model.frames[shape.parentFrame].name)
             for shape in self._shapes.geometryObjects
         ]
         for obstacle in obstacles:
-            self._shapes.addGeometryObject(_solid(obstacle))
+            for shapes in (self._shapes, self._meshes):
+                shapes.addGeometryObject(_solid(obstacle))
             self._names.append(obstacle.name)
-        self._pair(own)
-        self._leave_out(margin, own, joints)
+        self._pair()
+        self._leave_out(margin, joints)
         self._made(margin)
 
     @property
@@ -90,13 +94,8 @@ class Collisions:
 
     def first(self, q: FloatArray) -> str:
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
-        if not self.pairs:
-            return ""
-        if not pin.computeCollisions(
-            self._model, self._data, self._shapes, self._tested, self._whole(q), True
-        ):
-            return ""
-        return self._name(self._touching()[0])
+        touching = self._touching(q) if self.pairs else ()
+        return self._name(touching[0]) if len(touching) else ""
 
     def fresh(self, q: FloatArray, now: FloatArray, nearer: float) -> str:
         """Return which two parts touch at q and not at `now`, or have come nearer; empty: none.
@@ -131,15 +130,23 @@ class Collisions:
         configuration: FloatArray = pin.integrate(self._model, self._neutral, step)
         return configuration
 
-    def _touching(self) -> list[int]:
-        return [k for k, one in enumerate(self._tested.collisionResults) if one.isCollision()]
+    def _touching(self, q: FloatArray) -> list[int]:
+        """Return the pairs whose meshes touch at q, of those whose convex hulls do."""
+        whole = self._whole(q)
+        if not pin.computeCollisions(
+            self._model, self._data, self._shapes, self._tested, whole, False
+        ):
+            return []
+        hulls = [k for k, one in enumerate(self._tested.collisionResults) if one.isCollision()]
+        pin.updateGeometryPlacements(self._model, self._data, self._meshes, self._exact)
+        return [k for k in hulls if pin.computeCollision(self._meshes, self._exact, k)]
 
     def _name(self, k: int) -> str:
         pair = self._shapes.collisionPairs[k]
         return f"{self._names[pair.first]} and {self._names[pair.second]}"
 
-    def _pair(self, own: int) -> None:
-        shapes, parents = self._shapes.geometryObjects, self._model.parents
+    def _pair(self) -> None:
+        shapes, parents, own = self._shapes.geometryObjects, self._model.parents, self._own
         for i in range(own):
             one = shapes[i].parentJoint
             for k in range(i + 1, len(shapes)):
@@ -147,9 +154,10 @@ class Collisions:
                 near = one == other or (k < own and one in (parents[other],))
                 near = near or (k < own and other == parents[one])
                 if not near:
-                    self._shapes.addCollisionPair(pin.CollisionPair(i, k))
+                    for one_of in (self._shapes, self._meshes):
+                        one_of.addCollisionPair(pin.CollisionPair(i, k))
 
-    def _leave_out(self, margin: float, own: int, joints: Sequence[Any]) -> None:
+    def _leave_out(self, margin: float, joints: Sequence[Any]) -> None:
         """Leave out pairs of the arm's own parts that touch in valid poses."""
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._upper(joint), np.pi) for joint in joints])
@@ -161,17 +169,21 @@ class Collisions:
         for _ in range(_DRAWN):
             count += self._all(low + (high - low) * rng.random(len(low)))
         always = (count > _ALWAYS * _DRAWN) | self._all(rest)
-        pairs = list(self._shapes.collisionPairs)
-        for pair, together in zip(pairs, always, strict=True):
-            if together and pair.second < own:
-                self._shapes.removeCollisionPair(pair)
+        # Numbers, not the pairs: those move when one before them is removed.
+        pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
+        kept = [
+            pair
+            for pair, together in zip(pairs, always, strict=True)
+            if pair[1] >= self._own or not together
+        ]
+        for shapes in (self._shapes, self._meshes):
+            shapes.removeAllCollisionPairs()
+            for pair in kept:
+                shapes.addCollisionPair(pin.CollisionPair(*pair))
 
     def _all(self, q: FloatArray) -> npt.NDArray[np.bool_]:
-        pin.computeCollisions(
-            self._model, self._data, self._shapes, self._tested, self._whole(q), False
-        )
         touching = np.zeros(self.pairs, dtype=bool)
-        touching[self._touching()] = True
+        touching[self._touching(q)] = True
         return touching
 
     def _lower(self, joint: Any) -> float:
@@ -182,8 +194,12 @@ class Collisions:
 
     def _made(self, margin: float) -> None:
         self._tested = self._shapes.createData()
-        for request in self._tested.collisionRequests:
-            request.security_margin = margin
+        self._exact = self._meshes.createData()
+        for tested in (self._tested, self._exact):
+            for pair, request in zip(
+                self._shapes.collisionPairs, tested.collisionRequests, strict=True
+            ):
+                request.security_margin = margin * (OWN_SHARE if pair.second < self._own else 1.0)
 
 
 def _hull(shape: Any) -> Any:
