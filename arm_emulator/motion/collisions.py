@@ -94,8 +94,8 @@ class Collisions:
 
     def first(self, q: FloatArray) -> str:
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
-        touching = self._touching(q) if self.pairs else ()
-        return self._name(touching[0]) if len(touching) else ""
+        touching = self._touching(q) if self.pairs else []
+        return self._name(touching[0]) if touching else ""
 
     def fresh(self, q: FloatArray, now: FloatArray, nearer: float) -> str:
         """Return which two parts touch at q and not at `now`, or have come nearer; empty: none.
