@@ -97,7 +97,7 @@ def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
                 plant.powered = not (off[arm] and tick == 100)
             seen = plant.measured
             counts, now = seen.encoder_counts, round(tick * scene.servo_period * 1e9)
-            drives.measure(now, counts, seen.current, seen.applied)
+            drives.measure(now, counts, seen.current, seen.applied, seen.brake_closed)
             if tick % 2 == 0:
                 drives.aim(Target(q[tick, arm], v[tick, arm]))
             plant.exchange(drives.command(plant.powered))

@@ -342,8 +342,8 @@ class Fleet(Turns):
         control.begin(self.scene, self._count)
         given = FLEET.new(
             "arm_fleet_control",
-            step=control.step,
             joint=self._commands,
+            **control.functions,
             **{"with": control.with_},
         )
         places = out.measurement, out.truth

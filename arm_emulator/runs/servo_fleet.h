@@ -1,14 +1,19 @@
-/* Our servo in the loop with the arms of a fleet: control code of arm_fleet.h. C99. */
+/* Our servo in the loop with the arms of a fleet, several side by side in the lanes of vectors:
+ * control code of arm_fleet.h. */
 #ifndef SERVO_FLEET_H
 #define SERVO_FLEET_H
 
 #include "arm_fleet.h"
 #include "servo.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef struct servo_fleet {
   uint32_t size;
   int32_t joints;
-  servo* arm;           /* one of each arm */
+  servo* arm;           /* one of each arm; its joints' states are in lanes */
   int64_t* tick;        /* of each arm: servo periods since its reset */
   const int32_t* place; /* of each of a servo's joints among the machine's */
   int64_t period;       /* ns */
@@ -16,12 +21,19 @@ typedef struct servo_fleet {
    * `arm_stride` from an arm to the next. The last row stays. `v` and `tau` may be null. */
   int64_t rows, periods_per_row, row_stride, arm_stride;
   const double *q, *v, *tau;
+  struct servo_joints_abreast* abreast; /* of `servo_fleet_begin` */
 } servo_fleet;
 
+/* Take over the numbers of the joints of so many arms, and forget everything. */
+void servo_fleet_begin(servo_fleet* fleet, int32_t arms);
+void servo_fleet_end(servo_fleet* fleet);
 /* Have the servos of a mask with a byte for each arm forget everything; targets begin anew. */
 void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask);
 /* A period of some arms; `with` is a servo_fleet. */
-void servo_fleet_step(void* with, int32_t first, int32_t arms, const arm_joint_measurement* joint,
-                      const uint8_t* powered, arm_joint_command* command);
+void servo_fleet_step(void* with, const arm_fleet_rows* rows);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

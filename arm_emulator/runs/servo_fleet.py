@@ -1,7 +1,8 @@
-"""Our servo on every arm of a fleet, in C: servo_fleet.c."""
+"""Our servo on every arm of a fleet, in their lanes: servo_fleet.cpp."""
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
-from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
@@ -32,17 +33,21 @@ SERVOS = Header(HERE / "servo_fleet.h", (BOUNDARY, FOLDER))
 _MOST_PERIODS = 10**9
 
 
+# The bits are those of the servo in C, see `arm_emulator.build.flags.C_FLAGS`.
+_FLAGS = (*"-std=c++20 -O2 -ffp-contract=off -fno-semantic-interposition".split(), *SHARED)
+
+
 @cache
-def _calls() -> Library:
-    return library(servo_fleet_unit())
+def _calls(lanes: int) -> Library:
+    return library(servo_fleet_unit(lanes))
 
 
-def servo_fleet_unit() -> Unit:
-    """Return servo and loop as what is compiled."""
-    source = '#include "servo.c"\n#include "servo_fleet.c"\n'
-    about = "the servos of a fleet"
+def servo_fleet_unit(lanes: int) -> Unit:
+    """Return servo and loop for arms in so many lanes as what is compiled."""
+    source = f'#define SERVO_FLEET_LANES {lanes}\n#include "servo_fleet.cpp"\n'
+    about = f"the servos of a fleet in {lanes} lanes"
     folders = (FOLDER, BOUNDARY, HERE)
-    return Unit("servo_fleet", source, C_FLAGS, folders, (SERVOS,), "servo", about, "servo.c")
+    return Unit("servo_fleet", source, _FLAGS, folders, (SERVOS,), "servo", about, "servo.c")
 
 
 class ServoFleet(FleetControl):
@@ -78,13 +83,10 @@ class ServoFleet(FleetControl):
         self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
         drives = [Drives(one) for one in read]
         self._drives = drives  # they own the numbers
-        N, count = self._N, self._count
-        self._states = np.tile(drives[0].servo.state, count).reshape(count, N)
+        N, count, self._calls = self._N, self._count, _calls(fleet.lanes)
         self._arms = SERVOS.ffi.new("servo[]", count)
         for k in range(count):
-            servo = drives[k % len(drives)].servo
-            self._arms[k] = servo.arm[0]
-            self._arms[k].state = SERVOS.pointer("servo_state", self._states[k])
+            self._arms[k] = drives[k % len(drives)].servo.arm[0]
         self._tick = np.zeros(count, np.int64)
         self._rows: tuple[Array | None, ...] = ()
         self.struct: CData = SERVOS.new(
@@ -96,8 +98,10 @@ class ServoFleet(FleetControl):
             period=round(self._period * 1e9),
             periods_per_row=1,
         )
-        step = int(SERVOS.ffi.cast("uintptr_t", _calls().servo_fleet_step))
-        super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)))
+        self._calls.servo_fleet_begin(self.struct, count)
+        weakref.finalize(self, self._calls.servo_fleet_end, self.struct)
+        step = int(SERVOS.ffi.cast("uintptr_t", self._calls.servo_fleet_step))
+        super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)), in_lanes=True)
 
     def aim(
         self,
@@ -167,7 +171,7 @@ class ServoFleet(FleetControl):
             Refusal: no such arms.
         """
         mask = chosen_arms("ServoFleet.reset", arms, self._count)
-        _calls().servo_fleet_reset(self.struct, self._count, pointer(mask.view(np.uint8)))
+        self._calls.servo_fleet_reset(self.struct, self._count, pointer(mask.view(np.uint8)))
 
     def begin(self, scene: Scene, count: int) -> None:
         """Refuse a fleet of another scene or count, see `FleetControl.begin`."""

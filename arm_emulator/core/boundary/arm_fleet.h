@@ -112,10 +112,25 @@ int arm_fleet_step(arm_fleet* fleet, int32_t first, int32_t arms, const arm_comm
 typedef void (*arm_fleet_step_of_control)(void* with, int32_t first, int32_t arms,
                                           const arm_joint_measurement* joint,
                                           const uint8_t* powered, arm_joint_command* command);
+/* The same in rows of lanes, for control code that is written over vectors: number
+ * [joint * lanes + lane] is of arm `first + lane`. Lanes from `arms` on are nobody's. */
+typedef struct arm_fleet_rows {
+  int32_t first, arms, lanes;
+  int32_t reserved;
+  const int64_t* encoder; /* counts */
+  const int64_t* brake;   /* 1: closed */
+  const double* current;  /* A */
+  const double* applied;  /* in the period that has passed */
+  const uint8_t* powered; /* of each lane */
+  double* value;          /* commands, in the mode and with the enabling of `joint` below */
+} arm_fleet_rows;
+typedef void (*arm_fleet_step_of_rows)(void* with, const arm_fleet_rows* rows);
+/* Either of the two functions is null. */
 typedef struct arm_fleet_control {
   uint32_t size;
   uint32_t reserved;
   arm_fleet_step_of_control step;
+  arm_fleet_step_of_rows step_rows;
   void* with;
   arm_joint_command* joint; /* an entry per joint of each arm */
 } arm_fleet_control;

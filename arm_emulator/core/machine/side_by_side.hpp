@@ -71,9 +71,8 @@ class SideBySide {
   // period.
   void settle(int lane) {
     if (!abreast_[lane]) return;
-    take(lane, at_, whole_[lane].now);
-    machine_[lane]->restore(whole_[lane]);
-    abreast_[lane] = false;
+    take(lane, at_, threads_.memory(), whole_[lane].now);
+    leave(lane);
   }
   bool is_abreast(int lane) const { return abreast_[lane]; }
 
@@ -90,6 +89,28 @@ class SideBySide {
       angle[j] = drive.motor_angle(here);
       speed[j] = drive.motor_speed(here);
     });
+  }
+  // Counts and currents of all lanes, and the newest commands, each in rows of lanes.
+  void measure(std::int64_t* counts, double* current, double* applied) const {
+    const auto put = [&](int j, int lane, double angle, double motor_current) {
+      const double count = __builtin_floor(angle * S::device[j].counts_per_rad);
+      counts[j * width + lane] = static_cast<std::int64_t>(clamp(count, 0x1p62));
+      current[j * width + lane] = motor_current;
+    };
+    if constexpr (Numbers<S, X>::varied)
+      for (int lane = 0; lane < width; ++lane)
+        numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
+          const auto here = input_in_lane(drive, j, at_.x, X{}, lane);
+          put(j, lane, drive.motor_angle(here), drive.current(here));
+        });
+    else
+      numbers_.for_each_drive([&](const auto& drive, int j) {
+        const auto here = input_of(drive, j, at_.x, X{});
+        const X angle = drive.motor_angle(here), motor_current = drive.current(here);
+        for (int lane = 0; lane < width; ++lane) put(j, lane, angle[lane], motor_current[lane]);
+      });
+    for (int j = 0; j < N; ++j)
+      for (int lane = 0; lane < width; ++lane) applied[j * width + lane] = at_.u[j][lane];
   }
   void links(int lane, double* q, double* v) const {
     for (int j = 0; j < N; ++j) q[j] = at_.x.q[j][lane], v[j] = at_.x.v[j][lane];
@@ -116,6 +137,14 @@ class SideBySide {
     Balance balance[width];
     ExternalWork<S> work[width];
     std::int64_t steps_taken[width];
+  };
+  struct Moment {
+    Abreast at;
+    typename Threads::Memory past;
+  };
+  // Lanes that a check has found sound: all of them, or some.
+  struct Found {
+    bool all, alone[width];
   };
 
   std::int64_t steps_to_brakes(int lane) const {
@@ -169,13 +198,19 @@ class SideBySide {
     return true;
   }
 
+  // A lane's machine goes on by itself from `whole_.now`.
+  void leave(int lane) {
+    if (kept_[lane]) take(lane, checked_[newest_].at, checked_[newest_].past, whole_[lane].checked);
+    machine_[lane]->restore(whole_[lane]);
+    abreast_[lane] = kept_[lane] = false;
+  }
+
   void section(Course& course, int count) {
     if (!line_up()) return;
     const Course start = course;
-    const Abreast began = at_;
-    const typename Threads::Memory before = threads_.memory();
-    Instant checked[width];
-    Mask<X> lost = {}, sound = {};  // in what follows; at the newest check
+    const Moment began = {at_, threads_.memory()};
+    Mask<X> lost = {};  // in what follows
+    Found found = {};   // at the newest check
     for (int left = count; left > 0;) {
       int steps = left;
       for (const std::int64_t taken : at_.steps_taken) {
@@ -186,46 +221,59 @@ class SideBySide {
       left -= steps;
       for_each_drive<S>(
           [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at_.x, h_); });
+      bool checks = false;
       for (int lane = 0; lane < width; ++lane) {
         at_.steps_taken[lane] += steps;
-        if (lost[lane] || !Machine::is_check(at_.steps_taken[lane])) continue;
-        if constexpr (S::external_wrench) account_for_work(lane);
-        if (at_.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane)) {
-          lost[lane] = -1;
-        } else if (left < Machine::kCheckEvery && lane < used_) {
-          take(lane, at_, checked[lane]);
-          sound[lane] = -1;
-        }
+        checks = checks || Machine::is_check(at_.steps_taken[lane]);
       }
+      if (checks) check(left, lost, found);
     }
     for (int lane = 0; lane < used_; ++lane) {
       if (!abreast_[lane]) continue;
       if (lost[lane]) {
-        take(lane, began, before, whole_[lane].now);
-        machine_[lane]->restore(whole_[lane]);
-        abreast_[lane] = false;
+        take(lane, began.at, began.past, whole_[lane].now);
+        leave(lane);
         auto alone = start.template of_lane<Machine::Stepper::row>(lane);
         machine_[lane]->follow(alone, count);
-      } else if (sound[lane]) {
-        whole_[lane].checked = checked[lane];
+      } else if (found.alone[lane]) {
+        whole_[lane].checked = alone_[lane];
+        kept_[lane] = false;
+      } else {
+        kept_[lane] = kept_[lane] || found.all;
       }
+    }
+    if (found.all) newest_ = 1 - newest_;
+  }
+
+  // Check the lanes for which that is due; where they are sound is kept, most often for all at once.
+  ARM_APART void check(int left, Mask<X>& lost, Found& found) {
+    Mask<X> sound = {};
+    for (int lane = 0; lane < width; ++lane) {
+      if (lost[lane] || !Machine::is_check(at_.steps_taken[lane])) continue;
+      if constexpr (S::external_wrench) account_for_work(lane);
+      if (at_.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane))
+        lost[lane] = -1;
+      else
+        sound[lane] = -1;
+    }
+    if (left >= Machine::kCheckEvery) return;
+    found.all = all(sound);
+    if (found.all) {
+      checked_[1 - newest_] = {at_, threads_.memory()};
+    } else {
+      for (int lane = 0; lane < used_; ++lane)
+        if (sound[lane]) take(lane, at_, threads_.memory(), alone_[lane]), found.alone[lane] = true;
     }
   }
 
   // Neither inlined nor cloned, as a single machine's steps.
   ARM_APART void march(Course& course, int steps) {
-    State<S, X> y = at_.x;
-    alignas(64) X u[Method::row];
-    for (int j = 0; j < Method::row; ++j) u[j] = at_.u[j];
-    X power = at_.power, most = at_.most;
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
       if (Machine::is_check(at_.steps_taken[lane])) checked[lane] = -1;
-    power = select(checked, Balance::largest_power(numbers_, y, u), power);
-    course.march(numbers_, threads_, h_, steps, y, u, power, most);
-    at_.x = y;
-    for (int j = 0; j < Method::row; ++j) at_.u[j] = u[j];
-    at_.power = power, at_.most = most;
+    if (any(checked))
+      at_.power = select(checked, Balance::largest_power(numbers_, at_.x, at_.u), at_.power);
+    course.march(numbers_, threads_, h_, steps, at_.x, at_.u, at_.power, at_.most);
   }
 
   void account_for_work(int lane) {
@@ -270,11 +318,13 @@ class SideBySide {
   void take(int lane, const Abreast& at, Instant& now) const {
     take(lane, at, threads_.memory(), now);
   }
-  static void take(int lane, const Abreast& at, typename Threads::Memory past, Instant& now) {
-    State<S, X> x = at.x;
+  static void take(int lane, const Abreast& at, const typename Threads::Memory& past,
+                   Instant& now) {
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
-    for_each_number(x, past, [&](const X& number) { *to++ = number[lane]; });
+    // Only read here.
+    for_each_number(const_cast<State<S, X>&>(at.x), const_cast<typename Threads::Memory&>(past),
+                    [&](const X& number) { *to++ = number[lane]; });
     for_each_number(now.x, now.past, [&](double& number) { number = *from++; });
     for (int j = 0; j < N; ++j) now.u[j] = at.u[j][lane];
     now.power = at.power[lane];
@@ -293,6 +343,11 @@ class SideBySide {
   Abreast at_;
   bool abreast_[width] = {};  // whether the state is in the lane; else in the machine
   Whole whole_[width];        // of machines in lanes; `now` is that of the time when they came
+  // Where lanes were found sound last: `kept_`, or in `whole_`.
+  Moment checked_[2] = {};
+  int newest_ = 0;
+  bool kept_[width] = {};
+  Instant alone_[width] = {};
 };
 
 // A single machine.

@@ -86,8 +86,9 @@ class Coulomb {
     }
   }
 
-  // The decisions alone. Joints that all slide, or all rest, need no solution for them.
-  void decide(Matrix& W, const X* v, X* rhs) {
+  // The decisions alone. Joints that all slide, or all rest, need no solution for them, nor `mass`,
+  // which gives W.
+  void decide(auto&& mass, const X* v, X* rhs) {
     begin(v);
     Mask<X> slide = X{} == X{}, rest = slide;
     for (int j = 0; j < N; ++j) {
@@ -95,7 +96,9 @@ class Coulomb {
       slide &= negated(locked_[j]);
       rest &= where(locked_[j], negated(magnitude(held_[j]) > Ds(j)));
     }
-    if (!all(slide | rest)) solve(W, v, rhs);
+    if (all(slide | rest)) return;
+    auto M = mass();
+    solve(M.at, v, rhs);
   }
 
   // Mode of each joint: locked, or the direction in which it slides, which is 0 without dry
@@ -131,10 +134,13 @@ class Coulomb {
       if (any(locked_[j])) held_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), held_[j]);
   }
   // The torques of locks alone, with the modes fixed.
-  void hold_in(const Modes& modes, const Matrix& W, X* x) {
+  void hold_in(const Modes& modes, auto&& mass, X* x) {
     Mask<X> all_rest = X{} == X{};
     for (int j = 0; j < N; ++j) all_rest &= modes.locked[j];
-    if (!all(all_rest)) return solve_in(modes, W, x);
+    if (!all(all_rest)) {
+      const auto M = mass();
+      return solve_in(modes, M.at, x);
+    }
     for (int j = 0; j < N; ++j) held_[j] = x[j];
   }
 

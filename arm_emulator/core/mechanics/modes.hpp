@@ -32,11 +32,10 @@ class Modes {
     });
     if constexpr (Friction::present) {
       Friction coulomb(*n_);
-      Dynamics at = links;
       double a[N];
-      torques(x, u, at, a);
+      torques(x, u, links, a);
       coulomb.take(x, x, u, of_drives());
-      coulomb.decide(at.M.at, x.v, a);
+      coulomb.decide([&] { return loaded(links); }, x.v, a);
       friction = coulomb.modes();
     }
   }
@@ -48,11 +47,12 @@ class Modes {
   }
 
   // The links' accelerations at x.
-  void accelerations(const State<S>& x, const double* u, Dynamics links, double (&a)[N],
+  void accelerations(const State<S>& x, const double* u, const Dynamics& links, double (&a)[N],
                      Friction& coulomb) const {
     torques(x, u, links, a);
     coulomb.take(x, x, u, of_drives());
-    coulomb.solve_in(friction, links.M.at, a);
+    const auto M = loaded(links);
+    coulomb.solve_in(friction, M.at, a);
   }
 
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
@@ -67,12 +67,12 @@ class Modes {
         at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (least < 0.0 || !Friction::present || !friction.lock()) return least;
-    Dynamics links = memo.at(*n_, x);
+    const Dynamics& links = memo.at(*n_, x);
     double a[N];
     Friction coulomb(*n_);
     torques(x, u, links, a);
     coulomb.take(x, x, u, of_drives());
-    coulomb.hold_in(friction, links.M.at, a);
+    coulomb.hold_in(friction, [&] { return loaded(links); }, a);
     for (int j = 0; j < N; ++j)
       if (friction.locked[j]) at_most(coulomb.spare(j));
     return least;
@@ -99,11 +99,15 @@ class Modes {
     return [&](const auto& drive, int j, int) { return of(drive, j); };
   }
 
-  // Torques that accelerate the links, without dry friction; and M with the carried
-  // rotors.
-  void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) const {
+  // M with the rotors that the links carry.
+  auto loaded(const Dynamics& links) const {
+    auto M = links.M;
+    n_->for_each_drive([&](const auto& drive, int j) { M.at[j][j] += drive.carried(); });
+    return M;
+  }
+  // Torques that accelerate the links, without dry friction.
+  void torques(const State<S>& x, const double* u, const Dynamics& links, double* rhs) const {
     n_->for_each_drive([&](const auto& drive, int j) {
-      links.M.at[j][j] += drive.carried();
       const auto modes = of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
       rhs[j] = drive.rates(at, modes.held()).g - links.nle[j];

@@ -48,7 +48,8 @@ class Located {
   void watch(EnergyMeter<S>* by) { meter_ = by; }
 
   template <class Exchange>
-  void step(State<S>& x, const double (&u)[row], Dynamics& links, Exchange& exchange) {
+  void step(State<S>& x, const double (&u)[row], const Dynamics& given, Exchange& exchange) {
+    Dynamics links = given;
     exchange.take(links);
     follow_at_once(n_, x, u);
     const Modes<S> modes(n_, x, u, links);

@@ -28,12 +28,14 @@ class OneThread {
   void begin(std::int64_t, const State<S, X>&) {}
   void end() {}
   ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
+    if constexpr (requires { stepper_.links_at(x); }) {
+      stepper_.step(x, u, stepper_.links_at(x), *this);
+      return;
+    }
     Dynamics links;
     // Inlined, so that its constants fold with the step's; loops over many joints have none, and
     // run faster in a function of their own.
-    if constexpr (requires { stepper_.links_at(x); })
-      links = stepper_.links_at(x);
-    else if constexpr (S::N > kUnrollNested)
+    if constexpr (S::N > kUnrollNested)
       Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
     else
       Links<S, X>::dynamics(n_, x.q, x.v, links);

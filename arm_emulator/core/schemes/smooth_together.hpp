@@ -45,7 +45,8 @@ class SmoothTogether {
   const Dynamics& links_at(const State<S, X>& x) { return memo_.at(n_, x); }
 
   template <class Exchange>
-  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
+                       Exchange& exchange) {
     const State<S, X> start = x;
     const Memory past = method_.memory();
     if constexpr (locates) follow(x, u);
@@ -71,7 +72,7 @@ class SmoothTogether {
 
   // A step of all lanes. Returns where it was smooth.
   template <class Exchange>
-  ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+  ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics links, Exchange& exchange) {
     State<S, X> drives_end = x;
     method_.step(x, u, links, exchange);
     if constexpr (requires { Method::holds_links; })
@@ -92,11 +93,12 @@ class SmoothTogether {
     return smooth & is_usual(n_, x, u);
   }
 
-  typename Friction::Modes friction_at(const State<S, X>& x, const X (&u)[row], Dynamics links) {
+  typename Friction::Modes friction_at(const State<S, X>& x, const X (&u)[row],
+                                       const Dynamics& links) {
     X rhs[N];
     torques(x, u, links, rhs);
     coulomb_.take(x, x, u, usual_modes);
-    coulomb_.decide(links.M.at, x.v, rhs);
+    coulomb_.decide([&] { return loaded(links); }, x.v, rhs);
     return coulomb_.modes();
   }
   Mask<X> friction_holds(const typename Friction::Modes& modes, const State<S, X>& y,
@@ -104,22 +106,25 @@ class SmoothTogether {
     Mask<X> hold = X{} == X{};
     for (int j = 0; j < N; ++j) hold &= y.v[j] * modes.direction[j] >= 0.0;
     if (!modes.lock()) return hold;
-    Dynamics links = memo_.at(n_, y);
+    const Dynamics& links = memo_.at(n_, y);
     X rhs[N];
     torques(y, u, links, rhs);
     coulomb_.take(y, y, u, usual_modes);
-    coulomb_.hold_in(modes, links.M.at, rhs);
+    coulomb_.hold_in(modes, [&] { return loaded(links); }, rhs);
     for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
     return hold;
   }
 
-  // Torques that accelerate the links, without dry friction; M with the rotors that they
-  // carry.
-  void torques(const State<S, X>& x, const X* u, Dynamics& links, X* rhs) const {
-    const auto put = [&](int j, const X& g) __attribute__((always_inline)) {
-      links.M.at[j][j] += n_.carried(j);
-      rhs[j] = g - links.nle[j];
-    };
+  // M with the rotors that the links carry.
+  auto loaded(const Dynamics& links) const {
+    auto M = links.M;
+    for (int j = 0; j < N; ++j) M.at[j][j] += n_.carried(j);
+    return M;
+  }
+  // Torques that accelerate the links, without dry friction.
+  void torques(const State<S, X>& x, const X* u, const Dynamics& links, X* rhs) const {
+    const auto put = [&](int j, const X& g)
+                         __attribute__((always_inline)) { rhs[j] = g - links.nle[j]; };
     if constexpr (Numbers<S, X>::varied) {
       X g[N];
       for (int lane = 0; lane < width; ++lane)

@@ -4,18 +4,6 @@
 #error "the servo looks whether its numbers are finite: compile without -ffast-math"
 #endif
 
-/* The largest angle that a joint may be asked for [rad]. */
-static const servo_real FARTHEST = (servo_real)1e6;
-static const servo_real HALF = (servo_real)0.5;
-static const servo_real NANOSECONDS = (servo_real)1e9;
-/* Of loads: slower changes are the integral's [s]. */
-static const servo_real SLOW = (servo_real)0.5;
-/* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
- * changes in the observed load, for so long [s]. */
-static const servo_real DOUBTS = 10, DOUBTED = (servo_real)0.1;
-/* Evidence that is kept, relative to that; older evidence fades beside newer. */
-static const servo_real KEPT = 100;
-
 /* Code that every joint runs in every period is inlined: calls cost as much. */
 #ifdef __GNUC__
 #define SERVO_INLINE static inline __attribute__((always_inline))
@@ -23,15 +11,57 @@ static const servo_real KEPT = 100;
 #define SERVO_INLINE static inline
 #endif
 
-SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {
-  return value < -limit ? -limit : value > limit ? limit : value;
+/* ------------------------------------------------------------------------ numbers of a joint
+ *
+ * They are one arm's, or lanes of several. `mask ? a : b` decides for each lane, with numbers of
+ * the same type on both sides; masks of one arm are 0 or 1. */
+
+#ifdef SERVO_LANES
+typedef servo_count servo_mask;
+
+SERVO_INLINE servo_real real_of(servo_count counts) {
+  return __builtin_convertvector(counts, servo_real);
 }
+SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask & bit; }
+SERVO_INLINE int any(servo_mask mask) {
+  int64_t found = 0;
+  for (int lane = 0; lane < SERVO_LANES; ++lane) found |= mask[lane];
+  return found != 0;
+}
+#else
+typedef int servo_mask;
+
+SERVO_INLINE servo_real real_of(servo_count counts) { return (servo_real)counts; }
+SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask ? bit : 0; }
+SERVO_INLINE int any(servo_mask mask) { return mask; }
+#endif
+
+SERVO_INLINE servo_real all_of(servo_scalar value) {
+  const servo_real zero = {0};
+  return zero + value;
+}
+
+/* The largest angle that a joint may be asked for [rad]. */
+static const servo_scalar FARTHEST = (servo_scalar)1e6;
+static const servo_scalar HALF = (servo_scalar)0.5;
+/* Of loads: slower changes are the integral's [s]. */
+static const servo_scalar SLOW = (servo_scalar)0.5;
+/* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
+ * changes in the observed load, for so long [s]. */
+static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
+/* Evidence that is kept, relative to that; older evidence fades beside newer. */
+static const servo_scalar KEPT = 100;
 
 SERVO_INLINE servo_real bound(servo_real value, servo_real least, servo_real most) {
-  return value < least ? least : value > most ? most : value;
+  const servo_real below = value > most ? most : value;
+  return value < least ? least : below;
 }
 
-SERVO_INLINE int is_finite(servo_real value) { return value - value == 0; }
+SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {
+  return bound(value, -limit, limit);
+}
+
+SERVO_INLINE servo_mask is_finite(servo_real value) { return value - value == 0; }
 
 SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_real speed,
                                servo_real voltage, servo_real load) {
@@ -40,42 +70,34 @@ SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_r
 
 /* ---------------------------------------------------------------------------------- one joint */
 
-static void unlearn(servo_state* state) {
-  state->scale = 1;
-  state->tau_mean = state->load_mean = state->evidence = state->product = 0;
-}
-
-void servo_joint_reset(servo_state* state) {
-  if (!state) return;
-  state->counts = 0;
-  state->known = state->braked = state->stood = 0;
-  state->theta_measured = state->theta = state->omega = state->load = 0;
-  state->current = state->integral = 0;
-  state->voltage = state->unknown_voltage = 0;
-  state->q_target = state->v_target = state->tau = 0;
-  state->a_target = state->tau_rate = 0;
-  state->q_hold = 0;
-  unlearn(state);
-}
-
 /* Take the motor as standing in the middle of its count, its load held by its current. */
-static void start(const servo_joint* joint, servo_state* state, servo_real current) {
-  state->known = 1;
-  state->theta = state->theta_measured;
-  state->omega = 0;
-  state->load = joint->torque_constant * current;
-  state->current = current;
-  state->integral = current;
-  state->unknown_voltage = 0;
+SERVO_INLINE void start(const servo_joint* joint, servo_state* state, servo_mask where,
+                        servo_real current) {
+  const servo_real zero = {0};
+  if (!any(where)) return;
+  state->known |= flag_of(where, 1);
+  state->theta = where ? state->theta_measured : state->theta;
+  state->omega = where ? zero : state->omega;
+  state->load = where ? joint->torque_constant * current : state->load;
+  state->current = where ? current : state->current;
+  state->integral = where ? current : state->integral;
+  state->unknown_voltage = where ? zero : state->unknown_voltage;
+}
+
+/* Begin anew where numbers are no longer finite. */
+SERVO_INLINE void begin_anew(const servo_joint* joint, servo_state* state, servo_mask where) {
+  const servo_real zero = {0};
+  start(joint, state, where, is_finite(state->current) ? state->current : zero);
 }
 
 /* Return the counts of an absolute encoder that are next to those before; next to 0 first. So a
  * motor may turn by less than half a word in a servo period. */
-static int64_t unwrapped(const servo_joint* joint, servo_state* state, int64_t word) {
-  const int64_t half = joint->wrap / 2;
-  int64_t turned = (word - state->counts + half) % joint->wrap;
-  if (turned < 0) turned += joint->wrap;
-  return state->counts += turned - half;
+SERVO_INLINE servo_count unwrapped(const servo_joint* joint, servo_state* state, servo_count word) {
+  const servo_count zero = {0}, wrap = joint->wrap != 0 ? joint->wrap : zero + 1;
+  const servo_count half = wrap / 2, turned = (word - state->counts + half) % wrap;
+  const servo_count forward = turned < 0 ? turned + wrap : turned;
+  state->counts += joint->wrap != 0 ? forward - half : zero;
+  return joint->wrap != 0 ? state->counts : word;
 }
 
 /* Predict over the past period, take what the measured current adds to that, then correct by the
@@ -83,72 +105,138 @@ static int64_t unwrapped(const servo_joint* joint, servo_state* state, int64_t w
  * counts and 1 ms). */
 SERVO_INLINE void take_angle(const servo_joint* joint, servo_state* state, servo_real theta,
                              servo_real current, servo_real voltage) {
-  state->theta_measured = theta;
-  if (!state->known) {
-    start(joint, state, current);
-    return;
-  }
   const servo_real i = state->current, omega = state->omega, load = state->load;
+  const servo_mask unknown = state->known == 0;
   const servo_real predicted = sum_of(&joint->end_current, i, omega, voltage, load);
-  const servo_real measured = joint->unsensed ? predicted : current;
+  const servo_real measured = joint->unsensed != 0 ? predicted : current;
   const servo_real surplus = measured - predicted;
   const servo_real predicted_theta = state->theta + (sum_of(&joint->turn, i, omega, voltage, load) +
                                                      joint->turn_per_surplus * surplus);
   const servo_real predicted_omega =
       sum_of(&joint->end_speed, i, omega, voltage, load) + joint->speed_per_surplus * surplus;
   const servo_real innovation = theta - predicted_theta;
+  state->theta_measured = theta;
   state->theta = predicted_theta + joint->theta_gain * innovation;
   state->omega = predicted_omega + joint->omega_gain * innovation;
   state->load = load + joint->load_gain * innovation;
   state->unknown_voltage = joint->voltage_per_surplus * surplus;
   state->current = measured;
+  start(joint, state, unknown, current);
 }
 
-void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
-                      servo_real current, servo_real voltage) {
-  if (joint && state) take_angle(joint, state, theta, current, voltage);
+SERVO_INLINE void take_counts(const servo_joint* joint, servo_state* state, servo_count counts,
+                              servo_real current, servo_real voltage) {
+  if (any(joint->wrap != 0)) counts = unwrapped(joint, state, counts);
+  take_angle(joint, state, (real_of(counts) + HALF) * joint->count_angle, current, voltage);
 }
 
-SERVO_INLINE void observe(const servo_joint* joint, servo_state* state, int64_t counts,
-                          servo_real current, servo_real voltage) {
-  if (joint->wrap) counts = unwrapped(joint, state, counts);
-  take_angle(joint, state, ((servo_real)counts + HALF) * joint->count_angle, current, voltage);
+/* The same for numbers that need not be sound. Returns where it began anew. */
+SERVO_INLINE servo_mask observe(const servo_joint* joint, servo_state* state, servo_count counts,
+                                servo_real current, servo_real voltage) {
+  take_counts(joint, state, counts, current, voltage);
+  const servo_mask lost =
+      is_finite(state->theta + state->omega + state->load + state->unknown_voltage) == 0;
+  begin_anew(joint, state, lost);
+  return lost;
 }
 
-void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
-                         servo_real current, servo_real voltage) {
-  if (joint && state) observe(joint, state, counts, current, voltage);
+/* The servo period that ends now. */
+typedef struct servo_past {
+  servo_mask learns;  /* a target was followed in it */
+  servo_real changed; /* s, in which the torques of the targets changed */
+  servo_real passed;  /* s */
+  servo_real ahead;   /* s, of its end since the middle of the target's motion period */
+} servo_past;
+
+/* Let the load have changed as the torques of the targets do. */
+SERVO_INLINE void expect_load(const servo_joint* joint, servo_state* state,
+                              const servo_past* past) {
+  state->load += joint->ratio * state->tau_rate * past->changed;
+}
+
+SERVO_INLINE void unlearn(servo_state* state, servo_mask where) {
+  const servo_real zero = {0};
+  state->scale = where ? all_of(1) : state->scale;
+  state->tau_mean = where ? zero : state->tau_mean;
+  state->load_mean = where ? zero : state->load_mean;
+  state->evidence = where ? zero : state->evidence;
+  state->product = where ? zero : state->product;
+}
+
+/* Learn how much of the torque that was announced to the motor comes. */
+SERVO_INLINE void learn(const servo_joint* joint, servo_state* state, const servo_past* past) {
+  const servo_real tau = joint->ratio * (state->tau + past->ahead * state->tau_rate);
+  /* All that is at rest is the integral's. */
+  const servo_mask moves = past->learns & (state->tau_rate != 0) & (state->stood == 0);
+  const servo_mask rests = past->learns & (moves == 0);
+  state->tau_mean = rests ? tau : state->tau_mean;
+  state->load_mean = rests ? state->load : state->load_mean;
+  if (!any(moves)) return;
+  const servo_real count = joint->load_gain * joint->count_angle;
+  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * count * count, most = KEPT * doubt;
+  const servo_real share = past->passed < SLOW ? past->passed / SLOW : all_of(1);
+  const servo_real tau_mean = state->tau_mean + share * (tau - state->tau_mean);
+  const servo_real load_mean = state->load_mean + share * (state->load - state->load_mean);
+  const servo_real fast = tau - tau_mean;
+  const servo_real evidence = state->evidence + past->passed * fast * fast;
+  const servo_real product = state->product + past->passed * fast * (state->load - load_mean);
+  const servo_mask fades = evidence > most;
+  const servo_real product_kept = fades ? product * (most / evidence) : product;
+  const servo_real evidence_kept = fades ? most : evidence;
+  const servo_real learned = (doubt + product_kept) / (doubt + evidence_kept);
+  const servo_mask sound = moves & is_finite(learned);
+  const servo_real scale = bound(learned, all_of(SERVO_LEAST), all_of(SERVO_MOST));
+  state->tau_mean = moves ? tau_mean : state->tau_mean;
+  state->load_mean = moves ? load_mean : state->load_mean;
+  state->evidence = moves ? evidence_kept : state->evidence;
+  state->product = moves ? product_kept : state->product;
+  state->integral =
+      sound ? state->integral - (scale - state->scale) * tau_mean / joint->torque_constant
+            : state->integral;
+  state->scale = sound ? scale : state->scale;
+  unlearn(state, moves & (sound == 0));
+}
+
+/* Take a target; `since`: seconds since the one before, if that was followed until now. */
+SERVO_INLINE void take_target(servo_state* state, servo_mask where, servo_real q, servo_real v,
+                              servo_real tau, servo_real since) {
+  const servo_real zero = {0}, a = (v - state->v_target) / since,
+                   tau_rate = (tau - state->tau) / since;
+  state->stood &= ~flag_of(where, 1);
+  state->q_target = where ? q : state->q_target;
+  state->v_target = where ? v : state->v_target;
+  state->tau = where ? tau : state->tau;
+  state->a_target = where ? (since > 0 ? a : zero) : state->a_target;
+  state->tau_rate = where ? (since > 0 ? tau_rate : zero) : state->tau_rate;
 }
 
 SERVO_INLINE void wish_within(const servo_joint* joint, servo_wish* wish) {
+  const servo_real zero = {0};
+  const servo_flag none = {0};
   wish->wants = SERVO_POSITION;
-  wish->limited = 0;
-  wish->q_target = wish->v_target = wish->tau = 0;
-  wish->omega = wish->current = 0;
+  wish->limited = none;
+  wish->q_target = wish->v_target = wish->tau = zero;
+  wish->omega = wish->current = zero;
   wish->least_omega = -joint->omega_limit;
   wish->most_omega = joint->omega_limit;
   wish->least_current = -joint->current_limit;
   wish->most_current = joint->current_limit;
 }
 
-void servo_wish_within(const servo_joint* joint, servo_wish* wish) {
-  if (joint && wish) wish_within(joint, wish);
-}
-
 SERVO_INLINE servo_real position_stage(const servo_joint* joint, const servo_state* state,
                                        servo_wish* wish) {
-  const servo_real theta_target = wish->q_target * joint->motor_turns;
+  const servo_real zero = {0}, theta_target = wish->q_target * joint->motor_turns;
   const servo_real off = theta_target - state->theta_measured;
-  const int within_count = (off < 0 ? -off : off) <= HALF * joint->count_angle;
-  const servo_real error = within_count ? 0 : theta_target - state->theta;
+  const servo_mask within_count = (off < 0 ? -off : off) <= HALF * joint->count_angle;
+  const servo_real error = within_count ? zero : theta_target - state->theta;
   return wish->v_target * joint->motor_turns + joint->position_gain * error;
 }
 
 SERVO_INLINE servo_real current_stage(const servo_joint* joint, servo_state* state,
                                       servo_wish* wish, servo_real* i_ref) {
-  const servo_real current = state->current, memory = joint->current_memory;
+  const servo_real zero = {0}, current = state->current, memory = joint->current_memory;
   const servo_sum* mean = &joint->mean_current;
-  const servo_real at_no_voltage = sum_of(mean, current, state->omega, 0, state->load);
+  const servo_real at_no_voltage = sum_of(mean, current, state->omega, zero, state->load);
   const servo_real wanted =
       (*i_ref - memory * (*i_ref - current) - at_no_voltage) * joint->voltage_per_current;
   /* No voltage that lets the current beyond its limit within the period. What the model did not
@@ -158,34 +246,39 @@ SERVO_INLINE servo_real current_stage(const servo_joint* joint, servo_state* sta
       joint->emf * state->omega - state->unknown_voltage - joint->winding * current;
   const servo_real least = middle + joint->current_voltage * wish->least_current;
   const servo_real most = middle + joint->current_voltage * wish->most_current;
-  servo_real voltage = least > wanted ? least : wanted;
-  voltage = clip(most < voltage ? most : voltage, joint->voltage_limit);
-  if (voltage != wanted) { /* what current the limits leave of the reference */
-    *i_ref = (mean->voltage * voltage + at_no_voltage - memory * current) / (1 - memory);
-    wish->limited |= SERVO_LIMITS_VOLTAGE;
+  const servo_real at_least = least > wanted ? least : wanted;
+  const servo_real voltage = clip(most < at_least ? most : at_least, joint->voltage_limit);
+  const servo_mask limited = voltage != wanted;
+  if (any(limited)) { /* what current the limits leave of the reference */
+    const servo_real left =
+        (mean->voltage * voltage + at_no_voltage - memory * current) / (1 - memory);
+    *i_ref = limited ? left : *i_ref;
+    wish->limited |= flag_of(limited, SERVO_LIMITS_VOLTAGE);
   }
   return voltage;
 }
 
 SERVO_INLINE servo_real drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
-  const servo_real feedforward =
-      wish->wants == SERVO_CURRENT ? 0 : wish->tau * joint->current_per_tau;
+  const servo_real zero = {0}, feedforward = wish->wants == SERVO_CURRENT
+                                                 ? zero
+                                                 : wish->tau * joint->current_per_tau;
+  const servo_flag none = {0};
   servo_real i_ref, asked;
-  wish->limited = 0;
+  wish->limited = none;
   if (wish->wants == SERVO_CURRENT) {
     /* The current is limited to what the velocity stage asks for at the largest speeds. */
     asked = bound(wish->current, joint->velocity_gain * (wish->least_omega - state->omega),
                   joint->velocity_gain * (wish->most_omega - state->omega));
-    if (asked != wish->current) wish->limited |= SERVO_LIMITS_SPEED;
+    wish->limited |= flag_of(asked != wish->current, SERVO_LIMITS_SPEED);
   } else {
     const servo_real omega =
         wish->wants == SERVO_SPEED ? wish->omega : position_stage(joint, state, wish);
     const servo_real omega_ref = bound(omega, wish->least_omega, wish->most_omega);
-    if (omega_ref != omega) wish->limited |= SERVO_LIMITS_SPEED;
+    wish->limited |= flag_of(omega_ref != omega, SERVO_LIMITS_SPEED);
     asked = joint->velocity_gain * (omega_ref - state->omega) + state->integral + feedforward;
   }
   i_ref = bound(asked, wish->least_current, wish->most_current);
-  if (i_ref != asked) wish->limited |= SERVO_LIMITS_CURRENT;
+  wish->limited |= flag_of(i_ref != asked, SERVO_LIMITS_CURRENT);
 
   state->voltage = current_stage(joint, state, wish, &i_ref);
   /* Automatic reset: with no limit active this is the integral of Kv error / integral time. It goes
@@ -197,23 +290,96 @@ SERVO_INLINE servo_real drive(const servo_joint* joint, servo_state* state, serv
   return state->voltage;
 }
 
+/* A command, 0 where it would not be finite: returns where it began anew. */
+SERVO_INLINE servo_mask make_sound(const servo_joint* joint, servo_state* state,
+                                   servo_real* command) {
+  const servo_real zero = {0};
+  const servo_mask lost = is_finite(*command + state->integral) == 0;
+  begin_anew(joint, state, lost);
+  state->voltage = lost ? zero : state->voltage;
+  *command = lost ? zero : *command;
+  return lost;
+}
+
+SERVO_INLINE servo_mask control(const servo_joint* joint, servo_state* state, servo_real q,
+                                servo_real v, servo_real tau, servo_real* command) {
+  servo_wish wish;
+  wish_within(joint, &wish);
+  wish.q_target = q;
+  wish.v_target = v;
+  wish.tau = tau;
+  *command = drive(joint, state, &wish);
+  return make_sound(joint, state, command);
+}
+
+/* Decision of an arm for the period that begins. */
+typedef struct servo_turn {
+  servo_mask cut;     /* command nothing */
+  servo_mask follows; /* a target, `ahead` seconds after it came */
+  servo_mask latches; /* hold from here where the joint stands */
+  servo_real ahead;
+  servo_real period; /* s, of the motion */
+} servo_turn;
+
+/* Follow the newest target, or hold. Returns where it began anew. */
+SERVO_INLINE servo_mask pursue(const servo_joint* joint, servo_state* state, const servo_turn* turn,
+                               servo_real* command) {
+  const servo_real zero = {0}, a = state->a_target;
+  const servo_mask braked = state->braked != 0, moves = turn->follows & (state->braked == 0);
+  const servo_real begins = state->v_target - HALF * a * turn->period;
+  const servo_real q = state->q_target + (begins + HALF * a * turn->ahead) * turn->ahead;
+  const servo_real announced = state->scale * state->tau, tau = announced + joint->rotor * a;
+  state->stood |= flag_of(braked, 1);
+  state->q_hold = (turn->latches | braked) ? state->theta_measured * joint->ratio : state->q_hold;
+  return control(joint, state, moves ? clip(q, all_of(FARTHEST)) : state->q_hold,
+                 moves ? begins + a * turn->ahead : zero,
+                 moves ? tau : (turn->follows ? announced : zero), command);
+}
+
+#ifndef SERVO_LANES
+
+static const servo_real NANOSECONDS = (servo_real)1e9;
+
+void servo_joint_reset(servo_state* state) {
+  if (!state) return;
+  state->counts = 0;
+  state->known = state->braked = state->stood = 0;
+  state->theta_measured = state->theta = state->omega = state->load = 0;
+  state->current = state->integral = 0;
+  state->voltage = state->unknown_voltage = 0;
+  state->q_target = state->v_target = state->tau = 0;
+  state->a_target = state->tau_rate = 0;
+  state->q_hold = 0;
+  unlearn(state, 1);
+}
+
+void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
+                      servo_real current, servo_real voltage) {
+  if (joint && state) take_angle(joint, state, theta, current, voltage);
+}
+
+void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
+                         servo_real current, servo_real voltage) {
+  if (joint && state) take_counts(joint, state, counts, current, voltage);
+}
+
+void servo_wish_within(const servo_joint* joint, servo_wish* wish) {
+  if (joint && wish) wish_within(joint, wish);
+}
+
 servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
   return joint && state && wish ? drive(joint, state, wish) : 0;
 }
 
-SERVO_INLINE servo_real follow(const servo_joint* joint, servo_state* state, servo_real q_target,
+servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
                                servo_real v_target, servo_real tau) {
   servo_wish wish;
+  if (!joint || !state) return 0;
   wish_within(joint, &wish);
   wish.q_target = q_target;
   wish.v_target = v_target;
   wish.tau = tau;
   return drive(joint, state, &wish);
-}
-
-servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
-                               servo_real v_target, servo_real tau) {
-  return joint && state ? follow(joint, state, q_target, v_target, tau) : 0;
 }
 
 /* ------------------------------------------------------------------------------- the watchdog */
@@ -272,44 +438,29 @@ void servo_reset(servo* arm) {
   arm->does = SERVO_HOLDS;
 }
 
-static void begin_anew(servo* arm, int32_t j) {
-  servo_state* state = &arm->state[j];
-  start(&arm->joint[j], state, is_finite(state->current) ? state->current : 0);
-  ++arm->restarts;
-}
-
 void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
                    const servo_real* applied) {
   if (!complete(arm) || !counts || !current) return;
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
-    observe(&arm->joint[j], state, counts[j], current[j], applied ? applied[j] : state->voltage);
-    if (!is_finite(state->theta + state->omega + state->load + state->unknown_voltage))
-      begin_anew(arm, j);
+    const servo_real voltage = applied ? applied[j] : state->voltage;
+    arm->restarts += (uint32_t)observe(&arm->joint[j], state, counts[j], current[j], voltage);
   }
-}
-
-SERVO_INLINE servo_real sound(servo* arm, int32_t j, servo_real voltage) {
-  servo_state* state = &arm->state[j];
-  if (is_finite(voltage + state->integral)) return voltage;
-  begin_anew(arm, j);
-  return state->voltage = 0;
-}
-
-SERVO_INLINE servo_real control(servo* arm, int32_t j, servo_real q, servo_real v, servo_real tau) {
-  return sound(arm, j, follow(&arm->joint[j], &arm->state[j], q, v, tau));
 }
 
 servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish) {
   if (!complete(arm) || !wish || j < 0 || j >= arm->joints) return 0;
-  return sound(arm, j, drive(&arm->joint[j], &arm->state[j], wish));
+  servo_real command = drive(&arm->joint[j], &arm->state[j], wish);
+  arm->restarts += (uint32_t)make_sound(&arm->joint[j], &arm->state[j], &command);
+  return command;
 }
 
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
                    servo_real* command) {
   if (!complete(arm) || !q || !command) return;
   for (int32_t j = 0; j < arm->joints; ++j)
-    command[j] = control(arm, j, q[j], v ? v[j] : 0, tau ? tau[j] : 0);
+    arm->restarts += (uint32_t)control(&arm->joint[j], &arm->state[j], q[j], v ? v[j] : 0,
+                                       tau ? tau[j] : 0, &command[j]);
 }
 
 void servo_release(servo* arm) {
@@ -317,70 +468,31 @@ void servo_release(servo* arm) {
   for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].integral = arm->state[j].voltage = 0;
 }
 
-/* Let the loads of the past servo period have changed as the torques of the targets do. */
-static void expect_load(servo* arm, int64_t now) {
+/* The clock of an arm goes on to `now`. */
+static servo_past measure_at(servo* arm, int64_t now) {
   const int64_t begins = arm->now, ends = arm->target_time + arm->motion_period;
-  const int64_t last = now < ends ? now : ends;
-  if (arm->does != SERVO_FOLLOWS || !arm->aimed || last <= begins) return;
-  const servo_real passed = (servo_real)(last - begins) / NANOSECONDS;
-  for (int32_t j = 0; j < arm->joints; ++j)
-    arm->state[j].load += arm->joint[j].ratio * arm->state[j].tau_rate * passed;
-}
-
-/* Learn from a servo period in which `tau` was announced to the motor [N m] how much of it comes.
- */
-static void learn(const servo_joint* joint, servo_state* state, servo_real tau, servo_real passed) {
-  if (state->tau_rate == 0 || state->stood) { /* all that is at rest is the integral's */
-    state->tau_mean = tau;
-    state->load_mean = state->load;
-    return;
-  }
-  const servo_real count = joint->load_gain * joint->count_angle;
-  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * count * count, most = KEPT * doubt;
-  const servo_real share = passed < SLOW ? passed / SLOW : 1;
-  state->tau_mean += share * (tau - state->tau_mean);
-  state->load_mean += share * (state->load - state->load_mean);
-  const servo_real fast = tau - state->tau_mean;
-  state->evidence += passed * fast * fast;
-  state->product += passed * fast * (state->load - state->load_mean);
-  if (state->evidence > most) {
-    state->product *= most / state->evidence;
-    state->evidence = most;
-  }
-  const servo_real learned = (doubt + state->product) / (doubt + state->evidence);
-  if (!is_finite(learned)) {
-    unlearn(state);
-    return;
-  }
-  const servo_real scale = bound(learned, SERVO_LEAST, SERVO_MOST);
-  state->integral -= (scale - state->scale) * state->tau_mean / joint->torque_constant;
-  state->scale = scale;
-}
-
-/* Learn from the servo period that ends now, if a target was followed in it. */
-static void learn_of_targets(servo* arm, int64_t now) {
-  const int64_t since = now - arm->target_time;
-  if (arm->does != SERVO_FOLLOWS || !arm->aimed || now <= arm->now || since > arm->motion_period)
-    return;
-  const servo_real passed = (servo_real)(now - arm->now) / NANOSECONDS;
+  const int64_t last = now < ends ? now : ends, since = now - arm->target_time;
+  const int follows = arm->does == SERVO_FOLLOWS && arm->aimed;
   const servo_real middle = HALF * (servo_real)arm->motion_period / NANOSECONDS;
-  const servo_real ahead = (servo_real)since / NANOSECONDS - middle;
-  for (int32_t j = 0; j < arm->joints; ++j) {
-    servo_state* state = &arm->state[j];
-    const servo_real tau = state->tau + ahead * state->tau_rate;
-    learn(&arm->joint[j], state, arm->joint[j].ratio * tau, passed);
-  }
+  const servo_past past = {follows && arm->measured && now > begins && since <= arm->motion_period,
+                           follows && last > begins ? (servo_real)(last - begins) / NANOSECONDS : 0,
+                           (servo_real)(now - begins) / NANOSECONDS,
+                           (servo_real)since / NANOSECONDS - middle};
+  arm->now = now;
+  arm->measured = 1;
+  servo_watchdog_state(&arm->watchdog, now);
+  return past;
 }
 
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* applied) {
   if (!complete(arm) || !counts || !current) return;
-  expect_load(arm, now);
+  const servo_past past = measure_at(arm, now);
+  for (int32_t j = 0; past.changed > 0 && j < arm->joints; ++j)
+    expect_load(&arm->joint[j], &arm->state[j], &past);
   servo_observe(arm, counts, current, applied);
-  if (arm->measured) learn_of_targets(arm, now);
-  arm->now = now;
-  arm->measured = 1;
-  servo_watchdog_state(&arm->watchdog, now);
+  for (int32_t j = 0; past.learns && j < arm->joints; ++j)
+    learn(&arm->joint[j], &arm->state[j], &past);
 }
 
 void servo_brakes(servo* arm, const int64_t* closed) {
@@ -388,74 +500,53 @@ void servo_brakes(servo* arm, const int64_t* closed) {
   for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].braked = closed && closed[j];
 }
 
-/* Seconds since the target before, if that was followed until now, period after period; else 0. */
-static servo_real since_target(const servo* arm) {
+/* A target comes now. Returns the seconds since the one before, if that was followed until now,
+ * period after period; else 0. */
+static servo_real aim_now(servo* arm) {
   const int64_t since = arm->now - arm->target_time;
   const int follows = arm->aimed && arm->measured && arm->does == SERVO_FOLLOWS;
+  arm->aimed = 1;
+  if (arm->measured) {
+    arm->target_time = arm->now;
+    servo_watchdog_target(&arm->watchdog, arm->now);
+  }
   return follows && since == arm->motion_period ? (servo_real)since / NANOSECONDS : 0;
 }
 
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau) {
   if (!complete(arm) || !q) return;
-  const servo_real since = since_target(arm);
-  for (int32_t j = 0; j < arm->joints; ++j) {
-    servo_state* state = &arm->state[j];
-    const servo_real v_before = state->v_target, tau_before = state->tau;
-    state->stood = 0;
-    state->q_target = q[j];
-    state->v_target = v ? v[j] : 0;
-    state->tau = tau ? tau[j] : 0;
-    state->a_target = since > 0 ? (state->v_target - v_before) / since : 0;
-    state->tau_rate = since > 0 ? (state->tau - tau_before) / since : 0;
-  }
-  arm->aimed = 1;
-  if (!arm->measured) return;
-  arm->target_time = arm->now;
-  servo_watchdog_target(&arm->watchdog, arm->now);
+  const servo_real since = aim_now(arm);
+  for (int32_t j = 0; j < arm->joints; ++j)
+    take_target(&arm->state[j], 1, q[j], v ? v[j] : 0, tau ? tau[j] : 0, since);
 }
 
-/* Seconds that the newest target has gone on. */
-static servo_real ahead_of(const servo* arm) {
+/* Decide what an arm does in the period that begins. */
+static servo_turn turn_of(servo* arm, int32_t powered) {
+  arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
+  if (!powered || !arm->measured) arm->does = SERVO_CUT;
+  if (!powered && arm->measured) arm->aimed = arm->watchdog.target_came = 0;
+  const int cut = arm->does == SERVO_CUT, follows = arm->does == SERVO_FOLLOWS && arm->aimed;
+  const int latches = !cut && !follows && !arm->holding;
   int64_t ahead = arm->now - arm->target_time;
   if (ahead < 0) ahead = 0;
   if (ahead > arm->motion_period) ahead = arm->motion_period;
-  return (servo_real)ahead / NANOSECONDS;
-}
-
-/* Follow the newest target, so many seconds after it came. */
-SERVO_INLINE servo_real pursue(servo* arm, int32_t j, servo_real ahead) {
-  const servo_state* state = &arm->state[j];
-  const servo_real a = state->a_target, period = (servo_real)arm->motion_period / NANOSECONDS;
-  const servo_real begins = state->v_target - HALF * a * period;
-  const servo_real q = state->q_target + (begins + HALF * a * ahead) * ahead;
-  const servo_real tau = state->scale * state->tau + arm->joint[j].rotor * a;
-  return control(arm, j, clip(q, FARTHEST), begins + a * ahead, tau);
+  arm->holding = !cut && !follows;
+  const servo_turn turn = {cut, follows, latches, (servo_real)ahead / NANOSECONDS,
+                           (servo_real)arm->motion_period / NANOSECONDS};
+  return turn;
 }
 
 void servo_command(servo* arm, int32_t powered, servo_real* command) {
   if (!complete(arm) || !command) return;
-  arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
-  if (!powered || !arm->measured) arm->does = SERVO_CUT;
-  if (!powered && arm->measured) arm->aimed = arm->watchdog.target_came = 0;
-  if (arm->does == SERVO_CUT) {
-    arm->holding = 0;
-    servo_release(arm);
-    for (int32_t j = 0; j < arm->joints; ++j) {
-      arm->state[j].stood = 1;
-      command[j] = 0;
-    }
-    return;
-  }
-  const int follows = arm->does == SERVO_FOLLOWS && arm->aimed;
-  const servo_real ahead = ahead_of(arm);
+  const servo_turn turn = turn_of(arm, powered);
+  if (turn.cut) servo_release(arm);
   for (int32_t j = 0; j < arm->joints; ++j) {
-    servo_state* state = &arm->state[j];
-    if (state->braked) state->stood = 1;
-    if ((!follows && !arm->holding) || state->braked)
-      state->q_hold = state->theta_measured * arm->joint[j].ratio;
-    command[j] = follows && !state->braked
-                     ? pursue(arm, j, ahead)
-                     : control(arm, j, state->q_hold, 0, follows ? state->scale * state->tau : 0);
+    command[j] = 0;
+    if (turn.cut)
+      arm->state[j].stood = 1;
+    else
+      arm->restarts += (uint32_t)pursue(&arm->joint[j], &arm->state[j], &turn, &command[j]);
   }
-  arm->holding = !follows;
 }
+
+#endif

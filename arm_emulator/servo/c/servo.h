@@ -36,7 +36,9 @@
  *
  * A null pointer where none may be: nothing happens, and what is returned is 0 (SERVO_CUT).
  *
- * Numbers are `double`, or `float` with SERVO_FLOAT defined. Compile without contraction of
+ * Numbers are `double`, or `float` with SERVO_FLOAT defined. With SERVO_LANES defined the law of a
+ * joint works on vectors, a lane for each of several arms, to the same bits: what differs from arm
+ * to arm is decided by masks (arm_emulator/runs/servo_fleet.cpp). Compile without contraction of
  * products and sums (-ffp-contract=off), and every compiler and processor gives the same bits.
  */
 #ifndef SERVO_H
@@ -49,12 +51,23 @@
 extern "C" {
 #endif
 
+#ifdef SERVO_LANES
+/* Joints of so many arms side by side, each in a lane of vectors (C++ alone). */
+typedef double servo_real __attribute__((vector_size(8 * SERVO_LANES)));
+typedef int64_t servo_count __attribute__((vector_size(8 * SERVO_LANES)));
+typedef servo_count servo_flag;
+typedef double servo_scalar;
+#else
 #ifdef SERVO_FLOAT
 typedef float servo_real;
 #define SERVO_UNLIMITED FLT_MAX
 #else
 typedef double servo_real;
 #define SERVO_UNLIMITED DBL_MAX
+#endif
+typedef int64_t servo_count;
+typedef int32_t servo_flag;
+typedef servo_real servo_scalar;
 #endif
 
 /* A quantity of a period as a sum over current, speed, voltage and load at its start. */
@@ -66,8 +79,8 @@ typedef struct servo_sum {
  * (arm_emulator/servo/servo_numbers.py; `python -m arm_emulator servo-header SCENE` writes them as
  * C). */
 typedef struct servo_joint {
-  int64_t wrap;               /* counts of an absolute encoder's word; 0: they go on */
-  int64_t unsensed;           /* 1: no current is measured, that which is predicted counts */
+  servo_count wrap;           /* counts of an absolute encoder's word; 0: they go on */
+  servo_count unsensed;       /* 1: no current is measured, that which is predicted counts */
   servo_real count_angle;     /* rad at the motor */
   servo_real ratio;           /* link turns per motor turn; negative: the other way */
   servo_real motor_turns;     /* 1 / ratio */
@@ -94,11 +107,11 @@ typedef struct servo_joint {
 
 /* State of a joint, and its newest request. */
 typedef struct servo_state {
-  int64_t counts; /* that have been turned, of an absolute encoder */
-  int32_t known;  /* 1: something was measured since the reset */
-  int32_t braked; /* 1: the brake is closed */
-  int32_t stood;  /* 1: it had no power or a closed brake since the newest target */
-  int32_t reserved;
+  servo_count counts; /* that have been turned, of an absolute encoder */
+  servo_flag known;   /* 1: something was measured since the reset */
+  servo_flag braked;  /* 1: the brake is closed */
+  servo_flag stood;   /* 1: it had no power or a closed brake since the newest target */
+  servo_flag reserved;
   servo_real theta_measured, theta, omega, load; /* rad, rad, rad/s, N m, of the motor */
   servo_real current, integral;                  /* A */
   servo_real voltage, unknown_voltage;           /* V */
@@ -111,8 +124,8 @@ typedef struct servo_state {
 } servo_state;
 
 /* Range of the factor that is learned for announced torques. */
-#define SERVO_LEAST ((servo_real)0.5)
-#define SERVO_MOST ((servo_real)2.0)
+#define SERVO_LEAST ((servo_scalar)0.5)
+#define SERVO_MOST ((servo_scalar)2.0)
 
 /* Request to a joint for one period, beyond a target: a drive that is commanded
  * in speeds or currents, or has limits of its own. */
@@ -121,7 +134,7 @@ enum servo_limits { SERVO_LIMITS_SPEED = 1, SERVO_LIMITS_CURRENT = 2, SERVO_LIMI
 
 typedef struct servo_wish {
   int32_t wants;                      /* enum servo_wants */
-  int32_t limited;                    /* bits of enum servo_limits: what was less than asked for */
+  servo_flag limited;                 /* bits of enum servo_limits: what was less than asked for */
   servo_real q_target, v_target;      /* of the link, for SERVO_POSITION */
   servo_real tau;                     /* torque of the link that is known, but for SERVO_CURRENT */
   servo_real omega;                   /* rad/s of the motor, for SERVO_SPEED */
@@ -129,6 +142,8 @@ typedef struct servo_wish {
   servo_real least_omega, most_omega; /* of the motor; they bound a SERVO_CURRENT, too */
   servo_real least_current, most_current; /* A */
 } servo_wish;
+
+#ifndef SERVO_LANES
 
 /* ------------------------------------------------------------------------------- the watchdog */
 
@@ -240,6 +255,8 @@ servo_real servo_joint_control(const servo_joint* joint, servo_state* state, ser
 void servo_wish_within(const servo_joint* joint, servo_wish* wish);
 /* As servo_joint_control, for whatever is wished. */
 servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish);
+
+#endif
 
 #ifdef __cplusplus
 }

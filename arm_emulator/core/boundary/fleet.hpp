@@ -1,0 +1,245 @@
+// The arms of a fleet: each in its machine, or in its lane beside others.
+#pragma once
+
+#include <atomic>
+
+#include "arm_fleet.h"
+#include "boundary.hpp"
+#include "machine/side_by_side.hpp"
+
+struct arm_fleet {
+  using Machine = arm_machine::Machine;
+  static constexpr int N = Scene::N;
+  // Lanes are not for two threads, nor for drives without a usual mode.
+  static constexpr bool together =
+      std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Stepper>> &&
+      arm::is_ever_usual<Scene>();
+  static constexpr int lanes = together ? arm::kNativeLanes : 1;
+  using Group = arm::SideBySide<Scene, lanes>;
+
+  // Whether lanes have all data of measurements and commands; other data is read from the machine.
+  static constexpr bool in_lanes =
+      lanes > 1 && !arm_machine::Sensors::present && !Machine::heats && Scene::inputs == 0;
+
+  arm_fleet(const arm_options& options, int count)
+      : arms(count), machine(new arm_machine*[count]), lent(new std::int32_t[count]()) {
+    arm_options own = options;
+    for (int k = 0; k < arms; ++k, own.parameters += Scene::parameters) machine[k] = arm_new(&own);
+    for (int k = 0; k < arms; ++k) sound = sound && machine[k];
+    if (!sound) return;
+    group = new Group*[groups()];
+    for (int k = 0; k < groups(); ++k) {
+      Machine* members[lanes];
+      int of_group = 0;
+      for (; of_group < lanes && k * lanes + of_group < arms; ++of_group)
+        members[of_group] = &machine[k * lanes + of_group]->machine;
+      group[k] = new Group(options.step, members, of_group);
+    }
+  }
+  ~arm_fleet() {
+    for (int k = 0; group && k < groups(); ++k) delete group[k];
+    delete[] group;
+    for (int k = 0; k < arms; ++k) arm_delete(machine[k]);
+    delete[] machine;
+    delete[] lent;
+  }
+  arm_fleet(const arm_fleet&) = delete;
+
+  // Take a group through rows of commands, see SideBySide; sensors look at every tick. Arms without
+  // power get none of them.
+  void follow(int g, const double* command, std::int64_t stride, std::int64_t rows,
+              std::int64_t steps, double* q) {
+    const int first = g * lanes, end = end_of(g);
+    bool powered = true;
+    for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
+    if (powered) {
+      follow_given(g, command, stride, rows, steps, q);
+    } else {
+      for (; rows > 0; --rows, command += stride, q += stride) {
+        double given[lanes * N] = {};
+        for (int k = first; k < end; ++k) {
+          const double* own = machine[k]->with_power(command + (k - first) * N);
+          for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
+        }
+        follow_given(g, given, 0, 1, steps, q);
+      }
+    }
+    settle_lent(g);
+  }
+  void follow_given(int g, const double* command, std::int64_t stride, std::int64_t rows,
+                    std::int64_t steps, double* q) {
+    if constexpr (!arm_machine::Sensors::present) {
+      group[g]->follow(command, stride, rows, steps, q);
+    } else {
+      const int first = g * lanes, end = end_of(g);
+      for (; rows > 0; --rows, command += stride, q += q ? stride : 0) {
+        for (int k = first; k < end; ++k) settle(k);
+        if (steps == 0) group[g]->follow(command, stride, 1, 0, q);
+        for (std::int64_t left = steps; left > 0;) {
+          std::int64_t some = left;  // up to the next tick of one of them
+          for (int k = first; k < end; ++k) {
+            const std::int64_t period = machine[k]->steps_per_period;
+            const std::int64_t due = period - machine[k]->machine.steps() % period;
+            if (machine[k]->machine.faulty_joint() < 0 && due < some) some = due;
+          }
+          group[g]->follow(command, stride, 1, some, q);
+          for (int k = first; k < end; ++k) settle(k), machine[k]->look();
+          left -= some;
+        }
+      }
+    }
+  }
+
+  // One servo period under the commands that each takes.
+  void exchange(int g, const arm_joint_command* joint, const double* further, std::int64_t tick) {
+    const int first = g * lanes, end = end_of(g);
+    double given[lanes * N] = {};
+    for (int k = first; k < end; ++k) {
+      take_commands(k, joint + k * N, further ? further + k * Scene::inputs * N : nullptr, tick);
+      for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
+    }
+    follow_given(g, given, 0, 1, machine[first]->steps_per_period, nullptr);
+    for (int k = first; k < end; ++k)
+      if_in_lane(k, [&](const auto& lanes, int l) {
+        for (int j = 0; j < N; ++j) machine[k]->applied[j] = lanes.applied(l, j);
+      });
+    settle_lent(g);
+  }
+  void take_commands(int k, const arm_joint_command* joint, const double* further,
+                     std::int64_t tick) {
+    bool stays = in_lanes;  // in its lane, where it gets its bounds
+    for (int b = 0; b < Scene::brakes; ++b)
+      stays &= machine[k]->closes_brake(b, joint, nullptr) == machine[k]->machine.wants_brake(b);
+    if (stays) {
+      machine[k]->put_commands(joint, further, tick);
+    } else {
+      settle(k);
+      machine[k]->take_commands(joint, further, tick);
+    }
+  }
+
+  // Have an arm be in its machine, for whoever looks at it or changes it there.
+  void settle(int k) const { group[k / lanes]->settle(k % lanes); }
+  void settle_lent(int g) {
+    for (int k = g * lanes; k < end_of(g); ++k)
+      if (lent[k] > 0) settle(k);
+  }
+  // act(group, lane) if an arm is in a lane; whether it is.
+  template <class Act>
+  bool if_in_lane(int k, Act&& act) const {
+    return if_abreast(*group[k / lanes], k % lanes, act);
+  }
+  template <class G, class Act>
+  static bool if_abreast([[maybe_unused]] const G& own, [[maybe_unused]] int lane,
+                         [[maybe_unused]] Act&& act) {
+    if constexpr (requires { own.is_abreast(lane); })
+      if (own.is_abreast(lane)) {
+        act(own, lane);
+        return true;
+      }
+    return false;
+  }
+  bool is_abreast(int k) const {
+    return if_in_lane(k, [](const auto&, int) {});
+  }
+  int end_of(int g) const { return (g + 1) * lanes < arms ? (g + 1) * lanes : arms; }
+
+  void measure(int k, arm_measurement* out) const {
+    const bool done = in_lanes && if_in_lane(k, [&](const auto& lanes, int l) {
+                        arm_machine::Motors motors;
+                        motors.steps = lanes.steps_taken(l);
+                        lanes.report(l, motors.current, motors.angle, motors.speed);
+                        machine[k]->measure(out, motors);
+                      });
+    if (done) return;
+    settle(k);
+    machine[k]->measure(out);
+  }
+
+  void measure(int k, const arm_fleet_measurement& out) const {
+    constexpr int M = arm_machine::Sensors::M;
+    arm_joint_measurement joint[N];
+    arm_measurement one = {};
+    one.size = sizeof one;
+    one.joint = out.joint ? out.joint + k * N : joint;
+    one.sensors = row_of(out.sensors, k * N);
+    one.imu = row_of(out.imu, k * M);
+    one.current_d = row_of(out.current_d, k * N);
+    one.readings = row_of(out.readings, k * Scene::readings * N);
+    one.further = row_of(out.further, k * Scene::inputs * N);
+    measure(k, &one);
+    if (out.powered) out.powered[k] = one.powered != 0;
+    if (out.tick) out.tick[k] = one.tick;
+    if (out.answered) out.answered[k] = one.answered;
+  }
+  void get_truth(int k, const arm_fleet_truth& out) const {
+    arm_truth truth = {sizeof truth,
+                       -1,
+                       0.0,
+                       row_of(out.energy, k),
+                       row_of(out.current, k * N),
+                       row_of(out.motor_angle, k * N),
+                       row_of(out.motor_speed, k * N),
+                       row_of(out.q, k * N),
+                       row_of(out.v, k * N),
+                       row_of(out.gear_torque, k * N)};
+    if (!truth_in_lanes(k, truth)) {
+      settle(k);
+      arm_get_truth(machine[k], &truth);
+    }
+    if (out.fault) out.fault[k] = truth.fault;
+    if (out.time) out.time[k] = truth.time;
+    if (!out.encoder) return;
+    arm_joint_measurement joint[N];
+    arm_measurement measurement = {};
+    measurement.size = sizeof measurement, measurement.joint = joint;
+    measure(k, &measurement);
+    for (int j = 0; j < N; ++j) out.encoder[k * N + j] = joint[j].encoder;
+  }
+  // Fill in what a lane has without its machine; false if more is requested.
+  bool truth_in_lanes(int k, arm_truth& out) const {
+    return !out.energy && !out.gear_torque && if_in_lane(k, [&](const auto& lanes, int l) {
+      double row[5][N];
+      lanes.report(l, row[0], row[1], row[2]);
+      lanes.links(l, row[3], row[4]);
+      double* const to[] = {out.current, out.motor_angle, out.motor_speed, out.q, out.v};
+      for (int r = 0; r < 5; ++r)
+        for (int j = 0; to[r] && j < N; ++j) to[r][j] = row[r][j];
+      out.time = static_cast<double>(lanes.steps_taken(l)) * machine[k]->step;
+    });
+  }
+  template <class Number>
+  static Number* row_of(Number* rows, int first) {
+    return rows ? rows + first : nullptr;
+  }
+
+  // OK if check(machine, arm) is for all arms of a mask.
+  template <class Check>
+  int check_all(const std::uint8_t* mask, Check&& check) const {
+    refused = -1;
+    for (int k = 0; k < arms; ++k)
+      if ((!mask || mask[k]) && check(machine[k], k) != ARM_OK) {
+        refused = k;
+        return ARM_REFUSED;
+      }
+    return ARM_OK;
+  }
+  template <class Do>
+  void for_all(const std::uint8_t* mask, Do&& act) {
+    for (int k = 0; k < arms; ++k)
+      if (!mask || mask[k]) settle(k), act(machine[k], k);
+  }
+
+  // Whether there are so many arms from the first of a group on.
+  bool has(std::int32_t first, std::int32_t count) const {
+    return first >= 0 && first % lanes == 0 && count >= 0 && first <= arms && count <= arms - first;
+  }
+  int groups() const { return (arms + lanes - 1) / lanes; }
+
+  int arms;
+  arm_machine** machine;
+  std::int32_t* lent;  // users of a single arm; while > 0 it leaves its lane after every call
+  Group** group = nullptr;
+  bool sound = true;
+  mutable std::atomic<std::int32_t> refused = -1;
+};
