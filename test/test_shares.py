@@ -7,9 +7,23 @@ import threading
 import pytest
 
 from arm_emulator.machine import shares as shares_module
-from arm_emulator.machine.shares import Shares
+from arm_emulator.machine.shares import SHORT, Shares
 
 ALL = 64  # arms
+
+
+class Clock:
+    """On which each piece of work takes its time after the others."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, of_share: float, of_all: float) -> None:
+        self.now, self._turn, self._of = 0.0, threading.Lock(), (of_share, of_all)
+        self.done: list[tuple[int, int]] = []
+        monkeypatch.setattr(shares_module.time, "perf_counter", lambda: self.now)
+
+    def work(self, first: int, arms: int) -> None:
+        with self._turn:
+            self.now += self._of[arms == ALL]
+            self.done.append((first, arms))
 
 
 @pytest.mark.parametrize(
@@ -18,30 +32,52 @@ ALL = 64  # arms
 def test_work_goes_the_way_that_was_quicker(
     of_share: float, of_all: float, shared: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By a clock on which each piece of work takes its time after the others."""
-    shares = Shares(ALL, 8, 2)
-    done: list[tuple[int, int]] = []
-    now, turn = [0.0], threading.Lock()
-    monkeypatch.setattr(shares_module.time, "perf_counter", lambda: now[0])
-
-    def work(first: int, arms: int) -> None:
-        with turn:
-            now[0] += of_all if arms == ALL else of_share
-            done.append((first, arms))
-
+    shares, clock = Shares(ALL, 8, 2), Clock(monkeypatch, of_share, of_all)
     for _ in range(2):
-        shares.do(1000, work)  # each way once
-    assert sum(arms for _, arms in done) == 2 * ALL
-    assert (0, ALL) in done and len(done) > 2
-    done.clear()
+        shares.do(1000, clock.work)  # each way once
+    assert sum(arms for _, arms in clock.done) == 2 * ALL
+    assert (0, ALL) in clock.done and len(clock.done) > 2
+    clock.done.clear()
     for _ in range(5):
-        shares.do(1000, work)
-    assert len(done) == (5 * 8 if shared else 5)
-    done.clear()
-    for _ in range(100):
-        shares.do(1000, work)
-    ways = sum(arms == ALL for _, arms in done)
-    assert ways == (1 if shared else 99), "the slower way is tried once in a hundred calls"
+        shares.do(1000, clock.work)
+    assert len(clock.done) == (5 * 8 if shared else 5)
+    clock.done.clear()
+    began = clock.now
+    while not clock.done or (clock.done[-1] == (0, ALL)) is not shared:
+        shares.do(1000, clock.work)
+    slower = of_all if shared else 8 * of_share
+    assert clock.now - began > 50 * slower, "trials of the slower way take a hundredth of the time"
+    shares.end()
+
+
+def test_short_work_stays_in_the_calling_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    shares, clock = Shares(ALL, 8, 2), Clock(monkeypatch, 1e-9, 0.9 * SHORT)
+    for _ in range(10_000):
+        shares.do(1000, clock.work)
+    assert set(clock.done) == {(0, ALL)}
+    shares.end()
+
+
+def test_the_calling_thread_does_what_nobody_else_takes() -> None:
+    """The other thread is busy: nothing waits for it."""
+    shares, free = Shares(ALL, 8, 2), threading.Event()
+    done: list[int] = []
+    first: list[threading.Thread] = []
+
+    def work(begins: int, _: int) -> None:
+        done.append(begins)
+        if threading.current_thread() is not threading.main_thread():
+            free.wait(10.0)
+
+    first.append(threading.Thread(target=lambda: shares.do(10**6, work)))
+    first[0].start()  # takes a share, and its helper another; both wait
+    while len(done) < 2:
+        pass
+    shares.do(10**6, lambda begins, _: done.append(1000 + begins))
+    assert sorted(one for one in done if one >= 1000) == [1000 + 8 * k for k in range(8)]
+    free.set()
+    first[0].join()
+    assert sorted(one for one in done if one < 1000) == [8 * k for k in range(8)]
     shares.end()
 
 

@@ -10,7 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 SHARES_OF_WORKER = 4
 WORTH_A_THREAD = 5000  # steps of arms in one call, before anything is measured
 LARGEST = 20  # bits: larger work goes as that
-TRIED_AGAIN = 100  # calls after which the slower way is tried once more: machines change
+SHORT = 3e-5  # s: below this a thread costs more than it can take over
+SPENT_ON_TRIALS = 0.01  # share of the time: machines change, so the slower way is tried again
 REMEMBERED = 0.8  # share of what was measured before that counts beside the newest
 
 
@@ -18,10 +19,11 @@ class Shares:
     """Threads that share the work on arms, in whole groups of lanes.
 
     Whether sharing pays depends on the work and on what else the machine does, so it is measured:
-    work of about the same size goes the quicker way.
+    work of about the same size goes the quicker way. The calling thread works along, and does all
+    by itself while no other one has woken up.
 
     Attributes:
-        workers: threads.
+        workers: threads, the calling one among them.
 
     Args:
         count: of arms.
@@ -40,12 +42,13 @@ class Shares:
             (first, min(end, count) - first) for first, end in itertools.pairwise(bounds)
         ]
         self._taken: dict[tuple[int, bool], float] = {}  # s of a unit of work, by size and way
-        self._calls: dict[int, int] = {}
+        self._saved: dict[int, float] = {}  # s that trials may take, by size
+        self._short = 0  # work that is shorter than SHORT in one thread
         self.hire()
 
     def hire(self) -> None:
         """Start threads, whatever happened to earlier ones."""
-        self._pool = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
+        self._pool = ThreadPoolExecutor(self.workers - 1) if self.workers > 1 else None
 
     def end(self) -> None:
         """End the threads."""
@@ -62,21 +65,49 @@ class Shares:
         if self._pool is None or not worth:
             work(0, self._count)
             return
+        began = time.perf_counter()
+        if worth <= self._short:
+            work(0, self._count)
+            if time.perf_counter() - began > SHORT:
+                self._short = 0
+            return
         size = min(worth.bit_length(), LARGEST)
         shared = self._goes_shared(size, worth)
-        began = time.perf_counter()
         if shared:
-            list(self._pool.map(lambda share: work(*share), self._shares))
+            self._share(self._pool, work)
         else:
             work(0, self._count)
-        taken = (time.perf_counter() - began) / worth
-        before = self._taken.get((size, shared), taken)
-        self._taken[size, shared] = min(taken, REMEMBERED * before + (1.0 - REMEMBERED) * taken)
+        self._note(size, shared, worth, time.perf_counter() - began)
+
+    def _share(self, pool: ThreadPoolExecutor, work: Callable[[int, int], object]) -> None:
+        left = iter(self._shares)
+
+        def take_shares() -> None:
+            for share in left:
+                work(*share)
+
+        others = [pool.submit(take_shares) for _ in range(self.workers - 1)]
+        try:
+            take_shares()
+        finally:
+            for other in others:
+                if not other.cancel():
+                    other.result()
 
     def _goes_shared(self, size: int, worth: int) -> bool:
-        calls = self._calls[size] = self._calls.get(size, 0) + 1
         alone, shared = (self._taken.get((size, way)) for way in (False, True))
         if alone is None or shared is None:
             return worth > WORTH_A_THREAD if alone is shared else shared is None
-        quicker = shared < alone
-        return not quicker if calls % TRIED_AGAIN == 0 else quicker
+        slower = max(alone, shared) * worth
+        tries = self._saved.get(size, 0.0) > slower
+        if tries:
+            self._saved[size] -= slower
+        return (shared < alone) is not tries
+
+    def _note(self, size: int, shared: bool, worth: int, spent: float) -> None:
+        if not shared and spent < SHORT:
+            self._short = max(self._short, worth)
+        self._saved[size] = self._saved.get(size, 0.0) + SPENT_ON_TRIALS * spent
+        taken = spent / worth
+        before = self._taken.get((size, shared), taken)
+        self._taken[size, shared] = min(taken, REMEMBERED * before + (1.0 - REMEMBERED) * taken)

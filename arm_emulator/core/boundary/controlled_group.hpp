@@ -26,7 +26,7 @@ class ControlledGroup {
     for (; periods > 0 && sound; --periods) {
       if (!glides) glides = may_glide();
       if (glides)
-        sound = glide(links, glides);
+        sound = glide(*fleet_.group[g_], links, glides);
       else
         sound = walk(links);
       if (links) links += std::int64_t{fleet_.arms} * N;
@@ -59,9 +59,9 @@ class ControlledGroup {
   }
 
   // A period in lanes. `glides`: whether all arms are still there after it.
-  bool glide(double* links, bool& glides) {
-    if constexpr (arm_fleet::in_lanes) {
-      auto& group = *fleet_.group[g_];
+  template <class Group>
+  bool glide([[maybe_unused]] Group& group, [[maybe_unused]] double* links, bool& glides) {
+    if constexpr (requires { group.is_abreast(0); }) {
       group.measure(rows_.encoder, rows_.current, rows_.applied);
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();

@@ -118,7 +118,7 @@ struct arm_fleet {
     }
   }
 
-  // Have an arm be in its machine, for whoever looks at it or changes it there.
+  // Move an arm from its lane to its machine, to be read or changed there.
   void settle(int k) const { group[k / lanes]->settle(k % lanes); }
   void settle_lent(int g) {
     for (int k = g * lanes; k < end_of(g); ++k)
