@@ -14,9 +14,9 @@ class FleetControl:
     """A function in C that commands arms in every servo period, for `Fleet.follow`.
 
     Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
-    `arm_fleet_step_of_rows` if it is written over vectors, for all arms of a group at once. It is called for one
-    group of arms at a time, by several threads for different groups, and keeps what it remembers
-    of an arm apart from that of the others.
+    `arm_fleet_step_of_rows` if it is written over vectors, for all arms of a group at once. It is
+    called for one group of arms at a time, by several threads for different groups, and keeps what
+    it remembers of an arm apart from that of the others.
 
     Attributes:
         functions: it, by the name of its field in `arm_fleet_control`.

@@ -245,7 +245,8 @@ class SideBySide {
     if (found.all) newest_ = 1 - newest_;
   }
 
-  // Check the lanes for which that is due; where they are sound is kept, most often for all at once.
+  // Check the lanes for which that is due; where they are sound is kept, most often for all at
+  // once.
   ARM_APART void check(int left, Mask<X>& lost, Found& found) {
     Mask<X> sound = {};
     for (int lane = 0; lane < width; ++lane) {
