@@ -11,21 +11,18 @@
 #include <atomic>
 #include <cstdarg>
 #include <cstdint>
-#include <cstdio>
 #include <cstring>
 #include <memory>
 #include <new>
-#include <type_traits>
 #include <utility>
 
 #include "data.hpp"
+#include "kept_states.hpp"
+#include "log.hpp"
 #include "numerics/finite.hpp"
 #include "variable.hpp"
 
 namespace fmu {
-
-// As fmi3Status and fmi2Status number them.
-enum Status { kOk = 0, kWarning = 1, kDiscard = 2, kError = 3 };
 
 // Bits, so that a call can name all modes in which it is allowed.
 enum Mode : std::uint32_t { kInstantiated = 1, kInitialization = 2, kStep = 4, kTerminated = 8 };
@@ -36,19 +33,6 @@ constexpr std::uint32_t kAnyMode = kSettable | kTerminated;
 constexpr int kVariableCount = sizeof kVariables / sizeof *kVariables;
 constexpr double kLargestTicks = 1e15;   // of one step
 constexpr double kDue = 1e-6 * kPeriod;  // s, by which sums of steps may miss a tick by rounding
-
-// Categories of what is logged, in modelDescription.xml, too.
-enum Category { kEvents, kStatusDiscard, kStatusError, kCategories };
-constexpr const char* kCategoryNames[kCategories] = {"logEvents", "logStatusDiscard",
-                                                     "logStatusError"};
-
-// Destination of messages: a function of the importer's, called by `call`.
-struct Log {
-  void (*call)(const Log& log, Status status, const char* category, const char* text);
-  void (*function)();
-  void* environment;
-  const char* name;  // of the instance
-};
 
 // Callback of an importer at each tick within a step, called by `call`, which returns whether the
 // step shall end at `*until` [s].
@@ -62,18 +46,8 @@ struct Watch {
 class Instance {
  public:
   Instance(const char* name, bool logging, const Log& log, const Watch& watch = {})
-      : log_(log), watch_(watch) {
-    std::snprintf(name_, sizeof name_, "%s", name);
-    log_.name = name_;
-    for (bool& on : logged_) on = logging;
-  }
-  ~Instance() {
-    arm_delete(machine_);
-    while (Kept* first = kept_) {
-      kept_ = first->next;
-      operator delete(first);
-    }
-  }
+      : logger_(name, logging, log), watch_(watch) {}
+  ~Instance() { arm_delete(machine_); }
   Instance(const Instance&) = delete;
   Instance& operator=(const Instance&) = delete;
 
@@ -109,41 +83,19 @@ class Instance {
   // ends the simulation; a reset or a stored state restarts it.
   Status report(Status status, const char* format, ...) __attribute__((format(printf, 3, 4))) {
     if (status == kError) values_.mode = kTerminated;
-    const Category category = status == kError     ? kStatusError
-                              : status == kDiscard ? kStatusDiscard
-                                                   : kEvents;
-    // Errors are reported whatever was asked for, as the standard wants it.
-    if (!log_.function || (status != kError && !logged_[category])) return status;
-    char text[1024], escaped[2 * sizeof text];
     va_list arguments;
     va_start(arguments, format);
-    std::vsnprintf(text, sizeof text, format, arguments);
+    logger_.write(status, format, arguments);
     va_end(arguments);
-    char* to = escaped;
-    for (const char* from = text; *from; ++from) {
-      if (*from == '#') *to++ = '#';  // or it would begin a value reference
-      *to++ = *from;
-    }
-    *to = 0;
-    log_.call(log_, status, kCategoryNames[category], escaped);
     return status;
   }
 
   // Switch categories on or off; all of them if `count` is 0.
   Status set_logging(bool on, std::size_t count, const char* const* categories) {
-    bool chosen[kCategories] = {};
     if (count && !categories) return report(kError, "categories must be given, got none");
-    for (std::size_t k = 0; k < count; ++k) {
-      int c = 0;
-      while (c < kCategories && (!categories[k] || std::strcmp(categories[k], kCategoryNames[c])))
-        ++c;
-      if (c == kCategories)
-        return report(kError, "log category must be one of modelDescription.xml, got %.100s",
-                      categories[k] ? categories[k] : "none");
-      chosen[c] = true;
-    }
-    for (int c = 0; c < kCategories; ++c)
-      if (!count || chosen[c]) logged_[c] = on;
+    if (const char* unknown = logger_.set(on, count, categories))
+      return report(kError, "log category must be one of modelDescription.xml, got %.100s",
+                    unknown);
     return kOk;
   }
 
@@ -279,7 +231,8 @@ class Instance {
                         references[r], rule, value[-1]);
     for (std::size_t r = 0; r < count; ++r) {
       const Variable& one = kVariables[references[r]];
-      for (int k = 0; k < one.count; ++k) std::memcpy(place(one, k), values++, sizeof *values);
+      for (int k = 0; k < one.count; ++k)
+        std::memcpy(place_in(data_, one.place, k), values++, sizeof *values);
       if (one.role == Role::tunable) {
         values_.retuned = true;
         if (!values_.underway) take_parameters();
@@ -293,7 +246,7 @@ class Instance {
   }
   void set_flag(unsigned reference, int k, bool on) {
     const Variable& one = kVariables[reference];
-    *place(one, k) = on;
+    *place_in(data_, one.place, k) = on;
     if (values_.mode & kBeforeStart) values_.moved = true;
   }
 
@@ -309,113 +262,60 @@ class Instance {
   // Value `k` of a variable.
   template <class To>
   To value(const Variable& one, int k) const {
-    const unsigned char* at = place(one, k);
-    switch (one.place.wire) {
-      case Wire::float64:
-        return as<To, double>(at);
-      case Wire::int64:
-        return as<To, std::int64_t>(at);
-      case Wire::int32:
-        return as<To, std::int32_t>(at);
-      case Wire::uint32:
-        return as<To, std::uint32_t>(at);
-      default:
-        return as<To, unsigned char>(at);
-    }
+    return value_at<To>(data_, one.place, k);
   }
 
   // ------------------------------------------------------------------------------ whole states
 
-  static std::size_t state_size() {
-    return 2 * sizeof(std::uint64_t) + sizeof(Values) + static_cast<std::size_t>(arm_saved_size()) +
-           sizeof(std::uint64_t);
-  }
-  // Keep the state in `*state`, which is made if it is null; it lives as long as this instance.
+  // Keep the state in `*state`, which is made if it is null.
   Status keep(void** state) {
     if (!state) return report(kError, "state must have a place, got none");
-    if (*state && !known(*state)) return unknown_state();
-    if (!*state) *state = make_state();
+    if (*state && !states_.knows(*state)) return unknown_state();
+    if (!*state) *state = states_.make();
     put_at_start();
-    unsigned char* bytes = bytes_of(*state);
-    std::memcpy(bytes, &kMagic, sizeof kMagic);
-    std::memcpy(bytes + 8, &fingerprint_, 8);
-    std::memcpy(bytes + 16, &values_, sizeof values_);
-    arm_save(machine_, bytes + 16 + sizeof values_, arm_saved_size());
-    const std::uint64_t sum = sum_of(bytes);
-    std::memcpy(bytes + state_size() - 8, &sum, 8);
+    unsigned char* bytes = states_.content_of(*state);
+    std::memcpy(bytes, &values_, sizeof values_);
+    arm_save(machine_, bytes + sizeof values_, arm_saved_size());
+    states_.seal(*state, fingerprint_);
     return kOk;
   }
   Status go_back_to(void* state) {
     if (stepping_) return busy();
-    if (!known(state)) return unknown_state();
-    const unsigned char* bytes = bytes_of(state);
-    if (arm_restore(machine_, bytes + 16 + sizeof values_, arm_saved_size()) != ARM_OK)
+    if (!states_.knows(state)) return unknown_state();
+    const unsigned char* bytes = states_.content_of(state);
+    if (arm_restore(machine_, bytes + sizeof values_, arm_saved_size()) != ARM_OK)
       return refused(kError);
-    std::memcpy(&values_, bytes + 16, sizeof values_);
+    std::memcpy(&values_, bytes, sizeof values_);
     reported_ = truth_reported_ = false;
     return report(kOk, "went back to %.17g s", time());
   }
   Status forget(void** state) {
-    if (!state || !*state) return kOk;
-    for (Kept** at = &kept_; *at; at = &(*at)->next)
-      if (*at == *state) {
-        Kept* one = *at;
-        *at = one->next;
-        operator delete(one);
-        *state = nullptr;
-        return kOk;
-      }
+    if (!state || !*state || states_.forget(state)) return kOk;
     return unknown_state();
   }
   Status write_state(void* state, unsigned char* bytes, std::size_t size) {
-    if (!known(state)) return unknown_state();
-    if (size != state_size() || !bytes)
-      return report(kError, "serialized state must have %zu bytes, got %zu", state_size(),
-                    bytes ? size : 0);
-    std::memcpy(bytes, bytes_of(state), size);
+    if (!states_.knows(state)) return unknown_state();
+    if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
+    std::memcpy(bytes, states_.bytes_of(state), size);
     return kOk;
   }
   Status read_state(const unsigned char* bytes, std::size_t size, void** state) {
-    if (!state || (*state && !known(*state))) return unknown_state();
-    if (size != state_size() || !bytes)
-      return report(kError, "serialized state must have %zu bytes, got %zu", state_size(),
-                    bytes ? size : 0);
-    std::uint64_t magic, of, sum;
-    std::memcpy(&magic, bytes, 8);
-    std::memcpy(&of, bytes + 8, 8);
-    std::memcpy(&sum, bytes + size - 8, 8);
-    if (magic != kMagic || of != fingerprint_)
-      return report(kError, "serialized state must be of this binary");
-    if (sum != sum_of(bytes)) return report(kError, "serialized state must be as it was written");
-    if (!*state) *state = make_state();
-    std::memcpy(bytes_of(*state), bytes, size);
+    if (!state || (*state && !states_.knows(*state))) return unknown_state();
+    if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
+    if (const char* rule = states_.why_not(bytes, fingerprint_))
+      return report(kError, "serialized state must %s", rule);
+    if (!*state) *state = states_.make();
+    std::memcpy(states_.bytes_of(*state), bytes, size);
     return kOk;
   }
   Status size_of(void* state, std::size_t* size) {
-    if (!known(state)) return unknown_state();
+    if (!states_.knows(state)) return unknown_state();
     if (!size) return report(kError, "size must have a place, got none");
-    *size = state_size();
+    *size = states_.size();
     return kOk;
   }
 
  private:
-  static constexpr std::uint64_t kMagic = 0x32554d464d5241;  // "ARMFMU2"
-
-  const unsigned char* place(const Variable& one, int k) const {
-    return reinterpret_cast<const unsigned char*>(&data_) + one.place.offset +
-           static_cast<std::size_t>(k) * one.place.stride;
-  }
-  unsigned char* place(const Variable& one, int k) {
-    return const_cast<unsigned char*>(std::as_const(*this).place(one, k));
-  }
-  template <class To, class From>
-  static To as(const unsigned char* at) {
-    From value;
-    std::memcpy(&value, at, sizeof value);
-    if constexpr (std::is_same_v<To, bool>) return value != From{};
-    return static_cast<To>(value);
-  }
-
   // As just instantiated: everything at its start value.
   void become_new() {
     std::memset(static_cast<void*>(&values_), 0, sizeof values_);  // states have no chance bytes
@@ -579,48 +479,23 @@ class Instance {
                   joint >= 0 && joint < N ? joints_[joint].name : "?", values_.start + truth.time);
   }
 
-  // A state that was kept; its bytes stand behind it.
-  struct Kept {
-    Kept* next;
-  };
-  static unsigned char* bytes_of(void* state) {
-    return reinterpret_cast<unsigned char*>(static_cast<Kept*>(state) + 1);
-  }
-  Kept* make_state() {
-    kept_ = new (operator new(sizeof(Kept) + state_size())) Kept{kept_};
-    return kept_;
-  }
-  bool known(const void* state) const {
-    for (const Kept* one = kept_; one; one = one->next)
-      if (one == state) return true;
-    return false;
-  }
   Status unknown_state() { return report(kError, "state must be one that this instance has kept"); }
-  static std::uint64_t sum_of(const unsigned char* bytes) {
-    std::uint64_t sum = 0xcbf29ce484222325;
-    for (std::size_t k = 0; k + 8 < state_size(); k += 8) {
-      std::uint64_t word;
-      std::memcpy(&word, bytes + k, 8);
-      sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: any one word that is changed changes it
-      sum ^= sum >> 32;
-    }
-    return sum;
+  Status other_size(std::size_t size) {
+    return report(kError, "serialized state must have %zu bytes, got %zu", states_.size(), size);
   }
 
-  char name_[200];
-  Log log_;
+  Logger logger_;
   Watch watch_;
   std::atomic<bool> stepping_ = false;
   std::atomic<int> ending_ = kGoesOn;
   bool early_ = false;
-  bool logged_[kCategories];
   arm_machine* machine_ = nullptr;
   std::uint64_t fingerprint_ = 0;
   arm_parameter parameters_[kParameters + 1] = {};
   arm_joint_description joints_[N] = {};
   Data data_ = {};
   Values& values_ = data_.values;
-  Kept* kept_ = nullptr;
+  KeptStates states_{sizeof(Values) + static_cast<std::size_t>(arm_saved_size())};
 
   // Newest outputs of the machine.
   bool reported_ = false, truth_reported_ = false;

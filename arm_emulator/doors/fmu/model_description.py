@@ -11,7 +11,7 @@ from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.scene import Scene
 
 TOOL = "arm_emulator"
-# Categories of what is logged, as in instance.hpp.
+# Categories of what is logged, as in log.hpp.
 LOG_CATEGORIES = {
     "logEvents": "reset, start, states that were set",
     "logStatusDiscard": "values and steps that are not taken; nothing has changed",

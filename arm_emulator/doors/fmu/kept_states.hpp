@@ -1,0 +1,93 @@
+// States that an importer has an instance keep: magic number, fingerprint of the binary, content,
+// check sum. They live as long as the instance.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <new>
+
+namespace fmu {
+
+class KeptStates {
+ public:
+  explicit KeptStates(std::size_t content) : size_(kHead + content + sizeof(std::uint64_t)) {}
+  ~KeptStates() {
+    while (Kept* first = first_) {
+      first_ = first->next;
+      operator delete(first);
+    }
+  }
+  KeptStates(const KeptStates&) = delete;
+  KeptStates& operator=(const KeptStates&) = delete;
+
+  std::size_t size() const { return size_; }  // of each, in bytes
+  void* make() {
+    first_ = new (operator new(sizeof(Kept) + size_)) Kept{first_};
+    return first_;
+  }
+  bool knows(const void* state) const {
+    for (const Kept* one = first_; one; one = one->next)
+      if (one == state) return true;
+    return false;
+  }
+  // False if there is no such state.
+  bool forget(void** state) {
+    for (Kept** at = &first_; *at; at = &(*at)->next)
+      if (*at == *state) {
+        Kept* one = *at;
+        *at = one->next;
+        operator delete(one);
+        *state = nullptr;
+        return true;
+      }
+    return false;
+  }
+
+  static unsigned char* bytes_of(void* state) {
+    return reinterpret_cast<unsigned char*>(static_cast<Kept*>(state) + 1);
+  }
+  static unsigned char* content_of(void* state) { return bytes_of(state) + kHead; }
+  // Complete a state whose content is there.
+  void seal(void* state, std::uint64_t fingerprint) const {
+    unsigned char* bytes = bytes_of(state);
+    std::memcpy(bytes, &kMagic, 8);
+    std::memcpy(bytes + 8, &fingerprint, 8);
+    const std::uint64_t sum = sum_of(bytes);
+    std::memcpy(bytes + size_ - 8, &sum, 8);
+  }
+  // The rule that bytes of a serialized state break; null if they are sound.
+  const char* why_not(const unsigned char* bytes, std::uint64_t fingerprint) const {
+    std::uint64_t magic, of, sum;
+    std::memcpy(&magic, bytes, 8);
+    std::memcpy(&of, bytes + 8, 8);
+    std::memcpy(&sum, bytes + size_ - 8, 8);
+    if (magic != kMagic || of != fingerprint) return "be of this binary";
+    return sum == sum_of(bytes) ? nullptr : "be as it was written";
+  }
+
+ private:
+  static constexpr std::uint64_t kMagic = 0x32554d464d5241;  // "ARMFMU2"
+  static constexpr std::size_t kHead = 2 * sizeof(std::uint64_t);
+
+  // The bytes of a state stand behind it.
+  struct Kept {
+    Kept* next;
+  };
+
+  std::uint64_t sum_of(const unsigned char* bytes) const {
+    std::uint64_t sum = 0xcbf29ce484222325;
+    for (std::size_t k = 0; k + 8 < size_; k += 8) {
+      std::uint64_t word;
+      std::memcpy(&word, bytes + k, 8);
+      sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: any one word that is changed changes it
+      sum ^= sum >> 32;
+    }
+    return sum;
+  }
+
+  std::size_t size_;
+  Kept* first_ = nullptr;
+};
+
+}  // namespace fmu
