@@ -19,6 +19,7 @@
 #include "data.hpp"
 #include "kept_states.hpp"
 #include "log.hpp"
+#include "machine.hpp"
 #include "numerics/finite.hpp"
 #include "variable.hpp"
 
@@ -47,32 +48,12 @@ class Instance {
  public:
   Instance(const char* name, bool logging, const Log& log, const Watch& watch = {})
       : logger_(name, logging, log), watch_(watch) {}
-  ~Instance() { arm_delete(machine_); }
   Instance(const Instance&) = delete;
   Instance& operator=(const Instance&) = delete;
 
   // Make the machine; false if that fails.
   bool make() {
-    arm_description description = {};
-    description.size = sizeof description;
-    arm_describe(&description);
-    fingerprint_ = description.fingerprint;
-    for (int k = 0; k < kParameters; ++k) {
-      parameters_[k].size = sizeof parameters_[k];
-      arm_describe_parameter(k, &parameters_[k]);
-    }
-    for (int j = 0; j < N; ++j) {
-      joints_[j].size = sizeof joints_[j];
-      arm_describe_joint(j, &joints_[j]);
-    }
-    arm_options options = {};
-    options.size = sizeof options;
-    options.core = -1;
-    options.step = kIntegrationStep;
-    options.steps_per_period = kStepsPerPeriod;
-    options.parameters = kParameterStart;
-    machine_ = arm_new(&options);
-    if (!machine_) return false;
+    if (!machine_.make()) return false;
     become_new();
     return true;
   }
@@ -226,7 +207,7 @@ class Instance {
     const double* value = values;
     for (std::size_t r = 0; r < count; ++r)
       for (int k = 0; k < kVariables[references[r]].count; ++k)
-        if (const char* rule = why_not(kVariables[references[r]], k, *value++))
+        if (const char* rule = machine_.why_not(kVariables[references[r]], k, *value++))
           return report(kDiscard, "%s: value %d of variable %u must %s, got %g", call, k,
                         references[r], rule, value[-1]);
     for (std::size_t r = 0; r < count; ++r) {
@@ -255,8 +236,10 @@ class Instance {
     put_at_start();
     bool truth = false;
     for (std::size_t k = 0; k < count; ++k) truth |= kVariables[references[k]].truth;
-    if (!reported_) measure();
-    if (truth && !truth_reported_) measure_truth();
+    if (!reported_) machine_.measure();
+    reported_ = true;
+    if (truth && !truth_reported_) machine_.measure_truth();
+    truth_reported_ = truth_reported_ || truth;
     data_.shown.time = time();
   }
   // Value `k` of a variable.
@@ -275,16 +258,15 @@ class Instance {
     put_at_start();
     unsigned char* bytes = states_.content_of(*state);
     std::memcpy(bytes, &values_, sizeof values_);
-    arm_save(machine_, bytes + sizeof values_, arm_saved_size());
-    states_.seal(*state, fingerprint_);
+    machine_.save(bytes + sizeof values_);
+    states_.seal(*state, machine_.fingerprint());
     return kOk;
   }
   Status go_back_to(void* state) {
     if (stepping_) return busy();
     if (!states_.knows(state)) return unknown_state();
     const unsigned char* bytes = states_.content_of(state);
-    if (arm_restore(machine_, bytes + sizeof values_, arm_saved_size()) != ARM_OK)
-      return refused(kError);
+    if (!machine_.restore(bytes + sizeof values_)) return refused(kError);
     std::memcpy(&values_, bytes, sizeof values_);
     reported_ = truth_reported_ = false;
     return report(kOk, "went back to %.17g s", time());
@@ -302,7 +284,7 @@ class Instance {
   Status read_state(const unsigned char* bytes, std::size_t size, void** state) {
     if (!state || (*state && !states_.knows(*state))) return unknown_state();
     if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
-    if (const char* rule = states_.why_not(bytes, fingerprint_))
+    if (const char* rule = states_.why_not(bytes, machine_.fingerprint()))
       return report(kError, "serialized state must %s", rule);
     if (!*state) *state = states_.make();
     std::memcpy(states_.bytes_of(*state), bytes, size);
@@ -330,8 +312,7 @@ class Instance {
     take_parameters();
   }
   void take_parameters() {
-    for (int k = 0; k < kParameters; ++k)
-      arm_set_parameter(machine_, parameters_[k].name, values_.parameter[k]);
+    machine_.set_parameters(values_.parameter);
     values_.retuned = false;
   }
 
@@ -371,20 +352,8 @@ class Instance {
     values_.underway = true;
   }
   Status end_period() {
-    const Inputs& held = values_.held;
-    arm_power(machine_, held.power);
-    if (put_external_wrenches(held) != ARM_OK) return refused(kError);
-    arm_joint_command commands[N];
-    for (int j = 0; j < N; ++j) {
-      commands[j].mode = kModes[j];
-      commands[j].enable = 0;
-      if (held.enable[j]) commands[j].enable |= ARM_ENABLED;
-      if (held.enable[j] && held.close_brake[j]) commands[j].enable |= ARM_CLOSE_BRAKE;
-      commands[j].value = held.command[j];
-    }
-    const arm_command command = {sizeof command, 0, -1, commands, held.further};
     reported_ = truth_reported_ = false;
-    const int result = arm_exchange(machine_, &command, &measurement_);
+    const int result = machine_.exchange(values_.held);
     if (result == ARM_REFUSED) return refused(kError);
     if (result == ARM_DIVERGED) return diverged();
     ++values_.ticks;
@@ -393,90 +362,23 @@ class Instance {
   }
   void put_at_start() {
     if (!values_.moved) return;
-    arm_power(machine_, values_.now.power);
-    arm_reset(machine_, values_.start_q, values_.start_v);
+    machine_.put_at(values_.now.power, values_.start_q, values_.start_v);
     values_.moved = false;
     reported_ = truth_reported_ = false;
   }
 
-  // Why a value is not taken; null if it is.
-  const char* why_not(const Variable& one, int k, double value) const {
-    const int at = one.first + k;
-    if (!arm::is_finite(value)) return "be finite";
-    switch (one.rule) {
-      case Rule::command:
-        return joints_[at].modes || value == 0.0 ? nullptr : "be 0, the joint has no motor";
-      case Rule::further:
-        return kHasInput[at] || value == 0.0 ? nullptr
-                                             : "be 0, the joint's motor has no such input";
-      case Rule::wrench:
-        return __builtin_fabs(value) <= ARM_LARGEST_WRENCH ? nullptr : "be at most 1e9";
-      case Rule::start_q:
-        return __builtin_fabs(value) <= kLargestQ[at] ? nullptr : "be near enough to be counted";
-      case Rule::start_v:
-        return __builtin_fabs(value) <= kLargestV ? nullptr : "be at most 1e6";
-      case Rule::parameter:
-        return value >= parameters_[at].least && value <= parameters_[at].most
-                   ? nullptr
-                   : "be within its bounds";
-      default:
-        return nullptr;
-    }
-  }
-
-  int put_external_wrenches(const Inputs& in) {
-    if constexpr (kExternalWrench)
-      for (int j = 0; j < N; ++j) {
-        arm_wrench wrench = {};
-        wrench.size = sizeof wrench;
-        wrench.axes = in.external_world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;
-        for (int k = 0; k < 3; ++k) {
-          wrench.force[k] = in.external_force[3 * j + k];
-          wrench.moment[k] = in.external_moment[3 * j + k];
-          wrench.point[k] = in.external_point[3 * j + k];
-        }
-        if (arm_set_external_wrench(machine_, j, &wrench) != ARM_OK) return ARM_REFUSED;
-      }
-    return ARM_OK;
-  }
-
-  void measure() {
-    arm_measure(machine_, &measurement_);
-    data_.shown.powered = measurement_.powered;
-    reported_ = true;
-  }
-  void measure_truth() {
-    Truth& to = data_.truth;
-    arm_truth truth = {};
-    truth.size = sizeof truth;
-    truth.energy = &to.energy;
-    truth.current = to.current;
-    truth.motor_angle = to.motor_angle;
-    truth.motor_speed = to.motor_speed;
-    truth.q = to.q;
-    truth.v = to.v;
-    truth.gear_torque = to.gear_torque;
-    arm_get_truth(machine_, &truth);
-    arm_get_winding_temperatures(machine_, to.winding_temperature);
-    truth_reported_ = true;
-  }
-
   Status refused(Status status) {
-    arm_refusal why = {};
-    why.size = sizeof why;
-    arm_why(machine_, &why);
+    const arm_refusal why = machine_.why();
+    const char* joint = machine_.name_of(why.joint);
     return report(status, "%s must %s, got %g%s%s", why.quantity, why.rule, why.got,
-                  why.joint >= 0 && why.joint < N ? " at joint " : "",
-                  why.joint >= 0 && why.joint < N ? joints_[why.joint].name : "");
+                  joint ? " at joint " : "", joint ? joint : "");
   }
   Status diverged() {
-    arm_truth truth = {};
-    truth.size = sizeof truth;
-    arm_get_truth(machine_, &truth);
-    const int joint = truth.fault;
+    const arm_truth truth = machine_.clock();
+    const char* joint = machine_.name_of(truth.fault);
     return report(kError,
                   "joint %s diverged after %.17g s; the machine stays at its last sound state",
-                  joint >= 0 && joint < N ? joints_[joint].name : "?", values_.start + truth.time);
+                  joint ? joint : "?", values_.start + truth.time);
   }
 
   Status unknown_state() { return report(kError, "state must be one that this instance has kept"); }
@@ -489,26 +391,13 @@ class Instance {
   std::atomic<bool> stepping_ = false;
   std::atomic<int> ending_ = kGoesOn;
   bool early_ = false;
-  arm_machine* machine_ = nullptr;
-  std::uint64_t fingerprint_ = 0;
-  arm_parameter parameters_[kParameters + 1] = {};
-  arm_joint_description joints_[N] = {};
   Data data_ = {};
   Values& values_ = data_.values;
-  KeptStates states_{sizeof(Values) + static_cast<std::size_t>(arm_saved_size())};
+  KeptStates states_{sizeof(Values) + Machine::saved_size()};
 
-  // Newest outputs of the machine.
+  // Whether the newest outputs of the machine are in the data.
   bool reported_ = false, truth_reported_ = false;
-  arm_measurement measurement_ = {sizeof measurement_,
-                                  0,
-                                  0,
-                                  -1,
-                                  data_.shown.joint,
-                                  data_.shown.sensors,
-                                  data_.shown.imu,
-                                  data_.shown.current_d,
-                                  data_.shown.readings,
-                                  data_.shown.further};
+  Machine machine_{data_};
 };
 
 // A new instance; null if memory is short or the machine cannot be made.
