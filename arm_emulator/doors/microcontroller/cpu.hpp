@@ -1,5 +1,5 @@
-// The processor: a Cortex-M4F by Unicorn, which runs instructions; exceptions are ours (ARMv7-M,
-// B1.5).
+// The processor: a Cortex-M4F by Unicorn, which runs instructions; exceptions are ours
+// (exceptions.hpp).
 #pragma once
 
 #include <unicorn/unicorn.h>
@@ -15,8 +15,10 @@
 #include <vector>
 
 #include "clock.hpp"
+#include "fault.hpp"
 #include "memory.hpp"
 #include "nvic.hpp"
+#include "thumb.hpp"
 
 namespace mcu {
 
@@ -41,26 +43,6 @@ class Cpu {
     returned,  // at an exception's return
     stepped,   // within a block, by `step`
     fault
-  };
-
-  // Why it cannot go on.
-  struct Fault {
-    enum class Kind {
-      none,  // of the emulator's own: no processor has a handler for it
-      bus,
-      bus_fetch,
-      memory_fetch,
-      undefined,
-      state,
-      coprocessor,
-      unaligned,
-      breakpoint,
-      escalated  // a supervisor call that is masked
-    };
-    const char* what = nullptr;
-    uint32_t address = 0;
-    bool has_address = false;
-    Kind kind = Kind::none;
   };
 
   Time now = 0;
@@ -203,73 +185,6 @@ class Cpu {
     return {get(UC_ARM_REG_PRIMASK), get(UC_ARM_REG_BASEPRI), get(UC_ARM_REG_FAULTMASK)};
   }
 
-  // Put what is running on the stack and go on in the handler; false: its stack is no memory.
-  bool enter(int exception, uint32_t vectors) {
-    uint32_t handler = 0;
-    if (!memory_.read(vectors + 4 * static_cast<uint32_t>(exception), &handler, 4))
-      return fail("read of a vector outside of memory",
-                  vectors + 4 * static_cast<uint32_t>(exception));
-    if (!(handler & 1)) return fail("a vector that is no Thumb address", handler);
-    const uint32_t xpsr = get(UC_ARM_REG_XPSR), control = get(UC_ARM_REG_CONTROL);
-    const bool handling = xpsr & 0x1ff, with_fpu = control & 4,
-               process = !handling && (control & 2);
-    const uint32_t sp = get(UC_ARM_REG_SP), size = with_fpu ? 0x68 : 0x20;
-    const bool aligned = !(sp & 4);
-    const uint32_t at = (sp - size) & ~7u;
-    std::array<uint32_t, 26> frame{};
-    for (int k = 0; k < 4; ++k) frame[k] = get(UC_ARM_REG_R0 + k);
-    frame[4] = get(UC_ARM_REG_R12);
-    frame[5] = get(UC_ARM_REG_LR);
-    frame[6] = pc;
-    frame[7] = (xpsr & ~0x200u) | (aligned ? 0 : 0x200u);
-    if (with_fpu) {
-      for (int k = 0; k < 16; ++k) frame[8 + k] = get(UC_ARM_REG_S0 + k);
-      frame[24] = get(UC_ARM_REG_FPSCR);
-    }
-    if (!memory_.write(at, frame.data(), size)) return fail("stack outside of memory", at);
-    set(UC_ARM_REG_SP, at);
-    set(UC_ARM_REG_XPSR, (xpsr & 0xf8000000u) | 1u << 24 | static_cast<uint32_t>(exception));
-    set(UC_ARM_REG_CONTROL, get(UC_ARM_REG_CONTROL) & ~4u);
-    set(UC_ARM_REG_LR, (handling  ? 0xfffffff1u
-                        : process ? 0xfffffffdu
-                                  : 0xfffffff9u) &
-                           (with_fpu ? ~0x10u : ~0u));
-    refresh();
-    pc = handler & ~1u;
-    return true;
-  }
-
-  // Take what was running back from the stack; false: there is no such return.
-  bool leave(uint32_t how) {
-    const bool with_fpu = !(how & 0x10), process = (how & 0xf) == 0xd, thread = (how & 0xf) != 1;
-    if ((how & 0xffffffe0u) != 0xffffffe0u || ((how & 0xf) != 1 && (how & 0xf) != 9 && !process))
-      return fail("a wrong exception return", how);
-    const int pointer = process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP;
-    const uint32_t at = get(pointer), size = with_fpu ? 0x68 : 0x20;
-    std::array<uint32_t, 26> frame{};
-    if (!memory_.read(at, frame.data(), size)) return fail("stack outside of memory", at);
-    const uint32_t xpsr = frame[7];
-    if (thread != !(xpsr & 0x1ff) || !(xpsr & 1u << 24))
-      return fail("an exception return to another mode than its stack holds", frame[6]);
-    set(pointer, (at + size) | (xpsr & 0x200 ? 4u : 0u));
-    const uint32_t control = get(UC_ARM_REG_CONTROL);
-    set(UC_ARM_REG_CONTROL, control & ~5u);  // privileged until all is set
-    set(UC_ARM_REG_XPSR_NZCVQG, xpsr & ~0x200u);
-    if (thread) set(UC_ARM_REG_CONTROL, (control & ~7u) | (process ? 2u : 0u));
-    for (int k = 0; k < 4; ++k) set(UC_ARM_REG_R0 + k, frame[k]);
-    set(UC_ARM_REG_R12, frame[4]);
-    set(UC_ARM_REG_LR, frame[5]);
-    if (with_fpu) {
-      for (int k = 0; k < 16; ++k) set(UC_ARM_REG_S0 + k, frame[8 + k]);
-      set(UC_ARM_REG_FPSCR, frame[24]);
-    }
-    const uint32_t end = get(UC_ARM_REG_CONTROL) & ~5u;
-    set(UC_ARM_REG_CONTROL, end | (with_fpu ? 4u : 0u) | (control & 1u));
-    refresh();
-    pc = frame[6] & ~1u;
-    return true;
-  }
-
   // A debugger has changed what lets exceptions in, or which stack is used.
   void masks_changed() {
     refresh();
@@ -280,6 +195,9 @@ class Cpu {
   void set_flags(uint32_t xpsr) {
     set(UC_ARM_REG_XPSR_NZCVQG, (get(UC_ARM_REG_XPSR) & 0x07ffffffu) | (xpsr & 0xf8000000u));
   }
+
+  // The translator updates its mode and FPU state only after this write.
+  void refresh() { set(UC_ARM_REG_APSR_NZCV, get(UC_ARM_REG_XPSR) & 0xf0000000u); }
 
   bool fail(const char* what, uint32_t address, Fault::Kind kind = Fault::Kind::none) {
     fault = {what, address, true, kind};
@@ -310,9 +228,6 @@ class Cpu {
     uc_hook_add(uc_, &handle, kind, call, this, from, to);
   }
 
-  // The translator updates its mode and FPU state only after this write.
-  void refresh() { set(UC_ARM_REG_APSR_NZCV, get(UC_ARM_REG_XPSR) & 0xf0000000u); }
-
   Stop start(size_t count) {
     stop_near_ = false;
     stop_ = Stop::fault;
@@ -338,7 +253,7 @@ class Cpu {
     uint16_t code[2] = {};
     if (!memory_.read(at, code, 2)) return false;
     memory_.read(at, code, 4);
-    return code[0] == 0xbf30 || (code[0] == 0xf3af && code[1] == 0x8003);
+    return thumb::is_wfi(code);
   }
 
   void report(Stop stop) {
@@ -390,35 +305,22 @@ class Cpu {
     each_instruction([&](uint32_t one, const uint16_t* code) {
       if (one <= at_ && at_ != NOWHERE) return true;
       if (!next) next = one;
-      if (accesses(code, at)) found = one;
+      if (const auto [base, offset] = thumb::access_of(code); base && get(base) + offset == at)
+        found = one;
       return !found;
     });
     return found ? found : next ? next : at_;
-  }
-  // Whether it is a load or a store with an offset from a register, and leads there.
-  bool accesses(const uint16_t* code, uint32_t at) const {
-    static constexpr int LOW[] = {UC_ARM_REG_R0,  UC_ARM_REG_R1, UC_ARM_REG_R2,  UC_ARM_REG_R3,
-                                  UC_ARM_REG_R4,  UC_ARM_REG_R5, UC_ARM_REG_R6,  UC_ARM_REG_R7,
-                                  UC_ARM_REG_R8,  UC_ARM_REG_R9, UC_ARM_REG_R10, UC_ARM_REG_R11,
-                                  UC_ARM_REG_R12, UC_ARM_REG_SP, UC_ARM_REG_LR,  UC_ARM_REG_PC};
-    if ((code[0] & 0xf000) == 0x6000)
-      return get(LOW[code[0] >> 3 & 7]) + 4u * (code[0] >> 6 & 31) == at;
-    if ((code[0] & 0xffe0) == 0xf8c0) return get(LOW[code[0] & 15]) + (code[1] & 0xfffu) == at;
-    return false;
   }
   // body(address, its halfwords) for the instructions of the block, while it returns true.
   template <class Body>
   void each_instruction(Body&& body) const {
     const uint8_t* code = memory_.find(block_->at, block_->size);
-    for (uint32_t k = 0; code && k + 1 < block_->size; k += length(code + k)) {
+    for (uint32_t k = 0; code && k + 1 < block_->size; k += thumb::length(code + k)) {
       uint16_t halves[2] = {};
       std::memcpy(halves, code + k, std::min(4u, block_->size - k));
       if (!body(block_->at + k, halves)) return;
     }
   }
-  // The first half of a long one: 0b11101 and up.
-  static uint32_t length(const uint8_t* code) { return (code[1] & 0xf8) >= 0xe8 ? 4 : 2; }
-
   // Whether a block may begin although something looks due.
   bool may_begin(uint32_t at, uint32_t size) {
     if (stepping_) {
@@ -455,7 +357,7 @@ class Cpu {
     if (block.at == at && block.size == size) return block;
     block = {at, size, 0, 0};
     const uint8_t* code = memory_.find(at, size);
-    for (uint32_t k = 0; code && k + 1 < size; ++block.count) k += length(code + k);
+    for (uint32_t k = 0; code && k + 1 < size; ++block.count) k += thumb::length(code + k);
     block.cost = block.count * cost_ + branch_cost_;
     return block;
   }
@@ -468,49 +370,9 @@ class Cpu {
       cpu.pc |= 1;
       return cpu.report(Stop::returned);
     }
-    cpu.fail(kind_of(number), reason_of(number));
+    const auto [kind, what] = fault_of(number);
+    cpu.fail(kind, what);
     cpu.report(Stop::fault);
-  }
-
-  static Fault::Kind kind_of(uint32_t number) {
-    switch (number) {  // of Unicorn's
-      case 3:
-        return Fault::Kind::bus_fetch;
-      case 4:
-      case 20:
-        return Fault::Kind::bus;
-      case 7:
-        return Fault::Kind::breakpoint;
-      case 17:
-        return Fault::Kind::coprocessor;
-      case 18:
-        return Fault::Kind::state;
-      case 22:
-        return Fault::Kind::unaligned;
-      default:
-        return Fault::Kind::none;
-    }
-  }
-
-  static const char* reason_of(uint32_t number) {
-    switch (number) {  // of Unicorn's
-      case 3:
-        return "instructions from where none can be";
-      case 4:
-        return "an access that memory refuses";
-      case 7:
-        return "a breakpoint instruction";
-      case 17:
-        return "an instruction for a coprocessor that is not there";
-      case 18:
-        return "a branch to Arm instructions, which a Cortex-M does not have";
-      case 20:
-        return "an exclusive access that memory refuses";
-      case 22:
-        return "an unaligned access by an instruction that cannot do it";
-      default:
-        return "an exception of the processor";
-    }
   }
 
   static bool no_instruction(uc_engine*, void* self) {
@@ -518,11 +380,11 @@ class Cpu {
     cpu.pc = cpu.get(UC_ARM_REG_PC) & ~1u;
     uint16_t before = 0;
     cpu.memory_.read(cpu.pc - 2, &before, 2);
-    if (before == 0xbf20) {  // WFE
+    if (before == thumb::WFE) {
       cpu.report(Stop::event);
       return true;
     }
-    if (before == 0xbf10) return true;  // YIELD
+    if (before == thumb::YIELD) return true;
     cpu.fail(Fault::Kind::undefined, "an undefined instruction");
     cpu.report(Stop::fault);
     return true;

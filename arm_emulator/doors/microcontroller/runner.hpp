@@ -4,27 +4,19 @@
 
 #include <cstdio>
 #include <cstring>
-#include <deque>
 #include <memory>
-#include <optional>
-#include <set>
 #include <vector>
 
-#include "adc.hpp"
 #include "clock.hpp"
 #include "cpu.hpp"
+#include "devices.hpp"
+#include "exceptions.hpp"
 #include "gdb_server.hpp"
-#include "gpio.hpp"
-#include "mailbox.hpp"
 #include "memory.hpp"
 #include "nvic.hpp"
-#include "pwm.hpp"
-#include "registers.hpp"
 #include "runner.h"
 #include "system_control.hpp"
 #include "systick.hpp"
-#include "timer_encoder.hpp"
-#include "uart.hpp"
 
 namespace mcu {
 
@@ -38,13 +30,14 @@ class Runner : public Bus, public Debugged {
         system_(
             nvic_, systick_,
             [this](uint32_t at, bool look) { return look ? cpu_.instant() : cpu_.instant(at); },
-            board.vectors) {
+            board.vectors),
+        devices_(board_, nvic_, cpu_.now) {
     for (int k = 0; k < board.regions; ++k) {
       const mcu_region& one = board.region[k];
       if (one.kind != MCU_REGISTERS)
         memory_.add(one.at, one.size, one.kind != MCU_FLASH, one.kind != MCU_RAM);
     }
-    wire();
+    devices_.wire();
   }
 
   // Return null, or the reason for a failure.
@@ -69,22 +62,22 @@ class Runner : public Bus, public Debugged {
     in_ = &in;
     if (!begun_) {
       begun_ = true;
-      measure(in, false);
+      devices_.measure(in, false);
       reset();
       boot_ = cycles_of(board_.boot);
       run_until(boot_);
       if (stopped) return;
     }
-    if (board_.preload) command(out);
-    measure(in, true);
+    if (board_.preload) devices_.command(out);
+    devices_.measure(in, true);
     run_until(boot_ + cycles_of(static_cast<double>(in.time + board_.period) * 1e-9));
-    if (!board_.preload) command(out);
+    if (!board_.preload) devices_.command(out);
   }
 
   uint32_t read(uint32_t at, unsigned size) override {
     if (at >= SystemControl::AT) return system_.read(at, size);
-    const uint32_t value = registers_.read(at, size);
-    if (registers_.special()) settle();
+    const uint32_t value = devices_.registers.read(at, size);
+    if (devices_.registers.special()) settle();
     return value;
   }
   void write(uint32_t at, unsigned size, uint32_t value) override {
@@ -92,8 +85,8 @@ class Runner : public Bus, public Debugged {
       system_.write(at, size, value);
       return cpu_.attend();
     }
-    registers_.write(at, size, value);
-    if (registers_.special()) settle();
+    devices_.registers.write(at, size, value);
+    if (devices_.registers.special()) settle();
   }
 
   // Registers as read and written by a debugger.
@@ -115,8 +108,8 @@ class Runner : public Bus, public Debugged {
     if (memory_.read(at, out, 1)) return true;
     if (at - SystemControl::AT < SystemControl::SIZE)
       *out = static_cast<uint8_t>(system_.read(at, 1, true));
-    else if (registers_.has(at & ~3u))
-      *out = static_cast<uint8_t>(registers_.read(at, 1, true));
+    else if (devices_.registers.has(at & ~3u))
+      *out = static_cast<uint8_t>(devices_.registers.read(at, 1, true));
     else
       return false;
     return true;
@@ -129,7 +122,7 @@ class Runner : public Bus, public Debugged {
     uint32_t value = 0;
     if ((size != 1 && size != 2 && size != 4) || at % size) return false;
     std::memcpy(&value, bytes, size);
-    if (at < SystemControl::AT && !registers_.has(at & ~3u)) return false;
+    if (at < SystemControl::AT && !devices_.registers.has(at & ~3u)) return false;
     write(at, size, value);
     return true;
   }
@@ -140,7 +133,7 @@ class Runner : public Bus, public Debugged {
   int32_t stopped = 0;
 
  private:
-  using Kind = Cpu::Fault::Kind;
+  using Kind = Fault::Kind;
   static constexpr uint64_t LONGEST_AWAKE = 200'000'000;  // instructions, where they take no time
 
   static int register_of(int number) {
@@ -160,37 +153,6 @@ class Runner : public Bus, public Debugged {
     return static_cast<Time>(seconds * board_.clock + 0.5) * CYCLE;
   }
 
-  // Set registers and devices as after a reset.
-  void wire() {
-    registers_ = {};
-    encoders_.clear(), adcs_.clear(), pins_.clear(), pwms_.clear(), uarts_.clear();
-    for (int k = 0; k < board_.regions; ++k)
-      if (const mcu_region& one = board_.region[k]; one.kind == MCU_REGISTERS)
-        registers_.add(one.at, one.size);
-    for (int k = 0; k < board_.words; ++k) {
-      const mcu_word word = board_.word[k];
-      registers_.word(word.at) = word.value;
-      if (word.fixed)
-        registers_.on_read(word.at, [word](uint32_t stored, bool) {
-          return (stored & ~word.fixed) | (word.value & word.fixed);
-        });
-    }
-    for (int k = 0; k < board_.encoders; ++k) encoders_.emplace_back(board_.encoder[k], registers_);
-    for (int k = 0; k < board_.adcs; ++k) adcs_.emplace_back(board_.adc[k], registers_);
-    for (int k = 0; k < board_.channels; ++k)
-      adcs_[static_cast<size_t>(board_.channel[k].adc)].add(board_.channel[k]);
-    for (int k = 0; k < board_.ports; ++k) add_port(board_.port[k], registers_);
-    for (int k = 0; k < board_.pins; ++k) pins_.emplace_back(board_.pin[k], registers_);
-    for (int k = 0; k < board_.pwms; ++k) pwms_.emplace_back(board_.pwm[k], registers_);
-    for (int k = 0; k < board_.uarts; ++k)
-      uarts_.emplace_back(board_.uart[k], board_.clock, cpu_.now, registers_);
-    for (const Adc& adc : adcs_)
-      if (adc.interrupt() >= 0) lines_.insert(adc.interrupt());
-    for (const Uart& uart : uarts_)
-      if (uart.interrupt() >= 0) lines_.insert(uart.interrupt());
-    if (board_.mailbox) mailbox_.emplace(*board_.mailbox, board_.joints, registers_);
-  }
-
   void reset() {
     uint32_t table[2] = {};
     if (!memory_.read(board_.vectors, table, 8))
@@ -201,65 +163,18 @@ class Runner : public Bus, public Debugged {
 
   // Firmware's access to a device may raise an interrupt, or one sooner than planned.
   void settle() {
-    set_lines();
+    devices_.set_lines();
     if (nvic_.changed() || next_event() < deadline_) cpu_.attend();
   }
 
-  // Levels of interrupt lines follow what registers hold.
-  void set_lines() {
-    for (const int interrupt : lines_) {
-      bool high = false;
-      for (const Adc& adc : adcs_) high |= adc.interrupt() == interrupt && adc.asks();
-      for (const Uart& uart : uarts_) high |= uart.interrupt() == interrupt && uart.asks();
-      nvic_.set_line(Nvic::EXTERNAL + interrupt, high);
-    }
-  }
-
-  void measure(const firmware_input& in, bool convert) {
-    for (TimerEncoder& encoder : encoders_) encoder.measure(*in.measured);
-    for (Pin& pin : pins_)
-      if (!pin.is_output()) pin.measure(*in.measured, board_.joints);
-    if (!convert) return;
-    for (Adc& adc : adcs_) adc.convert(*in.measured);
-    if (in.q_target) {
-      if (mailbox_) {
-        mailbox_->put(in.q_target);
-        if (mailbox_->interrupt() >= 0) nvic_.pend(Nvic::EXTERNAL + mailbox_->interrupt());
-      }
-      for (Uart& uart : uarts_)
-        if (uart.has_targets() && in.q_target != description_)
-          uart.send_targets(in.q_target, board_.joints);
-      description_ = in.q_target;
-    }
-    for (Uart& uart : uarts_) uart.listen();
-  }
-
-  void command(firmware_output& out) {
-    for (Pwm& pwm : pwms_) out.joint[pwm.joint()].value = pwm.voltage();
-    for (int j = 0; j < board_.joints; ++j) {
-      uint32_t enable = ARM_ENABLED;
-      for (Pin& pin : pins_)
-        if (pin.is_of(j)) {
-          if (pin.kind() == MCU_ENABLE && !pin.on()) enable &= ~static_cast<uint32_t>(ARM_ENABLED);
-          if (pin.kind() == MCU_BRAKE && pin.on()) enable |= ARM_CLOSE_BRAKE;
-        }
-      out.joint[j].enable = enable;
-    }
-  }
-
-  Time next_event() const {
-    Time next = systick_.next();
-    for (const Uart& uart : uarts_) next = std::min(next, uart.next());
-    return next;
-  }
+  Time next_event() const { return std::min(systick_.next(), devices_.next()); }
 
   void run_until(Time limit) {
     while (!stopped) {
       if (!cpu_.inside()) {
         const Time now = cpu_.now;
         systick_.advance(now);
-        for (Uart& uart : uarts_) uart.advance(now);
-        set_lines();
+        devices_.advance(now);
         if (now >= limit) break;
         if (!take_exception()) return;
         if (asleep_) {
@@ -300,7 +215,7 @@ class Runner : public Bus, public Debugged {
   }
 
   bool enter(int exception) {
-    if (!cpu_.enter(exception, system_.vectors)) return failed();
+    if (!mcu::enter(cpu_, memory_, exception, system_.vectors)) return failed();
     nvic_.enter(exception);
     system_.active = static_cast<uint32_t>(exception);
     event_ = true;
@@ -362,10 +277,9 @@ class Runner : public Bus, public Debugged {
     std::destroy_at(&systick_);
     std::construct_at(&systick_, nvic_);
     system_.begin_again(board_.vectors);
-    wire();
-    measure(*in_, false);
+    devices_.wire();
+    devices_.measure(*in_, false);
     asleep_ = event_ = false;
-    description_ = nullptr;
     ++figures.resets;
     reset();
     return !stopped;
@@ -373,7 +287,7 @@ class Runner : public Bus, public Debugged {
 
   // Continue in the handler of the fault; false: no handler, the run has ended.
   bool faulted() {
-    const Cpu::Fault fault = cpu_.fault;
+    const Fault fault = cpu_.fault;
     if (fault.kind == Kind::none || debugger_halts(fault)) return failed();
     system_.record(fault);
     const Masks masks = cpu_.masks();
@@ -396,7 +310,7 @@ class Runner : public Bus, public Debugged {
     return enter(handler);
   }
   // A debugger, if connected, handles breakpoint instructions.
-  bool debugger_halts(const Cpu::Fault& fault) const {
+  bool debugger_halts(const Fault& fault) const {
     return debugger_ && fault.kind == Kind::breakpoint;
   }
   // Whether the code is a branch to itself.
@@ -411,7 +325,7 @@ class Runner : public Bus, public Debugged {
       cpu_.fail("an exception return outside of handlers");
       return failed();
     }
-    if (!cpu_.leave(cpu_.pc)) return failed();
+    if (!mcu::leave(cpu_, memory_, cpu_.pc)) return failed();
     nvic_.leave(exception);
     if (exception != Nvic::NMI) cpu_.set(UC_ARM_REG_FAULTMASK, 0);
     system_.active = cpu_.get(UC_ARM_REG_XPSR) & 0x1ff;
@@ -445,24 +359,16 @@ class Runner : public Bus, public Debugged {
 
   mcu_board board_;
   Memory memory_;
-  Registers registers_;
   Cpu cpu_;
   Nvic nvic_;
   SysTick systick_;
   SystemControl system_;
-  std::deque<TimerEncoder> encoders_;  // registers keep pointers to them
-  std::deque<Adc> adcs_;
-  std::deque<Uart> uarts_;
-  std::vector<Pin> pins_;
-  std::vector<Pwm> pwms_;
-  std::optional<Mailbox> mailbox_;
-  std::set<int> lines_;  // interrupts that devices ask for
+  Devices devices_;
   std::unique_ptr<GdbServer> debugger_;
   const firmware_input* in_ = nullptr;  // of the step that is under way
-  Cpu::Fault first_fault_;
+  Fault first_fault_;
   uint32_t first_fault_pc_ = 0;
   bool locked_up_ = false;
-  const double* description_ = nullptr;
   uint64_t awake_from_ = 0;  // instructions
   Time boot_ = 0, deadline_ = 0;
   bool begun_ = false, asleep_ = false, event_ = false, near_ = false;

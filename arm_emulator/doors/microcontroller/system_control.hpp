@@ -63,8 +63,8 @@ class SystemControl {
     const auto found = words_.find(SHCSR);
     return found != words_.end() && found->second >> (exception - Nvic::MEMORY_FAULT + 16) & 1;
   }
-  static int handler_of(Cpu::Fault::Kind kind) {
-    using Kind = Cpu::Fault::Kind;
+  static int handler_of(Fault::Kind kind) {
+    using Kind = Fault::Kind;
     switch (kind) {
       case Kind::bus:
       case Kind::bus_fetch:
@@ -79,8 +79,8 @@ class SystemControl {
     }
   }
   // Set the status registers to the fault (ARMv7-M, B3.2.15).
-  void record(const Cpu::Fault& fault) {
-    using Kind = Cpu::Fault::Kind;
+  void record(const Fault& fault) {
+    using Kind = Fault::Kind;
     switch (fault.kind) {
       case Kind::memory_fetch:
         words_[CFSR] |= 1u << 0;

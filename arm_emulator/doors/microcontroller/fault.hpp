@@ -1,0 +1,55 @@
+// Faults of the processor, and those that Unicorn reports by numbers of its own.
+#pragma once
+
+#include <cstdint>
+
+namespace mcu {
+
+// Why the processor cannot go on.
+struct Fault {
+  enum class Kind {
+    none,  // of the emulator's own: no processor has a handler for it
+    bus,
+    bus_fetch,
+    memory_fetch,
+    undefined,
+    state,
+    coprocessor,
+    unaligned,
+    breakpoint,
+    escalated  // a supervisor call that is masked
+  };
+  const char* what = nullptr;
+  uint32_t address = 0;
+  bool has_address = false;
+  Kind kind = Kind::none;
+};
+
+// Kind and reason of an exception of Unicorn's.
+struct Reason {
+  Fault::Kind kind;
+  const char* what;
+};
+inline Reason fault_of(uint32_t number) {
+  using Kind = Fault::Kind;
+  switch (number) {
+    case 3:
+      return {Kind::bus_fetch, "instructions from where none can be"};
+    case 4:
+      return {Kind::bus, "an access that memory refuses"};
+    case 7:
+      return {Kind::breakpoint, "a breakpoint instruction"};
+    case 17:
+      return {Kind::coprocessor, "an instruction for a coprocessor that is not there"};
+    case 18:
+      return {Kind::state, "a branch to Arm instructions, which a Cortex-M does not have"};
+    case 20:
+      return {Kind::bus, "an exclusive access that memory refuses"};
+    case 22:
+      return {Kind::unaligned, "an unaligned access by an instruction that cannot do it"};
+    default:
+      return {Kind::none, "an exception of the processor"};
+  }
+}
+
+}  // namespace mcu
