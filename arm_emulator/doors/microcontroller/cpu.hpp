@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "bus.hpp"
 #include "clock.hpp"
 #include "fault.hpp"
 #include "memory.hpp"
@@ -21,14 +22,6 @@
 #include "thumb.hpp"
 
 namespace mcu {
-
-// Registers that are mapped at addresses, as the processor sees them.
-class Bus {
- public:
-  virtual ~Bus() = default;
-  virtual uint32_t read(uint32_t at, unsigned size) = 0;
-  virtual void write(uint32_t at, unsigned size, uint32_t value) = 0;
-};
 
 // Instructions run in blocks: up to a branch, or what else ends the straight line. Time goes on,
 // and interrupts come, between blocks only; so do steps of a debugger through a block, which
@@ -392,14 +385,8 @@ class Cpu {
 
   static bool no_memory(uc_engine*, uc_mem_type type, uint64_t address, int, int64_t, void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
-    const char* what = "read of an address where nothing is";
-    if (type == UC_MEM_WRITE_UNMAPPED) what = "write to an address where nothing is";
-    if (type == UC_MEM_WRITE_PROT) what = "write to flash";
-    if (type == UC_MEM_FETCH_UNMAPPED || type == UC_MEM_FETCH_PROT)
-      what = "instructions from an address where none are";
-    const bool fetch = type == UC_MEM_FETCH_UNMAPPED || type == UC_MEM_FETCH_PROT;
-    cpu.fail(what, static_cast<uint32_t>(address),
-             fetch ? Fault::Kind::bus_fetch : Fault::Kind::bus);
+    const auto [kind, what] = fault_of(type);
+    cpu.fail(what, static_cast<uint32_t>(address), kind);
     return false;
   }
 

@@ -1,6 +1,8 @@
 // Faults of the processor, and those that Unicorn reports by numbers of its own.
 #pragma once
 
+#include <unicorn/unicorn.h>
+
 #include <cstdint>
 
 namespace mcu {
@@ -49,6 +51,20 @@ inline Reason fault_of(uint32_t number) {
       return {Kind::unaligned, "an unaligned access by an instruction that cannot do it"};
     default:
       return {Kind::none, "an exception of the processor"};
+  }
+}
+// And of an access where no memory is.
+inline Reason fault_of(uc_mem_type type) {
+  switch (type) {
+    case UC_MEM_WRITE_UNMAPPED:
+      return {Fault::Kind::bus, "write to an address where nothing is"};
+    case UC_MEM_WRITE_PROT:
+      return {Fault::Kind::bus, "write to flash"};
+    case UC_MEM_FETCH_UNMAPPED:
+    case UC_MEM_FETCH_PROT:
+      return {Fault::Kind::bus_fetch, "instructions from an address where none are"};
+    default:
+      return {Fault::Kind::bus, "read of an address where nothing is"};
   }
 }
 
