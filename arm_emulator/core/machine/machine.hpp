@@ -6,6 +6,7 @@
 
 #include "machine/brakes.hpp"
 #include "machine/course.hpp"
+#include "machine/instant.hpp"
 #include "mechanics/energy.hpp"
 #include "mechanics/energy_flow.hpp"
 #include "mechanics/external_work.hpp"
@@ -50,42 +51,8 @@ class Machine {
   // In a forked child: have the threads that the parent has.
   void begin_thread() { threads_.begin_thread(); }
 
-  // The whole state of a machine at an instant.
-  struct Instant {
-    State<S> x;
-    typename Threads::Memory past;
-    EnergyBalance<S> balance;
-    ExternalWork<S> work;
-    double u[Stepper::row];  // the commands of the step before, within the supply
-    double power;            // W, that the motors are given at most
-    std::int64_t steps_taken;
-
-    // number(x) for all of its numbers, in a fixed order.
-    template <class Number>
-    void for_each_number(Number&& number) {
-      arm::for_each_number(x, number);
-      past.for_each_number(number);
-      balance.for_each_number(number);
-      work.for_each_number(number);
-      for (int j = 0; j < N; ++j) number(u[j]);
-      number(power);
-      number(steps_taken);
-    }
-  };
-  // The state to which it returns if the energy check fails.
-  struct Whole {
-    Instant now, checked;
-    std::int64_t fault;
-    Brakes<S> brakes;
-
-    template <class Number>
-    void for_each_number(Number&& number) {
-      now.for_each_number(number);
-      checked.for_each_number(number);
-      number(fault);
-      brakes.for_each_number(number);
-    }
-  };
+  using Instant = arm::Instant<S, typename Threads::Memory, Stepper::row>;
+  using Whole = arm::Whole<S, Instant>;
 
   Instant instant() const {
     Instant instant = {x_, threads_.memory(), balance_, work_, {}, power_, steps_taken_};

@@ -18,6 +18,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "mechanics/drive_input.hpp"
 #include "numerics/finite.hpp"
 #include "parts/dc_motor.hpp"
 #include "parts/friction.hpp"
@@ -27,20 +28,6 @@
 #include "parts/rotor_friction.hpp"
 
 namespace arm {
-
-// Inputs of a drive with n states and M parts with modes.
-template <int n, int M, class X>
-struct DriveInput {
-  X z[n > 0 ? n : 1] = {};
-  X q{}, v{}, u{};
-  X offset[M > 0 ? M : 1] = {};
-};
-
-template <int n, class X>
-struct DriveRates {
-  X f[n > 0 ? n : 1] = {};
-  X g{};
-};
 
 template <class Motor, class Gear, class LinkFriction = Friction, class Rotor = FreeRotor,
           class... Extras>
@@ -331,12 +318,7 @@ struct Drive {
   constexpr Modes modes_at(const Input<double>& x) const {
     Modes at;
     if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
-    if constexpr (elastic && Gear::modes > 0)
-      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
-    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-      if constexpr (Extra::modes > 0)
-        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
-    });
+    put_modes_of_state(x, at);
     if constexpr (elastic && Rotor::modes > 0) {
       at.at[of_rotor] = rotor.mode_at(x.z[wm], shaft(x, at));
     }
@@ -348,12 +330,7 @@ struct Drive {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
       at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
-    if constexpr (elastic && Gear::modes > 0)
-      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
-    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-      if constexpr (Extra::modes > 0)
-        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
-    });
+    put_modes_of_state(x, at);
     if constexpr (elastic && Rotor::modes > 0) {
       at.at[of_rotor] = rotor.wanted(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
     }
@@ -398,6 +375,16 @@ struct Drive {
   }
 
  private:
+  // The modes of gear and extras, which go with the state alone.
+  constexpr void put_modes_of_state(const Input<double>& x, Modes& at) const {
+    if constexpr (elastic && Gear::modes > 0)
+      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
+        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
+    });
+  }
+
   // Speed in the induced voltage: the rotor's, times the factor of torque ripple.
   template <class X>
   ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {

@@ -89,20 +89,14 @@ class EnergyMeter {
   // dx/dt; 0 for algebraic states.
   State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) const {
     State<S> rates = {};
-    typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(n_, x.q, x.v, links);
-    double a[N];
-    Coulomb<S, double> coulomb(n_);
-    modes.accelerations(x, u, links, a, coulomb);
-    n_.for_each_drive([&](const auto& drive, int j) {
-      const auto now = modes.of(drive, j);
-      const auto D = drive.D(now.held());
-      const auto is = drive.rates(drive.with(input_of(drive, j, x, u[j]), now), now.held());
-      for (int k = 0; k < drive.states; ++k)
-        if (D.f[k] > 0.0) rates.z[k][j] = is.f[k] / D.f[k];
-      rates.q[j] = x.v[j];
-      rates.v[j] = a[j];
-    });
+    modes.for_each_rate(
+        x, u, [&](const auto& drive, int j, const auto&, unsigned held, const double* f, double a) {
+          const auto D = drive.D(held);
+          for (int k = 0; k < drive.states; ++k)
+            if (D.f[k] > 0.0) rates.z[k][j] = f[k] / D.f[k];
+          rates.q[j] = x.v[j];
+          rates.v[j] = a;
+        });
     return rates;
   }
 };

@@ -83,21 +83,13 @@ class Linearisation {
   }
 
   ARM_APART void rates(const State<S>& x, const double* u, double* out) const {
-    typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(n, x.q, x.v, links);
-    double a[N];
-    Coulomb<S, double> coulomb(n);
-    modes.accelerations(x, u, links, a, coulomb);
-    n.for_each_drive([&](const auto& drive, int j) {
-      const auto now = modes.of(drive, j);
-      const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-      const auto is = drive.rates(at, now.held());
-      for (int k = 0; k < K; ++k) out[k * N + j] = 0.0;
-      for (int k = 0; k < drive.states; ++k) out[k * N + j] = is.f[k];
-      out[K * N + j] = a[j];
-      out[(K + 1) * N + j] = drive.current(at);
-      out[(K + 2) * N + j] = drive.motor_angle(at);
-    });
+    modes.for_each_rate(
+        x, u, [&](const auto& drive, int j, const auto& at, unsigned, const double* f, double a) {
+          for (int k = 0; k < K; ++k) out[k * N + j] = k < drive.states ? f[k] : 0.0;
+          out[K * N + j] = a;
+          out[(K + 1) * N + j] = drive.current(at);
+          out[(K + 2) * N + j] = drive.motor_angle(at);
+        });
   }
 };
 

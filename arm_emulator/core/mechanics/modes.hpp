@@ -55,6 +55,22 @@ class Modes {
     coulomb.solve_in(friction, M.at, a);
   }
 
+  // body(drive, j, its inputs, its held parts, D dz/dt, the link's acceleration) of each joint at
+  // x.
+  template <class Body>
+  void for_each_rate(const State<S>& x, const double* u, Body&& body) const {
+    Dynamics links;
+    Links<S>::dynamics_apart(*n_, x.q, x.v, links);
+    double a[N];
+    Friction coulomb(*n_);
+    accelerations(x, u, links, a, coulomb);
+    n_->for_each_drive([&](const auto& drive, int j) {
+      const auto now = of(drive, j);
+      const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+      body(drive, j, at, now.held(), drive.rates(at, now.held()).f, a[j]);
+    });
+  }
+
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
   // quantities with different units; only its sign counts.)
   double margin(const State<S>& x, const double* u, LinksMemo<S>& memo) const {

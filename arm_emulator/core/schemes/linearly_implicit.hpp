@@ -443,16 +443,9 @@ class LinearlyImplicit {
   [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given_;
 };
 
-template <class S, class X>
-struct MethodOf<S, Scheme::implicit, X> {
-  using type = LinearlyImplicit<S, X>;
-};
-template <class S, class X>
-struct MethodOf<S, Scheme::rosenbrock, X> {
-  using type = LinearlyImplicit<S, X>;
-};
-template <class S, class X>
-struct MethodOf<S, Scheme::extrapolated, X> {
+template <class S, Scheme scheme, class X>
+  requires(scheme != Scheme::paper)
+struct MethodOf<S, scheme, X> {
   using type = LinearlyImplicit<S, X>;
 };
 

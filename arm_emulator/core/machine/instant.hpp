@@ -1,0 +1,52 @@
+// The whole state of a machine at an instant, as it is kept and saved.
+#pragma once
+
+#include <cstdint>
+
+#include "machine/brakes.hpp"
+#include "mechanics/energy.hpp"
+#include "mechanics/external_work.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+template <class S, class Memory, int row>
+struct Instant {
+  State<S> x;
+  Memory past;
+  EnergyBalance<S> balance;
+  ExternalWork<S> work;
+  double u[row];  // the commands of the step before, within the supply
+  double power;   // W, that the motors are given at most
+  std::int64_t steps_taken;
+
+  // number(x) for all of its numbers, in a fixed order.
+  template <class Number>
+  void for_each_number(Number&& number) {
+    arm::for_each_number(x, number);
+    past.for_each_number(number);
+    balance.for_each_number(number);
+    work.for_each_number(number);
+    for (int j = 0; j < S::N; ++j) number(u[j]);
+    number(power);
+    number(steps_taken);
+  }
+};
+
+// With the state to which it returns if the energy check fails.
+template <class S, class Instant>
+struct Whole {
+  Instant now, checked;
+  std::int64_t fault;
+  Brakes<S> brakes;
+
+  template <class Number>
+  void for_each_number(Number&& number) {
+    now.for_each_number(number);
+    checked.for_each_number(number);
+    number(fault);
+    brakes.for_each_number(number);
+  }
+};
+
+}  // namespace arm
