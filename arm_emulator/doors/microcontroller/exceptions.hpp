@@ -1,4 +1,4 @@
-// How exceptions begin and end, with their frame on the stack (ARMv7-M, B1.5).
+// Begin and end of exceptions, with their frame on the stack (ARMv7-M, B1.5).
 #pragma once
 
 #include <array>
