@@ -195,7 +195,7 @@ def test_gains_hold_the_machine_in_motion() -> None:
          "torque_bandwidth must be absent: the scene's motor takes a voltage, got 100 Hz"),
         ("torque", {"torque_bandwidth": 0.0, "current_bandwidth": 100.0},
          "current_bandwidth must be absent: the scene's motor takes a torque, got 100 Hz"),
-        ("current", {"current_bandwidth": 0.0, "resistance": 1.0},
+        ("current at once", {"current_bandwidth": 0.0, "resistance": 1.0},
          "current_bandwidth must be given: the motor's drive closes a current loop, got nothing"),
     ],
 )  # fmt: skip
