@@ -3,6 +3,9 @@
 A library file is the compiler's output followed by a digest of it and of the file's name: a file
 that was truncated, changed or renamed is detected before any of it runs. The digest is not a
 signature; owner and folder of the file ensure that no other user wrote it (`trusted`).
+
+Most processes find what they look for in the first folder and write nothing: what only others need
+(`tempfile`, `shutil`) is imported there.
 """
 
 from __future__ import annotations
@@ -13,10 +16,8 @@ import hashlib
 import math
 import os
 import re
-import shutil
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -48,36 +49,37 @@ class Damaged(Exception):
 # Folders
 
 
-def named_folders() -> list[Path]:
-    """Return possible cache folders, the preferred one first; they need not exist or be ours.
+def named_folders() -> Iterator[Path]:
+    """Yield possible cache folders, the preferred one first; they need not exist or be ours.
 
     A folder that is named in the environment is the only one, unless it is not trusted.
     """
-    folders = []
     named = os.environ.get(CACHE_VARIABLE)
     if named:
-        folders.append(Path(named))
-        if not why_not_trusted(folders[0]):
-            return folders
+        yield Path(named)
+        if not why_not_trusted(Path(named)):
+            return
     user = os.environ.get("XDG_CACHE_HOME", "")
     with contextlib.suppress(RuntimeError):  # no HOME, and no such user
         base = Path(user) if user.startswith("/") else Path.home() / ".cache"
-        folders.append(base / "arm_emulator")
+        yield base / "arm_emulator"
+    import tempfile
+
     with contextlib.suppress(OSError):  # no temporary folder
-        folders.append(Path(tempfile.gettempdir()) / f"arm_emulator-{os.getuid()}")
-    return folders
+        yield Path(tempfile.gettempdir()) / f"arm_emulator-{os.getuid()}"
 
 
-def cache_folders() -> list[Path]:
-    """Return the folders that are ours; others are skipped with a line each."""
-    folders = []
+def cache_folders() -> Iterator[Path]:
+    """Yield the folders that are ours; others are skipped with a line each."""
     for folder in named_folders():
-        with contextlib.suppress(OSError):  # missing, or not accessible
-            try:
-                folders.append(check_folder(folder))
-            except Untrusted as error:
-                _report_passed_over(folder, error)
-    return folders
+        try:
+            trusted = check_folder(folder)
+        except Untrusted as error:
+            _report_passed_over(folder, error)
+        except OSError:  # missing, or not accessible
+            continue
+        else:
+            yield trusted
 
 
 def why_not_trusted(folder: Path) -> str:
@@ -97,6 +99,8 @@ def writable_caches() -> Iterator[Path]:
     Raises:
         Refusal: none is left.
     """
+    import tempfile
+
     reasons = []
     for folder in named_folders():
         try:
@@ -158,6 +162,8 @@ def content(file: Path) -> bytes:
 @contextlib.contextmanager
 def scratch_of(library: Path) -> Iterator[Path]:
     """Yield a new locked folder beside a library, and remove it at the end."""
+    import tempfile
+
     _clear_left_over(library)
     with tempfile.TemporaryDirectory(
         prefix=f"{library.stem}.building-", dir=library.parent, ignore_cleanup_errors=True
@@ -193,6 +199,8 @@ def copy_into(library: Path, folder: Path, data: Mapping[str, bytes]) -> Path:
     Raises:
         OSError: it could not be written.
     """
+    import tempfile
+
     file = folder / library.name
     body = library.read_bytes()[:-SEAL_SIZE]
     for name, content in data.items():
@@ -345,5 +353,7 @@ def left_over(folder: Path) -> set[Path]:
 
 
 def _clear_left_over(library: Path) -> None:
+    import shutil
+
     for scratch in library.parent.glob(f"{library.stem}.building-*"):
         shutil.rmtree(scratch, ignore_errors=True)
