@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import inspect
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import arm_emulator
-from arm_emulator import Plant, Recording, Refusal, Servo, linearise, load_gains, testing
+from arm_emulator import (
+    Fleet,
+    JacobianController,
+    Kinematics,
+    OfflineRun,
+    Plant,
+    Pose,
+    Recording,
+    Refusal,
+    Servo,
+    ServoFleet,
+    Session,
+    linearise,
+    load_gains,
+    load_scene,
+    load_servo_config,
+    testing,
+)
 from arm_emulator.base.config_files import find_config, find_scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,6 +66,98 @@ def test_the_import_takes_nothing_along() -> None:
     code = "import sys, arm_emulator; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
+
+
+def _values(volts: float) -> dict[str, Any]:
+    """Return every kind of record that has arrays, of a machine under a constant command."""
+    plant = Plant(load_scene("three_axis", {"supply_voltage": 40.0 + volts}))
+    plant.exchange([volts, 0.0, 0.0])
+    plant.exchange([volts, 0.0, 0.0])
+    fleet = Fleet("three_axis", 2)
+    fleet.advance(np.full((2, 3), volts), 10)
+    q = plant.state.q
+    return {
+        "scene": plant.scene,
+        "state": plant.state,
+        "measured": plant.measured,
+        "fleet": fleet.state,
+        "fleet measured": fleet.measured,
+        "linear": linearise(plant, q),
+        "equations": plant.equations([volts, 0.0, 0.0]),
+        "pose": Pose([volts, 0.0, 0.0], np.eye(3)),
+    }
+
+
+def test_records_with_arrays_are_equal_if_their_values_are() -> None:
+    one, same, other = _values(1.0), _values(1.0), _values(2.0)
+    for name, value in one.items():
+        assert value == same[name] == copy.deepcopy(value), name
+        assert value is not same[name] and value != 1, name
+    differing = {name for name in one if one[name] != other[name]}
+    assert differing >= {"scene", "state", "measured", "fleet", "fleet measured", "pose"}
+    unknown = dataclasses.replace(one["state"], q=np.array([0.0, np.nan, 0.0]))
+    assert unknown == copy.deepcopy(unknown), "NaN: not measured"
+    assert len({one["scene"], same["scene"], other["scene"]}) == 2
+
+
+def test_no_object_shows_itself_by_its_address() -> None:
+    gains, plant = load_gains("three_axis"), Plant("three_axis")
+    kinematics = Kinematics(plant.scene.urdf, plant.scene.joint_names, plant.scene.tool)
+    fleet = Fleet("three_axis", 2)
+    for one in (
+        *(plant, fleet, plant.scene, gains, kinematics, Servo("three_axis"), Recording(plant)),
+        *(Session("three_axis", "lockstep", "free_run"), JacobianController(kinematics)),
+        *(OfflineRun("three_axis", gains.servo, gains.motion), ServoFleet(fleet, "three_axis")),
+        fleet.step(np.zeros((2, 3))),
+    ):
+        assert not re.search(r"\bat 0x", repr(one)), repr(one)
+
+
+def test_what_is_handed_in_is_taken_or_refused(tmp_path: Path) -> None:
+    """By every public name; nothing else is raised, and nothing passes in silence."""
+    assert load_servo_config("three_axis") == load_gains("three_axis").servo
+    gains, plant = load_gains("three_axis"), Plant("three_axis")
+    urdf, names, tool = plant.scene.urdf, plant.scene.joint_names, plant.scene.tool
+    fleet = Fleet("three_axis", 2)
+    for wrong in (
+        None,
+        5.5,
+        b"three_axis",
+        "no_such_thing",
+        object(),
+        np.zeros(3),
+        ["no_such_thing"],
+    ):
+        calls: tuple[Callable[[Any], object], ...] = (
+            *(Plant, load_scene, load_gains, Servo, load_servo_config, linearise, Recording),
+            *(JacobianController, lambda it: Fleet(it, 2), lambda it: Fleet("three_axis", it)),
+            lambda it: Session(it, "lockstep", "free_run"),
+            lambda it: Session("three_axis", it, "free_run"),
+            lambda it: Session("three_axis", "lockstep", it),
+            lambda it: setattr(Session("three_axis", "lockstep", "free_run"), "paused", it),
+            lambda it: OfflineRun(it, gains.servo, gains.motion),
+            lambda it: OfflineRun("three_axis", it, gains.motion),
+            lambda it: OfflineRun("three_axis", gains.servo, it),
+            lambda it: ServoFleet(it, gains.servo),
+            lambda it: ServoFleet(fleet, it),
+            lambda it: Kinematics(it, names, tool),
+            lambda it: Kinematics(urdf, it, tool),
+            lambda it: Kinematics(urdf, names, it),
+            lambda it: Pose(it, np.ones((3, 3))),
+            lambda it: setattr(fleet, "powered", it),
+        )
+        for k, call in enumerate(calls):
+            with pytest.raises(Refusal):
+                call(wrong)
+                pytest.fail(f"call {k} takes {wrong!r}")
+    with pytest.raises(Refusal, match="folder that exists"):
+        Recording(plant, tmp_path / "missing" / "run.csv")
+
+
+def test_a_session_is_closed_as_a_context_ends() -> None:
+    with Session("three_axis", "realtime", "free_run") as session:
+        assert session.phase != "closed"
+    assert "Session of three_axis" in repr(session)
 
 
 def test_a_recording_is_a_table(tmp_path: Path) -> None:
@@ -115,8 +227,8 @@ FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
     (lambda: Recording("three_axis"), "plant must be a Plant"),  # type: ignore[arg-type]
     (lambda: Recording(Plant("three_axis"), names="q"), "names must be several"),
     (lambda: Recording(Plant("three_axis"), names=("q",))["v"], "be recorded, got v; valid: q"),
-    (lambda: Servo("ur5"), "ur5: file must be readable"),
-    (lambda: Servo(5), "config must be a ServoConfig or a file"),  # type: ignore[arg-type]
+    (lambda: Servo("no_such"), "file no_such must exist"),
+    (lambda: Servo(5), "config must be a ServoConfig, a name or a file"),  # type: ignore[arg-type]
     (lambda: load_gains("u5"), "must exist"),
     (lambda: testing.assert_settles(ROWS, np.zeros(3), 1e-3, last=10), "last must be"),
     (lambda: testing.assert_settles(ROWS[:0], np.zeros(3), 1e-3, last=1), "last must be"),

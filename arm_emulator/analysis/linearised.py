@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import Commands
 from arm_emulator.machine.chain import Array
@@ -18,8 +19,8 @@ MOST_ROUNDS = 30  # of Newton's method
 ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual permitted at rest
 
 
-@dataclass(frozen=True)
-class LinearMachine:
+@dataclass(frozen=True, eq=False)
+class LinearMachine(ByValue):
     """dx/dt = rate + A (x - x0) + B (u - u0); x are the states of the drives, then q and v.
 
     The modes of x0 are kept: a link that sticks stays at rest, as does a stuck rotor; a current at

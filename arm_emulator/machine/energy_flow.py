@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.machine.chain import Array
 
 
-@dataclass(frozen=True)
-class EnergyFlow:
+@dataclass(frozen=True, eq=False)
+class EnergyFlow(ByValue):
     """Energy supplied to and dissipated by each joint, (N,): W now, J over a time.
 
     The supply and the share of the external wrench that turns this joint supply it.

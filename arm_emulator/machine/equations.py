@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.machine.chain import Array
 
 
-@dataclass(frozen=True)
-class Equations:
+@dataclass(frozen=True, eq=False)
+class Equations(ByValue):
     """D dz/dt = f(z, q, v, u) and dv/dt = a(z, q, v, u), with what each joint does held.
 
     Rows and columns are as in ``arm_linearise``: a drive may have fewer than K states.

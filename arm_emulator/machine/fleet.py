@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.number import Number
@@ -49,8 +50,8 @@ from arm_emulator.machine.varied import varied_number
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
 
-@dataclass(frozen=True)
-class FleetState:
+@dataclass(frozen=True, eq=False)
+class FleetState(ByValue):
     """True states of all arms: a row each, and in a row the joints, base to tool."""
 
     t: Array  # (count,) s; arms that have diverged stay where they are
@@ -424,7 +425,7 @@ class Fleet(Turns):
         return self._powered.astype(bool)
 
     @powered.setter
-    def powered(self, on: bool | NDArray[np.bool_]) -> None:
+    def powered(self, on: ArrayLike) -> None:
         if np.ndim(on) == 0:
             on = np.full(self._count, as_flag(on, "Fleet", "powered"))
         flags = np.asarray(on)

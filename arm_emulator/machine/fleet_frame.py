@@ -52,3 +52,6 @@ class FleetFrame:
         # For the core.
         self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **place.arrays)
         self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
+
+    def __repr__(self) -> str:
+        return f"<FleetFrame of {self.of[1]} {self.of[0].name}>"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.machine.chain import Array
 
 
-@dataclass(frozen=True)
-class LinearDrive:
+@dataclass(frozen=True, eq=False)
+class LinearDrive(ByValue):
     """The linear part of one joint's drive, as the core states it (core/mechanics/drive.hpp).
 
     Of a progressive gear it is the linearisation where that is not wound up.

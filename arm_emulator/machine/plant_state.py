@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.number import Number
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
@@ -26,8 +27,8 @@ def unit_of(row: str, kind: str) -> str:
     return (_UNITS | _UNITS_OF_LINKS[kind])[row]
 
 
-@dataclass(frozen=True)
-class PlantState:
+@dataclass(frozen=True, eq=False)
+class PlantState(ByValue):
     """True state of the machine at one logical time. Arrays are (N,), base to tool.
 
     Only the emulator knows it; `Plant.measured` has the readings of the sensors.

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
@@ -44,8 +45,8 @@ _LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
 _CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scene:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene(ByValue):
     """All data of one machine."""
 
     name: str
@@ -73,6 +74,9 @@ class Scene:
     # Of the noise of sensors.
     seed: int = number(at_least=0, at_most=LARGEST_SEED, whole=True, default=0)
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.urdf, self.servo_period))
 
     def __repr__(self) -> str:
         return f"<Scene {self.name}: {', '.join(self.joint_names)}>"

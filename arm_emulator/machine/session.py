@@ -10,10 +10,11 @@ import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.machine.answers import Answers
@@ -41,7 +42,7 @@ class EndOfTime(RuntimeError):
 
 
 class Session(Turns):
-    """The machine, driven tick by tick by motor commands.
+    """The machine, driven tick by tick by motor commands; as a context it is closed at the end.
 
     Lock-step: tick k is left only with the command that answers tick k. Real time: the newest
     command is held.
@@ -70,7 +71,7 @@ class Session(Turns):
         driver: Callable[[Plant], Clock] = Clock,
     ) -> None:
         for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
-            if value not in known:
+            if not isinstance(value, str) or value not in known:
                 raise Refusal("Session", quantity, "be known", value, ", ".join(known))
         self.scene = scene = scene_of(scene, "Session")
         self.plant = Plant(scene)
@@ -96,6 +97,15 @@ class Session(Turns):
         vars(self).update(state)
         super().__init__(self.plant)
         self._clock = Clock(self.plant)
+
+    def __repr__(self) -> str:
+        return f"<Session of {self.scene.name} at tick {self.tick}>"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def __copy__(self) -> Session:
         return copy.deepcopy(self)
@@ -142,7 +152,7 @@ class Session(Turns):
 
     @paused.setter
     def paused(self, value: bool) -> None:
-        self._paused = value
+        self._paused = as_flag(value, "Session", "paused")
         self._follow_phase()
 
     @property

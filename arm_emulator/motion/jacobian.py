@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
@@ -61,6 +62,8 @@ class JacobianController:
         step_limit: float = 0.2,
         singular_below: float = 0.02,
     ) -> None:
+        if not isinstance(kinematics, Kinematics):
+            raise Refusal("JacobianController", "kinematics", "be a Kinematics", kinematics)
         self.kinematics = kinematics
         self.weight = _SHARE.named("weight").take("motion_controller", weight)
         self.step_limit = _STEP_LIMIT.take("motion_controller", step_limit)
@@ -79,6 +82,9 @@ class JacobianController:
         """Each answer of eq. (6) is a position of rest."""
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last `update` found, (rows,) [m, rad]; NaN before any."""
+
+    def __repr__(self) -> str:
+        return f"<JacobianController of {self.kinematics!r}>"
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
         """Begin at joint angles q (N,): eq. (6) has no state."""

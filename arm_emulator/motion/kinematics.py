@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,11 @@ class Kinematics:
         task: str = "auto",
         where: str = "motion_controller",
     ) -> None:
+        for name, text in (("urdf_xml", urdf_xml), ("tool", tool)):
+            if not isinstance(text, str):
+                raise Refusal("Kinematics", name, "be text", text)
+        if isinstance(joint_names, str) or not isinstance(joint_names, Iterable):
+            raise Refusal("Kinematics", "joint_names", "be several, as in a tuple", joint_names)
         self.urdf_xml = urdf_xml
         self.joint_names = tuple(joint_names)
         self.tool = tool
@@ -112,6 +117,9 @@ class Kinematics:
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
         slides = [_slides(joint) for joint in self._joints[: len(self.joint_names)]]
         self.joint_scale = np.where(slides, self.reach, 1.0)
+
+    def __repr__(self) -> str:
+        return f"<Kinematics of {', '.join(self.joint_names)} to {self.tool}>"
 
     def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the tool's pose: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""

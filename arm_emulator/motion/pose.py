@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.bound import TOOL_POSITION
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
@@ -21,8 +22,8 @@ _ROTATION = Number.within("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a ro
 _ORIENTATION = Number.within("orientation", "", math.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
+@dataclass(frozen=True, eq=False, init=False)
+class Pose(ByValue):
     """Pose of the tool frame T in the world frame W."""
 
     p_WT: FloatArray
@@ -30,14 +31,14 @@ class Pose:
     R_WT: FloatArray
     """Rotation matrix (3, 3)."""
 
-    def __post_init__(self) -> None:
+    def __init__(self, p_WT: npt.ArrayLike, R_WT: npt.ArrayLike) -> None:
         """Keep copies of both.
 
         Raises:
             Refusal: a wrong shape, not finite, too far away, or a matrix that is no rotation.
         """
-        p = TOOL_POSITION.row("Pose", self.p_WT, 3).copy()
-        R = np.array(_ROTATION.numbers("Pose", self.R_WT))
+        p = TOOL_POSITION.row("Pose", p_WT, 3).copy()
+        R = np.array(_ROTATION.numbers("Pose", R_WT))
         if R.shape != (3, 3):
             raise Refusal("Pose", "R_WT", "have shape (3, 3)", R.shape)
         _ROTATION.check("Pose", R.ravel().tolist())

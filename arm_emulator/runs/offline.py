@@ -7,6 +7,7 @@ numbers, so that the motor states are the same to the last bit.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,9 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.firmware_loop import FirmwareLoop
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.instruction import Instruction
@@ -43,15 +45,18 @@ class OfflineRun:
         aimed: joint targets that the servo got last, in its order of joints (N,) [rad or m].
 
     Args:
-        scene: the machine.
-        servo: as the node `servo` gets it.
-        motion: as the node `motion_controller` gets it.
+        scene: the machine, or what `load_scene` takes: a name or a file.
+        servo, motion: of `load_gains`, as the nodes `servo` and `motion_controller` get them.
 
     Raises:
-        Refusal: periods or joints that do not fit together.
+        Refusal: other types than these, or periods or joints that do not fit together.
     """
 
-    def __init__(self, scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
+    def __init__(self, scene: Scene | str | Path, servo: ServoConfig, motion: MotionConfig) -> None:
+        scene = scene_of(scene, "OfflineRun")
+        for name, given, kind in (("servo", servo, ServoConfig), ("motion", motion, MotionConfig)):
+            if not isinstance(given, kind):
+                raise Refusal("OfflineRun", name, "be that of `load_gains`", given)
         check_fit(scene, servo, motion)
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = Drives(servo)
@@ -68,6 +73,9 @@ class OfflineRun:
         self._step = ServoStep(self.drives, places)
         session = self.session
         self._loop = FirmwareLoop(session.plant, session.period_ns, self._step)
+
+    def __repr__(self) -> str:
+        return f"<OfflineRun of {self.session.scene.name} at tick {self.session.tick}>"
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods.

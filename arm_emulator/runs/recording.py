@@ -40,7 +40,7 @@ class Recording:
             ``measured.current``.
 
     Raises:
-        Refusal: another quantity or kind of file.
+        Refusal: another quantity or kind of file, or no such folder.
     """
 
     def __init__(
@@ -61,9 +61,15 @@ class Recording:
         self._file = None if file is None else Path(file)
         if self._file is not None and self._file.suffix != RERUN:
             check_suffix("Recording", "file", self._file)
+        if self._file is not None and not self._file.parent.is_dir():
+            raise Refusal("Recording", "file", "be in a folder that exists", self._file)
         self._plant, self._names = plant, tuple(names)
         self._row = RecordRow(plant)
         self._taken: list[Rows] = [np.zeros(0, row_type(plant.scene))]
+
+    def __repr__(self) -> str:
+        rows, names = sum(map(len, self._taken)), ", ".join(self._names)
+        return f"<Recording of {self._plant.scene.name}: {rows} rows of {names}>"
 
     def __enter__(self) -> Recording:
         return self

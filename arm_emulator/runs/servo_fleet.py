@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,8 +59,8 @@ class ServoFleet(FleetControl):
 
     Args:
         fleet: of arms.
-        config: data-sheet values, gains and limits, or the file that has them; or a sequence with
-            one for each arm.
+        config: data-sheet values, gains and limits, or what `load_servo_config` takes; or a
+            sequence with one for each arm.
 
     Raises:
         Refusal: a config that does not fit the scene, or not one for each arm.
@@ -68,13 +69,18 @@ class ServoFleet(FleetControl):
     def __init__(
         self, fleet: Fleet, config: ServoConfig | str | Path | Sequence[ServoConfig]
     ) -> None:
+        if not isinstance(fleet, Fleet):
+            raise Refusal("ServoFleet", "fleet", "be a Fleet", fleet)
         scene, self._count = fleet.scene, len(fleet)
-        configs = [config] if isinstance(config, ServoConfig | str | Path) else list(config)
+        several = not isinstance(config, ServoConfig | str) and isinstance(config, Iterable)
+        configs: list[Any] = [*config] if several else [config]  # type: ignore[misc]
         if len(configs) not in (1, self._count):
             rule = f"be one, or one for each of {self._count} arms"
             raise Refusal("ServoFleet", "config", rule, len(configs))
         read = [load_servo_config(one) if isinstance(one, str | Path) else one for one in configs]
         for one in read:
+            if not isinstance(one, ServoConfig):
+                raise Refusal("ServoFleet", "config", "be a ServoConfig, a name or a file", one)
             check_servo(scene, one)
         if len({one.joint_names for one in read}) > 1:
             raise Refusal("ServoFleet", "config", "have the joints in one order", "several")
@@ -102,6 +108,9 @@ class ServoFleet(FleetControl):
         weakref.finalize(self, self._calls.servo_fleet_end, self.struct)
         step = int(SERVOS.ffi.cast("uintptr_t", self._calls.servo_fleet_step))
         super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)), in_lanes=True)
+
+    def __repr__(self) -> str:
+        return f"<ServoFleet of {self._count} {self._scene.name}>"
 
     def aim(
         self,

@@ -50,7 +50,7 @@ class Servo(Turns):
         places: where the law finds counts, current, applied, q, v, tau, and puts commands.
 
     Args:
-        config: data-sheet values, gains and limits, or the file that has them.
+        config: data-sheet values, gains and limits, or what `load_servo_config` takes.
 
     Raises:
         Refusal: numbers of a data sheet that cannot be computed with, or no such file.
@@ -61,7 +61,7 @@ class Servo(Turns):
         if isinstance(config, str | Path):
             config = load_servo_config(config)
         if not isinstance(config, ServoConfig):
-            raise Refusal("Servo", "config", "be a ServoConfig or a file", config)
+            raise Refusal("Servo", "config", "be a ServoConfig, a name or a file", config)
         self.config = config
         self._law = servo_law()
         self._N = len(config.joints)
@@ -76,6 +76,9 @@ class Servo(Turns):
         self._rows = np.zeros((6, self._N))
         self.places = (pointer(self._whole), *map(pointer, self._rows))
         self._law.servo_reset(self.arm)
+
+    def __repr__(self) -> str:
+        return f"<Servo of {', '.join(self.config.joint_names)}>"
 
     @in_turn
     def __getstate__(self) -> dict[str, Any]:

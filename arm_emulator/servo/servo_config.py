@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.bound import encoder_counts
+from arm_emulator.base.config_files import find_config
 from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from arm_emulator.base.refusal import Refusal
@@ -265,10 +266,13 @@ def declared(name: str) -> Number | None:
 def load_servo_config(path: str | Path) -> ServoConfig:
     """Read a ROS parameter file of the node ``servo``.
 
+    Args:
+        path: the file, or the name of one that comes with the emulator.
+
     Raises:
         Refusal: no such file, not a parameter file, or a value that is not taken.
     """
-    path = Path(path)
+    path = find_config(str(path), ".yaml", "servo")
     return ServoConfig.from_mapping(ros_parameters(path, "servo"), path.name)
 
 
