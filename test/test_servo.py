@@ -484,7 +484,7 @@ def test_parameters_that_are_no_mapping_or_given_twice_are_refused() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "file must be readable"),
+        (None, "servo.yaml must exist, got no such file"),
         ("a: [", "file must be well-formed YAML"),
         ("other: {ros__parameters: {}}", "hold the parameters of the node servo, got other"),
         ("- 1", "file must be a mapping of keys to values"),
