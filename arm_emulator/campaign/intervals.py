@@ -16,17 +16,6 @@ def clopper_pearson(hits: int, count: int, confidence: float) -> tuple[float, fl
     return low, high
 
 
-def wilson(hits: int, count: int, confidence: float) -> tuple[float, float]:
-    """Return the interval that holds the true share that often on average; a shorter one."""
-    if count == 0:
-        return 0.0, 1.0
-    z = float(special.ndtri(0.5 + 0.5 * confidence))
-    share, weight = hits / count, z * z / count
-    middle = (share + 0.5 * weight) / (1.0 + weight)
-    half = z / (1.0 + weight) * (share * (1.0 - share) / count + weight / (4.0 * count)) ** 0.5
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 def quantile_places(q: float, count: int, confidence: float) -> tuple[int, int]:
     """Return the places in a sorted sample between which a quantile lies that often."""
     tail = 0.5 * (1.0 - confidence)
