@@ -237,7 +237,7 @@ BAD: list[tuple[Shares, str]] = [
     ({"j4": {"nobody": 1.0}}, "must name a joint of the URDF, got 'nobody'"),
     ({"j4": {"j5": 1.0}, "j5": {"j4": 1.0}}, "must follow a joint that moves by itself"),
     ({"j4": {"j3": 0.0}}, ""),
-    ({"j3": {"j3": 1.0, "j2": 1.0}, "j2": {"j3": 2.0, "j2": 2.0}}, "in a way of its own"),
+    ({"j3": {"j3": 1.0, "j2": 1.0}, "j2": {"j3": 2.0, "j2": 2.0}}, "independent columns"),
     ({"j9": {"j3": 1.0}}, "must be a joint of the URDF, got j9"),
 ]
 

@@ -407,7 +407,7 @@ BAD_LIBRARIES: dict[str, tuple[str | bytes | None, str]] = {
     "entry": ("int other(void);\nint other(void) { return 1; }\n", "got it lacks arm_firmware"),
     "null": (
         '#include "firmware.h"\nconst firmware* arm_firmware(void) { return 0; }\n',
-        "arm_firmware must return what the library does, got a null pointer",
+        "arm_firmware must return the library's functions, got a null pointer",
     ),
     "version": (code("", version="7"), "version must be 1, that of firmware.h, got 7"),
     "no step": (

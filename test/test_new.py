@@ -114,7 +114,7 @@ def test_joints_that_are_not_in_a_row_are_refused() -> None:
     robot = ET.fromstring(text)
     last = [name for name in fingers if name.endswith("0")]
     for named, words in (
-        ([arm[0], *last[:2]], "be in one row" if "mimic" not in text else "--joints"),
+        ([arm[0], *last[:2]], "be on one chain" if "mimic" not in text else "--joints"),
         (["nobody"], "be joints of the robot that can move, got nobody"),
         ([], "have a joint that moves"),
     ):
@@ -401,7 +401,7 @@ def test_a_xacro_source_is_expanded_with_its_arguments(tmp_path: Path) -> None:
         assert scene.joint_names == ("upper_joint", "lower_joint")
         assert scene.chain.joints[1].p.max() == pytest.approx(length)
     file.write_text(XACRO.replace("$(arg length)", "$(arg nobody)"))
-    with pytest.raises(Refusal, match=r"be what xacro expands, got .*nobody") as refusal:
+    with pytest.raises(Refusal, match=r"be expandable by xacro, got .*nobody") as refusal:
         write_new(file, tmp_path / "bad")
     assert "\n" not in str(refusal.value)
 

@@ -66,7 +66,7 @@ HOSTILE: dict[str, bytes] = {
     + b"".join(
         b"%c: &%c [%s]\n" % (98 + i, 98 + i, b", ".join([b"*%c" % (97 + i)] * 9)) for i in range(9)
     ),
-    "end somewhere": b"a: &a [*a]",
+    "have no recursive anchors": b"a: &a [*a]",
     "a key is a text": b"? [1, 2]\n: 3",
     "a key is a text, not a list or section": b"{a: 1}: 2",
     "without tags": b"a: !!python/object/apply:os.system [echo]",

@@ -299,7 +299,7 @@ def test_a_full_disk_is_reported_and_leaves_a_whole_file_or_none(
     file, one = small_disk / f"run{suffix}", load_offline_run("three_axis")
     recorder = Recorder(one.session.plant, Kept(file), waits=True)
     one.advance(20_000)
-    with pytest.raises(Refusal, match="take every row, got the disk takes no more: No space"):
+    with pytest.raises(Refusal, match="accept every row, got the disk takes no more: No space"):
         recorder.close()
     if suffix in (".csv", ".mcap"):
         columns, _ = read(file)

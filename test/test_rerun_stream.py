@@ -430,7 +430,7 @@ def test_after_closing_nothing_is_taken(tmp_path):
         ({"signal_every": 0}, r"Rerun: signal_every must be >= 1, got 0"),
         ({"tool": "hand"}, r"URDF: tool must be a link of it, got hand; valid: a, a_plate, b"),
         ({"joint_names": ("turn", "plate")}, r"URDF: joint must be .* got plate; valid: turn, l"),
-        ({"urdf_xml": "<robot"}, r"URDF: text must be one that Rerun can draw, got "),
+        ({"urdf_xml": "<robot"}, r"URDF: text must be valid for Rerun, got "),
     ],
 )
 def test_refusals(tmp_path, arguments, words):

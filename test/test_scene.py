@@ -95,7 +95,7 @@ BAD_URDFS: list[tuple[tuple[str, str], str]] = [
     (('<robot ', '<!DOCTYPE robot [<!ENTITY a "b">]><robot '), "file must have no document type"),
     (('</robot>', '<xacro:arm/></robot>'), "file must be a URDF, not a xacro source, got <xacro:arm>"),
     (('</robot>', 70 * "<a>" + 70 * "</a>" + "</robot>"), "file must nest at most 64 levels, got more"),
-    (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be one the emulator knows, got floating; valid: revolute, continuous, prismatic, fixed, or held where it is in the scene: locked: {elbow: 0.0}"),
+    (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be supported, got floating; valid: revolute, continuous, prismatic, fixed, or held where it is in the scene: locked: {elbow: 0.0}"),
     (('name="elbow" type="continuous">', 'name="elbow" type="continuous"><mimic joint="nobody"/>'), "joint elbow: mimic must name a joint of the URDF, got 'nobody'"),
     (("</robot>", f"{LOOP}</robot>"), "link column must hang on one joint (closed loops"),
     (("</robot>", f"{EXTRA}</robot>"), "must follow the chain (the emulator moves serial arms)"),

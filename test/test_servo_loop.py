@@ -470,7 +470,7 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
     with pytest.raises(Refusal) as refusal:
         check_loops(scene, harder)
     words = str(refusal.value)
-    assert f"servo.joints.{joints[bad].name} must hold its joint" in words
+    assert f"servo.joints.{joints[bad].name} must be stable" in words
     assert "small motions that grow" in words
     assert "; valid: velocity_gain " in words
     assert "or a servo period of " in words

@@ -145,5 +145,5 @@ def _count_angle(joint: Joint) -> float:
 
 
 def _declined(scene: Scene, joint: Joint, part: str, why: str) -> Refusal:
-    rule = "state what they leave of a target at rest"
+    rule = "state their contribution to the error at rest"
     return Refusal(scene.where, f"parts of {joint.name}", rule, f"{part}: {why}")

@@ -276,7 +276,7 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
         quantity = f"servo.joints.{names[bad.joint]}"
         got = f"small motions that grow {bad.growth:.4g}-fold per servo period"
         if bad.pose == 0 or growth(loops.loops[0], servo.period) > HARMLESS:
-            rule = f"hold its joint at a period of {servo.period:g} s"
+            rule = f"be stable at a period of {servo.period:g} s"
             raise Refusal(where, quantity, rule, got, bad.what_holds())
         pose = np.array2string(loops.poses[bad.pose], precision=2, separator=", ")
         pose = " ".join(pose.split())

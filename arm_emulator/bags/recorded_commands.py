@@ -62,7 +62,7 @@ def _from_bag(path: Path, scene: Scene) -> Array:
         tick = int(state.tick)
         at = state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
         if abs(at - tick * scene.servo_period) > 0.5 * scene.servo_period:
-            rule = f"come after each {scene.servo_period:g} s, as the scene's"
+            rule = f"be {scene.servo_period:g} s apart, the scene's servo period"
             raise Refusal(str(path), "motor_states", rule, f"tick {tick} at {at:g} s")
         for name in set(state.reading_names) & set(applied_further):
             at = list(state.reading_names).index(name) * len(names)

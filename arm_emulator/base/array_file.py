@@ -82,7 +82,9 @@ def _arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dic
         if name in arrays:
             raise Refusal(where, "archive", "hold each array once", f"{name} again")
         if entry.flag_bits & 1 or entry.compress_type not in _METHODS:
-            raise Refusal(where, name, "be stored or deflated, in the open", "another way")
+            raise Refusal(
+                where, name, "be stored or deflated, without encryption", "another method"
+            )
         if entry.file_size > left:
             rule = f"unpack to at most {MOST_BYTES // 2**20} MiB"
             raise Refusal(where, "archive", rule, f"{entry.file_size} bytes of {name}")

@@ -139,6 +139,6 @@ def coupling_of(joints: Sequence[str], followers: Mapping[str, Follows], where: 
     C = np.array([[row.shares.get(shaft, 0.0) for shaft in shafts] for row in rows])
     values = np.linalg.svd(C, compute_uv=False) if shafts else np.zeros(1)
     if len(values) < len(shafts) or values[-1] <= RANK * values[0]:
-        rule = "let every shaft move joints in a way of its own"
+        rule = "have independent columns, one per shaft"
         raise Refusal(where, "couplings", rule, np.array2string(C, separator=", "))
     return Coupling(tuple(joints), tuple(shafts), C, np.array([row.offset for row in rows]))

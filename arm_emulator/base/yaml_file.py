@@ -129,7 +129,9 @@ def _look_over(text: str, where: str) -> None:
                 sizes[anchor] = values - before + 1
         elif isinstance(event, yaml.AliasEvent):
             if any(anchor == opened for opened, _ in starts):
-                raise Refusal(where, "file", "end somewhere", f"*{anchor} within &{anchor}")
+                raise Refusal(
+                    where, "file", "have no recursive anchors", f"*{anchor} within &{anchor}"
+                )
             values += sizes.get(anchor or "", 1)
         elif isinstance(event, yaml.ScalarEvent):
             values += 1

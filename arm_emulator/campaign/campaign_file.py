@@ -353,7 +353,7 @@ def _numbers(
         if not names:
             prefix = pattern.split(".")[0]
             valid = ", ".join(name for name in known if name.startswith(prefix)) or "none"
-            raise Refusal(root.where, quantity, "name numbers that are there", pattern, valid)
+            raise Refusal(root.where, quantity, "name existing numbers", pattern, valid)
         for name in names:
             if name in found:
                 raise Refusal(root.where, quantity, "name each number once", name)

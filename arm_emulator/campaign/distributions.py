@@ -173,7 +173,7 @@ def truncated(of: Distribution, low: float, high: float) -> Distribution:
         raise _Bad("truncate a distribution with a density", of.text)
     first, last = of.share(low), of.share(high)
     if not last - first > 1e-12:
-        rule = "leave some of the distribution between its ends"
+        rule = "have probability between its bounds"
         raise _Bad(rule, f"{of.text} within {low:g} and {high:g}")
     width, share = last - first, of.share
 

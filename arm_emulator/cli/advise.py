@@ -100,7 +100,7 @@ def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Moti
     try:
         motions = judged_motions(scene, SECONDS)
     except Diverged as fault:
-        rule = "move on its own to be judged: give a motion with --motion"
+        rule = "move by itself; else give a motion with --motion"
         raise Refusal("advise", scene.where, rule, str(fault).splitlines()[0]) from None
     what = f"{len(motions)} motions of {SECONDS:g} s"
     demo = demo_commands(scene, file)

@@ -86,7 +86,7 @@ def record(
     rclpy.try_shutdown()
     if failure is not None:
         cure = None if bag.whole else f"make room, then `python -m arm_emulator repair {out}`"
-        raise Refusal("record", f"folder {out}", "take what is recorded", failure, cure)
+        raise Refusal("record", f"folder {out}", "accept the recorded messages", failure, cure)
     return code
 
 

@@ -28,7 +28,9 @@ def validate(machine: str, runs: Sequence[Path], folder: Path, *, json: bool) ->
     output = Output(json)
     if machine == "manutec_r3":
         if runs:
-            raise Refusal("validate", "records", "be absent, others have computed it", runs[0])
+            raise Refusal(
+                "validate", "records", "be absent: it is compared with published results", runs[0]
+            )
         from arm_emulator.validation.manutec_table import WIDTH, validate_manutec
 
         facts = validate_manutec(folder, output.console(WIDTH))

@@ -164,7 +164,7 @@ def _follows(robot: ET.Element, where: str) -> dict[str, tuple[str, ...]]:
 def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
     kind = element.get("type", "")
     if kind not in KINDS:
-        rule = "be one the emulator knows"
+        rule = "be supported"
         raise Refusal(where, f"joint {element.get('name')}: type", rule, kind, ", ".join(KINDS))
     ends = {}
     for tag in ("parent", "child"):
@@ -234,7 +234,7 @@ def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]
     chosen = [joint for joint in longest if joint.name in joints]
     for name in joints:
         if known[name] not in chosen:
-            rule = "be in one row, on the way from the base to the tool"
+            rule = "be on one chain from the base to the tool"
             raise Refusal("new", "--joints", rule, name, ", ".join(j.name for j in longest))
     return chosen
 

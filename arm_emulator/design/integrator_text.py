@@ -56,7 +56,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
             raise Refusal(
                 file.name,
                 SECTION,
-                "stand for itself in the file",
+                "not be shared by an anchor in the file",
                 "a section that others use too",
                 "change it by hand: " + ", ".join(f"{key}: {one}" for key, one in values.items()),
             )

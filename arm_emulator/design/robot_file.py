@@ -64,4 +64,4 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
         reason = f"more than {expand_xacro.SECONDS} s, or more than it may write"
     elif code == 0 and len(text) <= MOST_BYTES:
         return text.decode(errors="replace")
-    raise Refusal(file.name, "file", "be what xacro expands", reason or "nothing")
+    raise Refusal(file.name, "file", "be expandable by xacro", reason or "nothing")

@@ -157,7 +157,7 @@ class TorqueModel:
         for pattern in patterns:
             if not any(matches(name, [pattern]) for name in names) and pattern != EVERYTHING:
                 known = sorted({name.rsplit(".", 1)[0] for name in names})
-                rule = "name what can be found of this scene"
+                rule = "name numbers that can be identified"
                 raise Refusal(where, "--fit", rule, pattern, ", ".join(known))
         offsets = [one for one in patterns if "offset" in one or "measured" in one]
         wanted = [

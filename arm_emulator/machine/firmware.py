@@ -88,7 +88,7 @@ class Firmware(ControlCode):
         at = self._library.arm_firmware()
         self.progress.doing = Doing.OURS
         if not at:
-            raise Refusal(self.name, ENTRY, "return what the library does", "a null pointer")
+            raise Refusal(self.name, ENTRY, "return the library's functions", "a null pointer")
         if at.version != VERSION:
             raise Refusal(self.name, "version", f"be {VERSION}, that of firmware.h", at.version)
         if not at.step:

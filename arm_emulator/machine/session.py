@@ -90,7 +90,7 @@ class Session(Turns):
     @in_turn
     def __getstate__(self) -> dict[str, Any]:
         if self.by_itself:
-            raise Refusal("Session", "its clock", "be its owner's to be copied", "a loop's")
+            raise Refusal("Session", "its clock", "be advanced by its owner for a copy", "a loop")
         return {name: one for name, one in vars(self).items() if name not in ("turn", "_clock")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -223,7 +223,7 @@ class Session(Turns):
         places = [known.index(name) for name in names]
         values = {quantity: row for quantity, row in given.items() if len(row)}
         if not values:
-            raise Refusal(where, "what is set", "be one quantity at least", "none")
+            raise Refusal(where, "given", "have at least one quantity", "none")
         for quantity, row in values.items():
             if len(row) != len(names):
                 rule = f"have one value per joint name ({len(names)})"

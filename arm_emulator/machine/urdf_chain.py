@@ -158,7 +158,7 @@ def _check_kind(joint: UrdfJoint, locked: Mapping[str, float], where: str) -> No
     held = "locked: {" + joint.name + ": 0.0}"
     if joint.name not in locked:
         raise Refusal(
-            where, f"joint {joint.name}: type", "be one the emulator knows", joint.kind,
+            where, f"joint {joint.name}: type", "be supported", joint.kind,
             f"revolute, continuous, prismatic, fixed, or held where it is in the scene: {held}",
         )  # fmt: skip
     if locked[joint.name] != 0.0:

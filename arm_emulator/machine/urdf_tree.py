@@ -72,7 +72,7 @@ def parsed_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
         kind = element.get("type") or ""
         if kind not in ("fixed", *MOVING_KINDS, *FREE_KINDS):
             raise Refusal(
-                where, f"{what}: type", "be one the emulator knows", kind or "nothing",
+                where, f"{what}: type", "be supported", kind or "nothing",
                 "revolute, continuous, prismatic, fixed",
             )  # fmt: skip
         axis = X_AXIS if kind == "fixed" else _axis(element.find("axis"), f"{what}: axis", where)

@@ -102,7 +102,7 @@ class RunRecord:
         print(f"{self._folder}: {messages} messages{states}", flush=True)
         if self.trouble:
             where = f"record {self._folder}"
-            raise Refusal(where, "the bag", "hold all that was published", self.trouble)
+            raise Refusal(where, "the bag", "contain all published messages", self.trouble)
 
     def _finish(self) -> None:
         self._stop.set()

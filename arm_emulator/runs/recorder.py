@@ -98,7 +98,7 @@ class Recorder:
             trouble = f"{self._ring.dropped} rows were dropped, the disk is too slow"
         if trouble:
             where = str(self._kept.record or self._kept.rerun)
-            raise Refusal("record", where, "take every row", trouble)
+            raise Refusal("record", where, "accept every row", trouble)
 
     def _reported(self) -> Any:
         """Return what the other process reports next."""

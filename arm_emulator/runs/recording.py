@@ -166,4 +166,4 @@ class Recording:
         rows = RerunRows(str(file), columns_of(scene), angle, view_of(scene))
         rows.show(self._rows)
         if trouble := rows.close():
-            raise Refusal("Recording", f"file {file}", "take every row", trouble)
+            raise Refusal("Recording", f"file {file}", "accept every row", trouble)

@@ -328,4 +328,4 @@ def _read_urdf(urdf_xml: str, package_dirs: Iterable[str | Path]) -> UrdfTree:
         try:
             return rerun.urdf.UrdfTree.from_file_path(path)
         except Exception as error:  # the binding raises bare exceptions
-            raise Refusal("URDF", "text", "be one that Rerun can draw", error) from None
+            raise Refusal("URDF", "text", "be valid for Rerun", error) from None

@@ -157,6 +157,6 @@ def _timeline(viewer: ViewerClient) -> Timeline | None:
 def _poll(question: Callable[[], T | None], deadline: float, what: str) -> T:
     while (answer := question()) is None:
         if time.monotonic() > deadline:
-            raise Refusal("screenshot", "patience", f"be enough for {what}", "none left")
+            raise Refusal("screenshot", "timeout", f"be long enough for {what}", "too short")
         time.sleep(POLL)
     return answer

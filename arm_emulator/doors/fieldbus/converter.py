@@ -171,7 +171,7 @@ class Converter:
             raise Refusal(scene.where, "inputs of motors", f"be at most {largest}", inputs)
         measured = 3 + sum(one.count for one in measured_blocks(scene))
         if measured > COMMANDED - MEASURED:
-            rule = f"fill at most {COMMANDED - MEASURED} registers with what is measured"
+            rule = f"fill at most {COMMANDED - MEASURED} registers with measurements"
             raise Refusal(scene.where, "joints and their sensors", rule, measured)
         self._outputs = measured_outputs(scene)
         self.session = session
