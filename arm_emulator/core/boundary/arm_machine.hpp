@@ -1,0 +1,364 @@
+// A scene's machine behind arm.h: its sensors, its commands and its checks.
+#pragma once
+
+#include <time.h>
+
+#include <array>
+#include <cstddef>
+
+#include "arm.h"
+#include "machine/machine.hpp"
+#include "mechanics/sensors.hpp"
+
+// Digest of the sources of a scene's library; set on the compiler's command line (compiler.py).
+#ifndef ARM_FINGERPRINT
+#define ARM_FINGERPRINT 0
+#endif
+
+namespace arm {
+
+// Texts of a refusal are cut to the room.
+template <int room>
+void write_text(char (&to)[room], const char* text) {
+  int length = 0;
+  for (; text[length] && length < room - 1; ++length) to[length] = text[length];
+  to[length] = 0;
+}
+
+// The enum arm_mode of each joint's commands.
+struct CommandModes {
+  std::int32_t at[Scene::N] = {};
+  constexpr CommandModes() {
+    for_each_drive<Scene>(
+        [&](const auto& drive, int j) { at[j] = static_cast<std::int32_t>(drive.motor.takes); });
+  }
+};
+inline constexpr CommandModes kModes;
+
+// Whether joint j has a sensor of a field, of the readings that of a row.
+template <class S>
+bool senses([[maybe_unused]] int j, [[maybe_unused]] Field field, [[maybe_unused]] int row = 0) {
+  bool found = false;
+  if constexpr (Sensors<S>::present)
+    std::apply(
+        [&]<class... Rows>(const Rows&... rows) {
+          ((found |= Rows::Quantity::field == field && row-- == 0 && rows.at[j].present), ...);
+        },
+        Sensors<S>::structure.analog);
+  return found;
+}
+
+template <class S>
+int describe_reading(int reading, int joint, arm_reading* out) {
+  if constexpr (S::readings > 0) {
+    const Reading& one = S::reading[reading];
+    const bool slides = kind_of<S>(joint) != JointKind::revolute;
+    out->present = senses<S>(joint, Field::reading, reading);
+    out->name = one.name, out->unit = slides ? one.unit_of_slides : one.unit;
+  }
+  return ARM_OK;
+}
+
+}  // namespace arm
+
+struct arm_machine {
+  using Machine = arm::Machine<Scene>;
+  static constexpr int N = Scene::N;
+
+  // Of the varied numbers and the brakes, and one that is 0.
+  using Values = double[arm::kOwnNumbers<Scene> + 1];
+
+  // Saved numbers, eight bytes each in a fixed order: a digest of the library, then the machine.
+  template <class Number>
+  static void for_each_saved_number(arm_machine& one, Machine::Whole& whole, Values& values,
+                                    Number&& number) {
+    number(one.step);
+    number(one.steps_per_period);
+    whole.for_each_number(number);
+    one.sensors.for_each_number(number);
+    number(one.answered);
+    for (double& value : one.applied) number(value);
+    number(one.powered);
+    for (double& value : values) number(value);
+    if constexpr (Scene::external_wrench)
+      for (arm::GivenWrench& wrench : one.given)
+        for (double& entry : wrench.numbers) number(entry);
+  }
+
+  explicit arm_machine(const arm_options& options)
+      : machine(options.step, options.core, options.parameters),
+        step(options.step),
+        steps_per_period(options.steps_per_period) {}
+
+  int refuse(int joint, const char* quantity, const char* rule, double got) const {
+    why.joint = joint;
+    arm::write_text(why.quantity, quantity);
+    arm::write_text(why.rule, rule);
+    why.got = got;
+    return ARM_REFUSED;
+  }
+  // ARM_OK unless a required pointer is null.
+  int check_there(const void* pointer, const char* quantity) const {
+    return pointer ? ARM_OK : refuse(-1, quantity, "be there, no null pointer", 0.0);
+  }
+  int check_count(std::int64_t count, const char* quantity) const {
+    return count >= 0 ? ARM_OK : refuse(-1, quantity, "be at least 0", static_cast<double>(count));
+  }
+  // ARM_OK if all numbers of a row are finite.
+  int check_finite(const double* row, const char* quantity) const {
+    if (check_there(row, quantity)) return ARM_REFUSED;
+    for (int j = 0; j < N; ++j)
+      if (!arm::is_finite(row[j])) return refuse(j, quantity, "be finite", row[j]);
+    return ARM_OK;
+  }
+  // A struct may be as short as it was in version 1 of arm.h.
+  template <class Struct>
+  int check_size(const Struct* one, std::size_t least = sizeof(Struct)) const {
+    if (check_there(one, "struct")) return ARM_REFUSED;
+    if (one->size >= least) return ARM_OK;
+    return refuse(-1, "size", "be that of the struct in arm.h", one->size);
+  }
+
+  int check_measurement(const arm_measurement* out) const {
+    if (check_size(out, offsetof(arm_measurement, sensors))) return ARM_REFUSED;
+    return check_there(out->joint, "joint of the measurement");
+  }
+
+  void set_external_wrench(int j, const arm::GivenWrench& wrench) {
+    if constexpr (Scene::external_wrench) {
+      given[j] = wrench;
+      machine.set_external_wrench(j, arm::in_core_axes<Scene>(j, wrench));
+    }
+  }
+  void forget_external_wrenches() {
+    for (int j = 0; j < N; ++j) set_external_wrench(j, {});
+  }
+  int refuse_wrench(int joint) const {
+    if (!Scene::external_wrench) return refuse(-1, "external_wrench", "be true in the scene", 0.0);
+    if (joint < 0 || joint >= N) return refuse(-1, "joint", "be one of the scene", joint);
+    return ARM_OK;
+  }
+
+  std::int64_t tick() const { return machine.steps() / steps_per_period; }
+  int result() const { return machine.faulty_joint() < 0 ? ARM_OK : ARM_DIVERGED; }
+
+  static std::int64_t now_ns() {
+    timespec t{};
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
+  }
+
+  // Take `steps` steps by calls of advance(count); sensors measure at every tick.
+  template <class Advance>
+  void go(std::int64_t steps, Advance&& advance) {
+    const std::int64_t began = measures_time ? now_ns() : 0;
+    take_steps(steps, advance);
+    if (measures_time) spent_ns += now_ns() - began;
+  }
+  template <class Advance>
+  void take_steps(std::int64_t steps, Advance& advance) {
+    if constexpr (!Sensors::present) {
+      advance(steps);
+    } else {
+      while (steps > 0 && machine.faulty_joint() < 0) {
+        const std::int64_t due = steps_per_period - machine.steps() % steps_per_period;
+        const std::int64_t some = steps < due ? steps : due;
+        advance(some);
+        look();
+        steps -= some;
+      }
+    }
+  }
+  // Commands applied to the motors: 0 without power.
+  const double* with_power(const double* command) const {
+    static constexpr double nothing[N] = {};
+    return powered ? command : nothing;
+  }
+  // The same for rows of commands; q after each goes to `q`.
+  void follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
+    if (!Sensors::present && powered) {
+      machine.follow(command, rows, steps, q);
+    } else {
+      for (; rows > 0; --rows, command += N, q += N) {
+        go(steps, [&](std::int64_t some) { machine.advance(with_power(command), some); });
+        for (int j = 0; j < N; ++j) q[j] = machine.state().q[j];
+      }
+    }
+  }
+  // To be called after steps, at the next tick at the latest. A diverged machine is back at an
+  // earlier state.
+  void look() {
+    if (machine.faulty_joint() < 0)
+      sensors.look(machine, tick());
+    else
+      sensors.begin(machine, tick(), false);
+  }
+
+  // ARM_OK if a drive takes each of these; of `further` only that of a drive that is enabled
+  // counts.
+  int check_commands(const arm_joint_command* joint, const double* further) const {
+    for (int j = 0; j < N; ++j) {
+      if (!joint[j].enable) continue;
+      if (joint[j].mode != arm::kModes.at[j])
+        return refuse(j, "mode", "be one that the drive has", joint[j].mode);
+      if (!arm::is_finite(joint[j].value)) return refuse(j, "value", "be finite", joint[j].value);
+      for (int r = 0; further && r < Scene::inputs; ++r) {
+        const double value = further[r * N + j];
+        const char* name = Scene::input[r].name;
+        if (!arm::is_finite(value)) return refuse(j, name, "be finite", value);
+        if (Scene::input[r].of[j] < 0 && value != 0.0)
+          return refuse(j, name, "be 0, its motor has no such input", value);
+      }
+    }
+    return ARM_OK;
+  }
+  // Hold them for the period that begins, in `applied` what the motors get.
+  void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
+    put_commands(joint, further, tick);
+    machine.bound(applied);
+  }
+  // The same, except for their bounds.
+  void put_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
+    double rows[Scene::inputs * N + 1] = {};
+    bool hot[N] = {};  // a motor that is too hot is not enabled
+    if constexpr (Machine::heats) machine.too_hot(hot);
+    for (int j = 0; j < N; ++j) {
+      const bool on = powered && joint[j].enable && !hot[j];
+      applied[j] = on ? joint[j].value : 0.0;
+      for (int r = 0; r < Scene::inputs; ++r)
+        rows[r * N + j] = on && further ? further[r * N + j] : 0.0;
+    }
+    for (int k = 0; k < Scene::brakes; ++k) {
+      machine.want_brake(k, closes_brake(k, joint, hot));
+    }
+    if constexpr (Scene::inputs > 0) machine.put_further(rows);
+    answered = tick;
+  }
+  // Whether brake k is wanted closed under these commands.
+  bool closes_brake(int k, const arm_joint_command* joint, const bool* hot) const {
+    const int j = Scene::braked[k];
+    const std::uint32_t enable = hot && hot[j] ? 0 : joint[j].enable;
+    return !powered || !enable || enable & ARM_CLOSE_BRAKE;
+  }
+
+  // Inputs of a measurement beside the sensors' memories.
+  struct Motors {
+    double current[N], angle[N], speed[N];
+    std::int64_t steps;
+  };
+  void measure(arm_measurement* out) const {
+    Motors motors;
+    motors.steps = machine.steps();
+    machine.report(motors.current, motors.angle, motors.speed);
+    measure(out, motors);
+  }
+  void measure(arm_measurement* out, const Motors& motors) const {
+    [[maybe_unused]] bool hot[N] = {};
+    if constexpr (Machine::heats) machine.too_hot(hot);
+    for (int j = 0; j < N; ++j) {
+      arm_joint_measurement& joint = out->joint[j];
+      const double counts = __builtin_floor(motors.angle[j] * Scene::device[j].counts_per_rad);
+      joint.encoder = static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
+      joint.current = motors.current[j];
+      joint.applied = applied[j];
+      joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
+      if constexpr (Machine::heats)
+        if (hot[j]) joint.faults |= ARM_FAULT_THERMAL;
+      joint.brake = 0;
+    }
+    for (int k = 0; k < Scene::brakes; ++k)
+      out->joint[Scene::braked[k]].brake = machine.brake_closed(k);
+    out->powered = powered != 0;
+    out->tick = motors.steps / steps_per_period;
+    out->answered = answered;
+    const bool more = has(out, offsetof(arm_measurement, readings));
+    if (more && out->current_d) machine.currents_d(out->current_d);
+    if constexpr (Scene::inputs > 0)
+      if (has(out, sizeof *out) && out->further) machine.further_got(out->further);
+    const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
+                           has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr};
+    measure_by(sensors, places);
+  }
+  static bool has(const arm_measurement* out, std::size_t size) { return out->size >= size; }
+
+  // Destination of readings; all but the first may be null.
+  struct Places {
+    arm_joint_measurement* joint;
+    arm_joint_sensors* sensors;
+    arm_imu_measurement* units;
+    double* readings;
+  };
+  // Replace ideal values by the sensors' readings.
+  template <class TheSensors>
+  static void measure_by(const TheSensors& sensors, const Places& to) {
+    for (int j = 0; to.sensors && j < N; ++j) to.sensors[j] = {};
+    if constexpr (TheSensors::present) {
+      for (int j = 0; j < N; ++j) {
+        const arm::EncoderReading &motor = sensors.encoder(j), &link = sensors.link_encoder(j);
+        to.joint[j].encoder = motor.counts;
+        if (to.sensors)
+          to.sensors[j] = {motor.index, motor.pulses, link.counts, link.index, link.pulses, 0.0};
+      }
+      double* readings = to.readings;
+      sensors.for_each_analog([&](auto quantity, auto&& reading) {
+        constexpr arm::Field field = decltype(quantity)::field;
+        for (int j = 0; j < N; ++j) {
+          if constexpr (field == arm::Field::current) {
+            to.joint[j].current = reading(j);
+          } else if constexpr (field == arm::Field::torque) {
+            if (to.sensors) to.sensors[j].torque = reading(j);
+          } else if (readings) {
+            *readings++ = reading(j);
+          }
+        }
+      });
+      for (int m = 0; to.units && m < sensors.M; ++m)
+        for (int k = 0; k < 3; ++k) {
+          to.units[m].specific_force[k] = sensors.imu(m).specific_force[k];
+          to.units[m].angular_rate[k] = sensors.imu(m).angular_rate[k];
+        }
+    }
+  }
+  template <class TheSensors>
+  static void describe([[maybe_unused]] int j, [[maybe_unused]] arm_joint_description& joint) {
+    if constexpr (TheSensors::present) {
+      const arm::Encoder &motor = TheSensors::structure.encoder[j],
+                         &link = TheSensors::structure.link_encoder[j];
+      joint.encoder_wrap = motor.wrap();
+      joint.link_encoder_wrap = link.wrap();
+      if (motor.index != arm::Index::none) joint.sensors |= ARM_HAS_INDEX;
+      if (link.kind != arm::EncoderKind::none) {
+        joint.link_counts_per_rad = link.counts_per_rad;
+        joint.sensors |= ARM_HAS_LINK_ENCODER;
+      }
+      if (link.index != arm::Index::none) joint.sensors |= ARM_HAS_LINK_INDEX;
+      if (arm::senses<Scene>(j, arm::Field::torque)) joint.sensors |= ARM_HAS_TORQUE;
+    }
+  }
+
+  using Sensors = arm::Sensors<Scene>;
+  Machine machine;
+  [[no_unique_address]] Sensors sensors;
+  double step;
+  std::int64_t steps_per_period;
+  std::int64_t answered = -1;  // tick that the newest command answered
+  double applied[N] = {};      // in the period that has passed
+  std::int64_t powered = true;
+  bool measures_time = false;
+  std::int64_t spent_ns = 0;  // wall time of steps, while it is measured
+  arm::GivenWrench given[Scene::external_wrench ? N : 1] = {};
+  void (*listener)(void*, const arm_machine*) = nullptr;  // called at the end of every exchange
+  void* listens_with = nullptr;
+  mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};
+};
+
+namespace {
+
+// Write the fields of a struct that its user's version of arm.h has.
+template <class Struct>
+int fill(Struct* out, const Struct& all) {
+  __builtin_memcpy(out, &all, out->size < sizeof all ? out->size : sizeof all);
+  return ARM_OK;
+}
+
+}  // namespace
