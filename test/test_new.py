@@ -31,6 +31,7 @@ from arm_emulator.design.sizing import (
     MOTOR_SPEED,
     OVERSIZED,
     PLACEHOLDER,
+    UNDERSIZED,
     Demand,
     size,
 )
@@ -177,13 +178,14 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
         rate = math.sqrt(gear.stiffness / demand.inertia[1])
         assert rate > 0.99 * LOWEST_RESONANCE[demand.kind]
         holds = demand.effort is not None and demand.effort >= demand.bare_torque
+        moves = demand.effort is not None and demand.effort >= needs[j] / UNDERSIZED
         sane = demand.effort is not None and demand.effort <= PLACEHOLDER * needs[j]
         sane = sane and any(
             one.effort <= OVERSIZED * need
             for one, need in zip(demands, needs, strict=True)
             if one.effort is not None
         )
-        assert trusted == (holds and sane), "a maker's torque that holds the arm is kept"
+        assert trusted == (holds and moves and sane), "a maker's torque that holds the arm is kept"
 
 
 def needed(demand: Demand, speeds: list[float]) -> float:
