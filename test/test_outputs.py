@@ -19,8 +19,8 @@ from arm_emulator.build.c_header import text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
-from arm_emulator.doors.fieldbus.declared import index_of
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
+from arm_emulator.doors.fieldbus.declared import index_of, places
+from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives
 from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
@@ -291,6 +291,20 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
             changed[name] += len(np.unique(measured)) > 1
     same = {name for name, one in KNOWN.items() if not one.per_unit and not changed[name]}
     assert same <= {"faults"}
+
+
+def test_drives_refuse_values_that_no_object_can_carry(scene: Scene) -> None:
+    """Units beyond those of a link, numbers that are not finite, inputs that a motor has not."""
+    rule = "imus must be at most 1 on the link of slide, for drives on a field bus, got 2"
+    with pytest.raises(Refusal, match=rule):
+        places(scene, 1)
+    file = find_scene("three_axis")
+    drives = Drives(Plant(load_scene(file)), load_gains(file).servo, CANOPEN)
+    for one in scene.joints[0].inputs[1:]:
+        drives.give(0, index_of(one), 0.0)
+        for value in (1.0, np.nan, np.inf):
+            with pytest.raises(Aborted, match="06090030"):
+                drives.give(0, index_of(one), value)
 
 
 def test_tables_of_the_site_have_all_of_them() -> None:
