@@ -49,8 +49,12 @@ static const servo_scalar SLOW = (servo_scalar)0.5;
 /* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
  * changes in the observed load, for so long [s]. */
 static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
-/* Evidence that is kept, relative to that; older evidence fades beside newer. */
-static const servo_scalar KEPT = 100;
+/* Announced torques that are right within such a factor stay as they are. */
+static const servo_scalar RIGHT = (servo_scalar)1.1;
+/* Observers that take less of a difference of angles in a period see loads too late to learn. */
+static const servo_scalar SWIFT = (servo_scalar)0.5;
+/* For so long of a motion evidence counts [s]. */
+static const servo_scalar KEPT = 2;
 
 SERVO_INLINE servo_real bound(servo_real value, servo_real least, servo_real most) {
   const servo_real below = value > most ? most : value;
@@ -167,29 +171,31 @@ SERVO_INLINE void unlearn(servo_state* state, servo_mask where) {
 SERVO_INLINE void learn(const servo_joint* joint, servo_state* state, const servo_past* past) {
   const servo_real tau = joint->ratio * (state->tau + past->ahead * state->tau_rate);
   /* All that is at rest is the integral's. */
-  const servo_mask moves = past->learns & (state->tau_rate != 0) & (state->stood == 0);
+  const servo_mask moves =
+      past->learns & (joint->theta_gain > SWIFT) & (state->tau_rate != 0) & (state->stood == 0);
   const servo_mask rests = past->learns & (moves == 0);
   state->tau_mean = rests ? tau : state->tau_mean;
   state->load_mean = rests ? state->load : state->load_mean;
   if (!any(moves)) return;
   const servo_real count = joint->load_gain * joint->count_angle;
-  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * count * count, most = KEPT * doubt;
+  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * count * count;
   const servo_real share = past->passed < SLOW ? past->passed / SLOW : all_of(1);
   const servo_real tau_mean = state->tau_mean + share * (tau - state->tau_mean);
   const servo_real load_mean = state->load_mean + share * (state->load - state->load_mean);
   const servo_real fast = tau - tau_mean;
-  const servo_real evidence = state->evidence + past->passed * fast * fast;
-  const servo_real product = state->product + past->passed * fast * (state->load - load_mean);
-  const servo_mask fades = evidence > most;
-  const servo_real product_kept = fades ? product * (most / evidence) : product;
-  const servo_real evidence_kept = fades ? most : evidence;
-  const servo_real learned = (doubt + product_kept) / (doubt + evidence_kept);
+  const servo_real kept = past->passed < KEPT ? 1 - past->passed / KEPT : all_of(0);
+  const servo_real evidence = kept * state->evidence + past->passed * fast * fast;
+  const servo_real product =
+      kept * state->product + past->passed * fast * (state->load - load_mean);
+  const servo_real learned = (doubt + product) / (doubt + evidence);
   const servo_mask sound = moves & is_finite(learned);
-  const servo_real scale = bound(learned, all_of(SERVO_LEAST), all_of(SERVO_MOST));
+  const servo_mask right = (learned * RIGHT > 1) & (learned < RIGHT);
+  const servo_real scale =
+      right ? all_of(1) : bound(learned, all_of(SERVO_LEAST), all_of(SERVO_MOST));
   state->tau_mean = moves ? tau_mean : state->tau_mean;
   state->load_mean = moves ? load_mean : state->load_mean;
-  state->evidence = moves ? evidence_kept : state->evidence;
-  state->product = moves ? product_kept : state->product;
+  state->evidence = moves ? evidence : state->evidence;
+  state->product = moves ? product : state->product;
   state->integral =
       sound ? state->integral - (scale - state->scale) * tau_mean / joint->torque_constant
             : state->integral;
