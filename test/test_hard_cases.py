@@ -178,7 +178,7 @@ def test_a_divergence_that_stays_finite_is_detected() -> None:
 @pytest.mark.parametrize(
     ("scheme", "overrides"),
     [
-        *((scheme, {}) for scheme in SCHEMES),
+        *((scheme, SHARED) for scheme in SCHEMES),
         *((scheme, {**LINKS_ALONE, "gravity": EARTH}) for scheme in some(SCHEMES, 1)),
         # Motors that give more mechanical power than they take from their back-EMF.
         ("rosenbrock", {**SHARED, "joints.*.motor.torque_constant": 0.06}),
