@@ -46,7 +46,8 @@ class OfflineRun:
 
     Args:
         scene: the machine, or what `load_scene` takes: a name or a file.
-        servo, motion: of `load_gains`, as the nodes `servo` and `motion_controller` get them.
+        servo: of `load_gains`, as the node `servo` gets it.
+        motion: likewise for the node `motion_controller`.
 
     Raises:
         Refusal: other types than these, or periods or joints that do not fit together.
