@@ -23,15 +23,20 @@ TURN, RATE = 0.3, 6.0  # rad and rad/s: q = TURN (1 - cos(RATE t)) / 2
 
 
 def swing(
-    announced: float, load: float = 0.0, seconds: float = 1.5, still: bool = False
+    announced: float,
+    load: float = 0.0,
+    still: bool = False,
+    watched: float = 0.0,
+    late: float = 0.0,
 ) -> tuple[float, list[float]]:
     """Return the link's largest error [rad] and the factor, per motion period, on a swing.
 
     Args:
         announced: part of the link's inertia for which torques are announced.
         load: on the link, of which nobody knows [N m].
-        seconds: of the swing, after 1.5 s of rest.
         still: let the link rest all the time, under the announced torque of a weight.
+        watched: part of the swing from which on the error counts [s].
+        late: time by which the link's load follows the announced torque [s].
     """
     drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
     machine, worst, factors = Drivetrain(JOINT, INERTIA, stiffness=1e5, load=load), 0.0, []
@@ -42,16 +47,17 @@ def swing(
         return 0.5 * TURN * (1.0 - c), 0.5 * TURN * RATE * s, 0.5 * TURN * RATE**2 * c * (t > 0)
 
     applied = np.zeros(1)
-    for k in range(round((1.5 + seconds) / PERIOD)):
+    for k in range(round(3.0 / PERIOD)):  # 1.5 s of rest, 1.5 s of the swing
         t, T = k * PERIOD, MOTION * PERIOD
         drives.measure(round(t * 1e9), [machine.counts], [machine.x[0]], applied)
         if k % MOTION == 0:
-            (q, _, a), (q_end, _, a_end) = motion(t), motion(t + T)
+            q, q_end = motion(t)[0], motion(t + T)[0]
+            a, a_end = motion(t + late)[2], motion(t + late + T)[2]
             weight = 3.0 if still else 0.0
             tau = announced * INERTIA * 0.5 * (a + a_end) + 0.5 * (q_end - q) / T + weight
             drives.aim(Target(np.array([q]), np.array([(q_end - q) / T]), np.array([tau])))
             factors.append(float(drives.servo.state["scale"][0]))
-        if t > 1.5:
+        if t > 1.5 + watched:
             worst = max(worst, abs(float(machine.x[3]) - motion(t)[0]))
         applied = drives.command(True)
         machine.advance(applied[0])
@@ -65,11 +71,23 @@ def test_the_factor_is_that_of_the_announced_inertia(announced: float) -> None:
     assert factors[-1] == pytest.approx(1.0 / announced, rel=0.1)
 
 
-def test_an_inertia_of_which_half_is_known_is_followed_as_if_it_was_known() -> None:
-    """The second half of a swing, with a factor at hand, is no worse than with the right number."""
-    right, wrong = swing(1.0)[0], swing(0.6)[0]
-    # The factor is learned while the first acceleration lasts, which leaves an error of its own.
+@pytest.mark.parametrize("announced", [0.6, 1.7])
+def test_an_inertia_far_from_the_announced_one_is_followed_once_it_is_learned(
+    announced: float,
+) -> None:
+    """From 0.6 s on it stays within twice the error of right torques; without a factor: 9 times."""
+    right, wrong = swing(1.0, watched=0.6)[0], swing(announced, watched=0.6)[0]
     assert wrong < 2.0 * right
+
+
+@pytest.mark.parametrize("late", [0.02, -0.02])
+def test_a_load_that_comes_at_another_time_is_hardly_a_reason_for_a_factor(late: float) -> None:
+    """Right torques, but the load on a soft gear follows them later: 0.5 and 2 if the first
+    milliseconds counted, 0.86 and 1.25 as it is.
+    """
+    _, factors = swing(1.0, late=late)
+    assert 0.8 < min(factors) <= max(factors) < 1.3
+    assert factors[-1] == 1.0
 
 
 @pytest.mark.parametrize("load", [-20.0, 5.0, 20.0])

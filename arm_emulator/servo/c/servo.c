@@ -51,6 +51,9 @@ static const servo_scalar SLOW = (servo_scalar)0.5;
 static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
 /* Announced torques that are right within such a factor stay as they are. */
 static const servo_scalar RIGHT = (servo_scalar)1.1;
+/* The load on a soft gear follows its torques late: no factor counts before so long a motion [s].
+ */
+static const servo_scalar SETTLED = (servo_scalar)0.1;
 /* Observers that take less of a difference of angles in a period see loads too late to learn. */
 static const servo_scalar SWIFT = (servo_scalar)0.5;
 /* For so long of a motion evidence counts [s]. */
@@ -165,6 +168,7 @@ SERVO_INLINE void unlearn(servo_state* state, servo_mask where) {
   state->load_mean = where ? zero : state->load_mean;
   state->evidence = where ? zero : state->evidence;
   state->product = where ? zero : state->product;
+  state->watched = where ? zero : state->watched;
 }
 
 /* Learn how much of the torque that was announced to the motor comes. */
@@ -189,13 +193,15 @@ SERVO_INLINE void learn(const servo_joint* joint, servo_state* state, const serv
       kept * state->product + past->passed * fast * (state->load - load_mean);
   const servo_real learned = (doubt + product) / (doubt + evidence);
   const servo_mask sound = moves & is_finite(learned);
-  const servo_mask right = (learned * RIGHT > 1) & (learned < RIGHT);
+  const servo_real watched = kept * state->watched + past->passed;
+  const servo_mask right = ((learned * RIGHT > 1) & (learned < RIGHT)) | (watched < SETTLED);
   const servo_real scale =
       right ? all_of(1) : bound(learned, all_of(SERVO_LEAST), all_of(SERVO_MOST));
   state->tau_mean = moves ? tau_mean : state->tau_mean;
   state->load_mean = moves ? load_mean : state->load_mean;
   state->evidence = moves ? evidence : state->evidence;
   state->product = moves ? product : state->product;
+  state->watched = moves ? watched : state->watched;
   state->integral =
       sound ? state->integral - (scale - state->scale) * tau_mean / joint->torque_constant
             : state->integral;

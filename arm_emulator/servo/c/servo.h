@@ -23,7 +23,8 @@
  * links that are 30 % heavier than the motion controller believes do not wait for the integral.
  * What stays the same, or changes within more than half a second, is left to the integral: a factor
  * that is learned in motion changes nothing at rest. Little evidence beside the resolution of the
- * encoder leaves the factor near 1.
+ * encoder leaves the factor near 1, and so does less than 0.1 s of motion: the load on a soft gear
+ * follows its torques late.
  *
  * Every stage is limited (speed, current, supply voltage), and the integral follows the current
  * that the limits have left over (automatic reset), so that it cannot wind up.
@@ -121,6 +122,7 @@ typedef struct servo_state {
   servo_real scale;                              /* of announced torques, as learned */
   servo_real tau_mean, load_mean;                /* slow parts of torque and load, N m, motor */
   servo_real evidence, product;                  /* integrals of tau^2, tau load without them */
+  servo_real watched;                            /* s of motion that they cover */
 } servo_state;
 
 /* Range of the factor that is learned for announced torques. */
