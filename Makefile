@@ -208,7 +208,7 @@ docs: setup .venv/.docs
 	@$(call quietly,site,$(RUN) && NO_MKDOCS_2_WARNING=1 mkdocs build)
 	@echo 'docs: out/site/index.html'
 
-CORE := $(shell find arm_emulator test bench examples -path test/peers/ethercrab_master -prune -o \
+CORE := $(shell find arm_emulator arm_emulator_hardware emulator_node servo_node test bench examples -path test/peers/ethercrab_master -prune -o \
   -name '*.[ch]' -print -o -name '*.[ch]pp' -print 2>/dev/null)
 
 lint: setup

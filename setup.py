@@ -40,7 +40,7 @@ setup(
     maintainer_email="arm_emulator@example.org",
     packages=find_packages(include=[name + tail for name in PACKAGES for tail in ("", ".*")]),
     package_data={
-        "arm_emulator": [f"**/*{ending}" for ending in (".c", ".h", ".cpp", ".hpp")],
+        **{name: [f"**/*{end}" for end in (".c", ".h", ".cpp", ".hpp")] for name in PACKAGES},
         "arm_emulator.servo.c": ["template/*"],
         "arm_emulator.doors.microcontroller": ["examples/*/*"],
         "": ["py.typed"],
@@ -57,6 +57,8 @@ setup(
     extras_require={
         "dask": wheels("clusters"),
         "doors": wheels("doors"),
+        "page": wheels("page"),
+        "search": wheels("search of campaigns"),
         "test": ["pytest"],  # colcon test then knows the runner
     },
     zip_safe=False,

@@ -33,14 +33,17 @@ if TYPE_CHECKING:
     from arm_emulator.motion.jacobian import JacobianController as JacobianController
     from arm_emulator.motion.kinematics import Kinematics as Kinematics
     from arm_emulator.motion.pose import Pose as Pose
+    from arm_emulator.runs.condition import Condition as Condition
     from arm_emulator.runs.gains import load_gains as load_gains
     from arm_emulator.runs.offline import OfflineRun as OfflineRun
     from arm_emulator.runs.recording import Recording as Recording
     from arm_emulator.runs.servo_fleet import ServoFleet as ServoFleet
+    from arm_emulator.runs.timeline import Timeline as Timeline
     from arm_emulator.servo.servo import Servo as Servo
     from arm_emulator.servo.servo_config import load_servo_config as load_servo_config
 
 _MODULES = {
+    "Condition": "runs.condition",
     "Diverged": "machine.diverged",
     "ExternalWrench": "machine.external_wrench",
     "Fleet": "machine.fleet",
@@ -60,6 +63,7 @@ _MODULES = {
     "Scene": "machine.scene",
     "Servo": "servo.servo",
     "ServoFleet": "runs.servo_fleet",
+    "Timeline": "runs.timeline",
     "Session": "machine.session",
     "linearise": "analysis.linearised",
     "load_gains": "runs.gains",

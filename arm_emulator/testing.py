@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +17,9 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+
+if TYPE_CHECKING:
+    from arm_emulator.ros.network_under_test import NetworkUnderTest
 
 Law = Callable[[int, Measured], ArrayLike]
 
@@ -57,8 +61,9 @@ def network(
     *,
     without: Sequence[str] = (),
     log: Path | None = None,
+    keep: Path | None = None,
     **emulator: object,
-) -> Iterator[None]:
+) -> Iterator[NetworkUnderTest]:
     """Run the nodes of a scene in lock-step in an unused ROS domain for a block.
 
     Processes started in the block are in that domain, too. Requires ROS and the messages.
@@ -67,23 +72,48 @@ def network(
         scene: a scene by name or file, with its gains beside it.
         without: nodes that the test starts itself: "emulator", "servo", "motion_controller".
         log: folder for the output of the nodes; None: that of the test.
-        emulator: parameters of the emulator, such as ``record=folder``.
+        keep: folder of a bag, which stays only if the block fails; the error then has the line that
+            drives the machine through it again.
+        emulator: parameters of the emulator, such as ``start="paused"`` or ``record=folder``.
+
+    Returns:
+        The network, for targets, waits and statuses, see `NetworkUnderTest`.
 
     Raises:
         Refusal: no such node, or a configuration file is missing.
         AssertionError: a node ended within the block, or abnormally at its end.
     """
+    from rclpy import Context
+
     from arm_emulator.ros.bringup import NODES, Bringup
+    from arm_emulator.ros.network_under_test import NetworkUnderTest
     from arm_emulator.ros.ros_domain import own_domain
 
     for name in (wrong for wrong in without if wrong not in NODES):
         raise Refusal("testing.network", "without", "name nodes", name, ", ".join(NODES))
+    if keep is not None and "record" in emulator:
+        raise Refusal("testing.network", "keep", "be given without record", keep)
     only = tuple(name for name in NODES if name not in without)
-    with own_domain(), Bringup(str(scene), emulator=emulator, log=log, only=only) as nodes:
-        yield
-        assert (ended := nodes.ended()) is None, f"{ended} ended within the test"
-        codes = nodes.stop()
-        assert set(codes.values()) <= {0}, f"exit codes {codes}"
+    given = dict(emulator) if keep is None else {**emulator, "record": keep}
+    try:
+        with own_domain(), Bringup(str(scene), emulator=given, log=log, only=only) as nodes:
+            context = Context()
+            context.init()
+            try:
+                user = NetworkUnderTest(context, nodes.ended)
+                yield user
+                user.close()
+            finally:
+                context.try_shutdown()
+            assert (ended := nodes.ended()) is None, f"{ended} ended within the test"
+            codes = nodes.stop()
+            assert set(codes.values()) <= {0}, f"exit codes {codes}"
+    except BaseException as error:
+        if keep is not None:
+            error.add_note(f"driven again by: python -m arm_emulator check-bag {keep}")
+        raise
+    if keep is not None:
+        shutil.rmtree(keep)
 
 
 def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) -> None:

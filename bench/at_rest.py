@@ -13,7 +13,7 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from arm_emulator.machine.integrator import SCHEMES
+from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import progress
 from oracles.at_rest import SHIPPED, Case, cases, equations_of, judge
 

@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from arm_emulator.analysis.reference import links_model, reference
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, side_by_side
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save

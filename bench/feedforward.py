@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.cli.new import write_new
+from arm_emulator.design.new_scene import write_new
 from bench.measure import progress
 from bench.pictures import new_figure, save
 from oracles.followed_line import Known, Line, follow

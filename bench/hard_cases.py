@@ -24,9 +24,9 @@ from arm_emulator.analysis.reference import links_model, reference
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from bench.measure import side_by_side
 from bench.motion import Array
 
@@ -168,13 +168,18 @@ def diverged(scheme: str, dt: float, bound: float, fault: Diverged) -> Outcome:
 
 
 def of_order(first: float, second: float) -> Callable[[str, float], float]:
-    """Return the bound `first` dt for schemes of order 1, `second` dt^2 for rosenbrock.
+    """Return the bound `first` dt for schemes of order 1, `second` dt^2 for those of order 2.
 
-    Where the links alone count, `extrapolated` has the error constant of the Adams-Bashforth
-    method, 5/12, and rosenbrock that of a Runge-Kutta method, 1/6: 2.5 times as much.
+    Where the links alone count, one evaluation of them per step has the error constant of the
+    Adams-Bashforth method, 5/12, and two have that of a Runge-Kutta method, 1/6: 2.5 times less.
     """
-    by_scheme = {"rosenbrock": second, "extrapolated": 2.5 * second}
-    return lambda scheme, dt: by_scheme.get(scheme, first) * dt ** ORDERS[scheme]
+
+    def bound(scheme: str, dt: float) -> float:
+        known = KNOWN[scheme]
+        least = first if known.order == 1 else second * (1.0 if known.evaluations > 1 else 2.5)
+        return least * dt**known.order
+
+    return bound
 
 
 def all_schemes(*dts: float) -> dict[str, tuple[float, ...]]:
@@ -281,7 +286,7 @@ def spin(quick: bool) -> Iterator[Outcome]:
             E, H = plant.energy, momentum()
             worst_E = worst_H = 0.0
             # 1e3 turns; of the first order, every turn of dt v = 0.01 rad per step costs.
-            bound = 1e5 * dt**2 if ORDERS[scheme] == 2 else 1e-2
+            bound = 1e5 * dt**2 if KNOWN[scheme].order == 2 else 1e-2
             try:
                 for _ in range(60 if quick else 600):
                     plant.advance(np.zeros(3), round(0.1 / dt))
@@ -292,7 +297,7 @@ def spin(quick: bool) -> Iterator[Outcome]:
                 continue
             note = f"energy {worst_E:.1e}, momentum {worst_H:.1e}"
             # 0.1 rad per step is not small any more, and nothing damps what it costs.
-            may_drift = ORDERS[scheme] == 1 or SPIN * dt >= 0.1
+            may_drift = KNOWN[scheme].order == 1 or SPIN * dt >= 0.1
             yield Outcome(scheme, dt, max(worst_E, worst_H), bound, note, may_drift)
 
 
@@ -423,7 +428,7 @@ def everything_at_ten_milliseconds(quick: bool) -> Iterator[Outcome]:
         period,
         lambda scheme, dt: three_axis(scheme, dt, **EVERYTHING),
         dict.fromkeys(of_one_case(quick, "rosenbrock"), (1e-2,)),
-        lambda scheme, dt: bounds[ORDERS[scheme]],
+        lambda scheme, dt: bounds[KNOWN[scheme].order],
     )
 
 

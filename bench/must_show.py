@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from arm_emulator.machine.integrator import SCHEMES
+from arm_emulator.machine.schemes.known import SCHEMES
 from bench import fleet
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, punctual
 from bench.ns_per_step import fastest_mujoco

@@ -95,6 +95,12 @@ def _feedforward(scratch: Path) -> Path:
     return scratch / "feedforward.png"
 
 
+def _faults(scratch: Path) -> Path:
+    from bench import fault_matrix
+
+    return fault_matrix.draw(fault_matrix.run(False), scratch)
+
+
 def _manutec(scratch: Path) -> Path:
     _command("validate", "manutec_r3", "--out", str(scratch))
     return scratch / "manutec_r3.png"
@@ -117,6 +123,12 @@ def _kinds_of_moves(scratch: Path) -> Path:
     return kinds_of_moves.draw(scratch)
 
 
+def _look(scratch: Path) -> Path:
+    from bench import page_picture
+
+    return page_picture.draw(scratch)
+
+
 def _campaign(scratch: Path) -> Path:
     words = ["campaign", "examples/campaign.yaml", "--into", str(scratch)]
     subprocess.run([sys.executable, "-m", "arm_emulator", *words], check=True, cwd=ROOT)
@@ -127,10 +139,12 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _arm,
     "campaign.png": _campaign,
     "convergence.png": _convergence,
+    "faults.png": _faults,
     "feedforward.png": _feedforward,
     "fig4.png": _fig4,
     "kuka_kr300_run_B.png": _kuka,
     "kinds_of_moves.png": _kinds_of_moves,
+    "look.png": _look,
     "manutec_r3.png": _manutec,
     "tool_paths.png": _tool_paths,
     "tune_ur5.png": _tune,

@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from arm_emulator.machine.integrator import SCHEMES
+from arm_emulator.machine.schemes.known import SCHEMES
 
 # Colours of our schemes; colours and markers of the others.
 PALETTE = ("#2a6fb0", "#0aa5a0", "#3c8f4f", "#d9731a", "#8a6d3b", "#c44e8a", "#5b5bd6", "#7f9f2f")

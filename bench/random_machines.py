@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from arm_emulator.build.library_cache import CACHE_VARIABLE
-from arm_emulator.machine.integrator import LOCATING_SCHEMES, SCHEMES
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from bench.measure import progress
 from bench.pictures import COLOURS, new_figure, save
 from oracles.random_machines import FALLS, Verdict, judge

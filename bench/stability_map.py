@@ -13,10 +13,10 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm

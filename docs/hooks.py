@@ -108,6 +108,7 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "interfaces": _interfaces,
     "outputs": _of_parts("outputs"),
     "parts": _of_parts("parts"),
+    "schemes": _of_parts("schemes"),
     "sensors": _of_parts("sensors"),
 }
 

@@ -17,6 +17,7 @@ from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference" / "parts"
@@ -54,6 +55,18 @@ def sensors(_: str) -> str:
         place = _section(kind) if issubclass(kind, Imu) else _code(f"joints.NAME.{kind.section}")
         rows.append((place, _first_line(kind), f"[{found[0]}]({found[1]})"))
     return "\n".join(_table(("section", "measures", "page"), rows))
+
+
+def schemes(folder: str) -> str:
+    """Return all schemes, with their pages in a folder."""
+    rows = []
+    for k, one in enumerate(SCHEMES.values()):
+        name = f"[`{one.name}`]({folder}/{one.name}.md)" + ("" if k else ", the default")
+        threads = "1" if one.evaluations > 1 else "1 or 2"
+        located = "yes" if one.locates else "no"
+        rows.append((name, one.text, str(one.order), str(one.evaluations), threads, located))
+    head = ("scheme", "what", "order", "evaluations of the links", "threads", "locates events")
+    return "\n".join(_table(head, rows))
 
 
 def inputs(_: str) -> str:

@@ -82,7 +82,8 @@ class Status:
 
     def begin(self) -> None:
         """Begin anew at tick 0."""
-        self._mark = (time.monotonic_ns(), 0, 0)  # wall, ticks, ns spent on steps
+        # Wall time, ticks, ns spent on steps.
+        self._mark = (time.monotonic_ns(), 0, self._session.step_wall_ns)
 
     def report(self) -> None:
         """Publish it."""

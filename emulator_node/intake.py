@@ -12,7 +12,7 @@ from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
 from arm_emulator.ros.doubles import STARTED
-from arm_emulator.ros.fixed_layout import taking
+from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.node_shell import COMMAND_SUB_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, RecorderReport
 from emulator_node.changes import Changes
@@ -27,17 +27,19 @@ class Intake:
     """Subscribes to topics, and passes their messages on.
 
     Attributes:
-        commands: name of the topic of motor commands.
+        commands: subscription to motor commands.
+        taking: takes them.
     """
 
     def __init__(self, own: Context, pacer: Pacer, changes: Changes) -> None:
         self._session, self._pacer, self._changes = own.session, pacer, changes
         self._gate, self._outbox, self._lock = own.gate, own.outbox, own.lock
         self._diagnostics, node = own.diagnostics, own.node
-        self.commands = node.resolve_topic_name("motor_commands")
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
-        take = taking("motor_commands", MotorCommand, self._on_command, own.diagnostics.refuse)
-        subscribe(MotorCommand, "motor_commands", take, qos, raw=True)
+        self.taking = Taking(
+            "motor_commands", MotorCommand, self._on_command, own.diagnostics.refuse
+        )
+        self.commands = subscribe(MotorCommand, "motor_commands", self.taking.take, qos, raw=True)
         subscribe(PoseStamped, "tool_target", own.view.target, qos)
         for topic, axes in EXTERNAL_WRENCHES.items():
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, axes), qos)
@@ -60,7 +62,7 @@ class Intake:
                 self._diagnostics.refuse("motor_commands", reason)
                 return
             if self._outbox.record is not None:
-                self._outbox.record.put(self.commands, data)
+                self._outbox.record.put(self.commands.topic_name, data)
             self._pacer.go_on()
 
     def _on_recorder(self, report: RecorderReport) -> None:

@@ -36,6 +36,7 @@ from arm_emulator.ros.node_shell import (
     run_node,
     wall_timer,
 )
+from emulator_node.answered_ticks import AnsweredTicks
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
@@ -85,7 +86,12 @@ class EmulatorParameters:
 
 
 class EmulatorNode(Node):
-    """The machine as a ROS node: creates its objects, and ends them."""
+    """The machine as a ROS node: creates its objects, and ends them.
+
+    Attributes:
+        hot: its messages in C; None: nothing.
+        real_time: whether its threads go ahead of other processes.
+    """
 
     def __init__(self) -> None:
         super().__init__("emulator", automatically_declare_parameters_from_overrides=True)
@@ -124,9 +130,15 @@ class EmulatorNode(Node):
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
             folder = Path(config.record)
-            record = own_record(self, folder, publishers, intake.commands, session.lockstep)
+            commands = intake.commands.topic_name
+            record = own_record(self, folder, publishers, commands, session.lockstep)
             own.outbox.record = record
             diagnostics.send = lambda message: own.outbox.put(diagnostics.publisher, message)
+        self.hot = (
+            None
+            if session.by_itself
+            else AnsweredTicks(own, intake.commands, intake.taking, reports, health)
+        )
         reports.description()
         TimeServices(own, changes, health, status)
         MachineServices(own, changes)
@@ -139,6 +151,7 @@ class EmulatorNode(Node):
             f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
             f"clock {config.clock}"
         )
+        self.real_time = session.by_itself
         self._pacer.start()
 
     def close(self) -> None:

@@ -36,9 +36,13 @@ class RecorderGate:
         """Begin anew at tick 0."""
         self._recorders.begin()
 
-    def count(self) -> None:
-        """Count a published motor state."""
-        self._recorders.published += 1
+    def count(self, states: int) -> None:
+        """Count published motor states."""
+        self._recorders.published += states
+
+    def room(self) -> int:
+        """Return how many ticks may be left before a recorder has to catch up."""
+        return self._recorders.room()
 
     def behind(self) -> bool:
         """Return whether a recorder has to catch up before the machine may leave this tick."""

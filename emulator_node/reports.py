@@ -5,14 +5,16 @@ from __future__ import annotations
 import time
 from array import array
 
+import numpy as np
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.ros.doubles import STARTED
-from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.ros.middleware import Outgoing
 from arm_emulator.ros.node_shell import (
     DESCRIPTION_QOS,
     EVENT_QOS,
@@ -23,12 +25,17 @@ from arm_emulator.ros.node_shell import (
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from emulator_node.context import Context
 
+TRUTH = ("position", "velocity", "effort")  # fields of emulator/joint_states
+
 
 class Reports:
     """Publishes ticks of a session, and changes of its machine.
 
     Attributes:
         publishers: all of them.
+        outgoing: those of each tick: states, true states and time.
+        truth: ``arm_truth`` for what C publishes of it.
+        ticks: number of ticks between messages of truth and time.
         published_at: when this tick's state was first published [s, monotonic].
         repeated_at: time of its newest publication.
         changes: number of changes by hand so far.
@@ -42,20 +49,32 @@ class Reports:
         self._session, self._outbox = own.session, own.outbox
         self._gate, self._view = own.gate, own.view
         session = own.session
-        self._ticks = max(1, round(period / session.scene.servo_period))
+        self.ticks = max(1, round(period / session.scene.servo_period))
         self._fields = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
-        self._motor_state = FixedLayout(self._empty_motor_state())
-        self._truth = JointState(name=list(session.scene.joint_names))
-        self._newest_time = Clock()
         self.changes = 0
+        rows = np.zeros((len(TRUTH), len(session.scene.joints)))
+        self.truth = truth_at(q=rows[0], v=rows[1], gear_torque=rows[2])
         create = own.node.create_publisher
-        self._motor_states = create(MotorState, "motor_states", STATE_PUB_QOS)
-        self._truths = create(JointState, "emulator/joint_states", STATE_PUB_QOS)
-        self._clocks = create(Clock, "clock", STATE_PUB_QOS)
+        self.motor_state = Outgoing(
+            create(MotorState, "motor_states", STATE_PUB_QOS),
+            self._empty_motor_state(),
+            0,
+            self._fields.places(session.plant.measured_place),
+        )
+        zeros = array("d", bytes(8 * len(session.scene.joints)))
+        names = list(session.scene.joint_names)
+        self.joint_state = Outgoing(
+            create(JointState, "emulator/joint_states", STATE_PUB_QOS),
+            JointState(name=names, position=zeros, velocity=zeros, effort=zeros),
+            1,
+            list(zip(TRUTH, rows, strict=True)),
+        )
+        self.clock = Outgoing(create(Clock, "clock", STATE_PUB_QOS), Clock(), 2)
+        self.outgoing = (self.motor_state, self.joint_state, self.clock)
         self._descriptions = create(String, "robot_description", DESCRIPTION_QOS)
         self._events = create(MachineEvent, "emulator/events", EVENT_QOS)
         self.publishers: list[Publisher] = [
-            self._motor_states, self._truths, self._clocks, self._descriptions, self._events,
+            *(one.publisher for one in self.outgoing), self._descriptions, self._events,
         ]  # fmt: skip
         self.published_at = self.repeated_at = time.monotonic()
 
@@ -68,10 +87,10 @@ class Reports:
         self.published_at = self.repeated_at = time.monotonic()
         session = self._session
         self._put_motor_state()
-        if session.tick % self._ticks == 0:
+        if session.tick % self.ticks == 0:
             self._put_truth()
-            self._newest_time = Clock(clock=stamp(session.logical_ns))
-            self._outbox.put(self._clocks, self._newest_time)
+            self._set_time()
+            self._outbox.put(self.clock.publisher, self.clock.layout.data())
         self._view.tick()
 
     def change(self) -> None:
@@ -93,7 +112,13 @@ class Reports:
 
         It is read with best effort: subscribers that lost it, or came later, get it now.
         """
-        self._clocks.publish(self._newest_time)
+        self._set_time()
+        self.clock.publish()
+
+    def refresh(self) -> None:
+        """Set what code in C leaves as it is in the messages that it publishes."""
+        self.motor_state.layout.message.powered = self._session.powered
+        self.motor_state.layout.written()
 
     def event(self, kind: int, saved: bytes) -> None:
         """Publish a change by hand, with the resulting machine."""
@@ -110,13 +135,17 @@ class Reports:
         event.header.stamp = stamp(session.logical_ns)
         self._outbox.put(self._events, event)
 
+    def _set_time(self) -> None:
+        session = self._session
+        newest = session.tick - session.tick % self.ticks
+        set_stamp(self.clock.layout.message.clock, newest * session.period_ns)
+
     def _put_truth(self) -> None:
-        state, truth = self._session.state, self._truth
-        truth.header.stamp = stamp(self._session.logical_ns)
-        truth.position = array("d", state.q.tobytes())
-        truth.velocity = array("d", state.v.tobytes())
-        truth.effort = array("d", state.gear_torque.tobytes())
-        self._outbox.put(self._truths, truth)
+        state, truth = self._session.state, self.joint_state.layout.message
+        set_stamp(truth.header.stamp, self._session.logical_ns)
+        for name, values in zip(TRUTH, (state.q, state.v, state.gear_torque), strict=True):
+            getattr(truth, name)[:] = values
+        self._outbox.put(self.joint_state.publisher, self.joint_state.layout.data())
 
     def _empty_motor_state(self) -> MotorState:
         """Return a motor state with all its names and lengths."""
@@ -130,12 +159,12 @@ class Reports:
         return message
 
     def _put_motor_state(self) -> None:
-        session, message = self._session, self._motor_state.message
+        session, message = self._session, self.motor_state.layout.message
         set_stamp(message.header.stamp, session.logical_ns)
         message.tick = session.tick
         message.powered = session.powered
         self._fields.fill(message, session.measured)
-        self._gate.count()
+        self._gate.count(1)
         if self._outbox.record is not None:
             self._outbox.record.count(session.tick)
-        self._outbox.put(self._motor_states, self._motor_state.data())
+        self._outbox.put(self.motor_state.publisher, self.motor_state.layout.data())

@@ -43,9 +43,14 @@ class View:
         """Samples dropped for lack of time."""
         return self._stream.dropped
 
+    @property
+    def open(self) -> bool:
+        """Whether ticks are shown."""
+        return self._stream.open
+
     def tick(self) -> None:
         """Show this tick."""
-        if not self._stream.open:
+        if not self.open:
             return
         session, state = self._session, self._session.state
         self._stream.offer(

@@ -22,15 +22,14 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import LOCATING_SCHEMES
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run, scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
 from oracles.smoothed_reference import Row, SmoothedMachine, Smoothing
 
 ROWS = 14  # commands, each for a period
-AT_ENDS = ("rosenbrock", "implicit", "extrapolated", "paper")
 # Steps in a row where events are taken at their ends, in which they lie well or badly: the coarse
 # ones, of which one divides no other, and the fine ones in which errors are smaller, the finer
 # where the coarse had good luck.
@@ -194,7 +193,7 @@ class Verdict:
 
 def judge(seed: int) -> Verdict:
     """Draw a mixture and hold the claims against it."""
-    schemes = LOCATING_SCHEMES[seed % 2], AT_ENDS[seed // 2 % len(AT_ENDS)]
+    schemes = LOCATING_SCHEMES[seed % 2], SCHEMES[seed // 2 % len(SCHEMES)]
     with tempfile.TemporaryDirectory() as folder:
         file = write_drawn(Path(folder), seed)
 

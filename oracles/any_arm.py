@@ -19,7 +19,7 @@ import numpy as np
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
-from arm_emulator.cli.new import write_new
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene, load_scene

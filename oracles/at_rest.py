@@ -28,9 +28,9 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import LOCATING_SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 
 SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")
 STEPS = 40  # of the scene's length, which a machine must survive

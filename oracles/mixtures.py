@@ -344,10 +344,9 @@ def write_mixture(folder: Path, seed: int) -> Path:
     return write_scene(folder, urdf, joints, external_wrench=scene["external_wrench"])
 
 
-def write_alone(folder: Path, part: type[Part], seed: int) -> Path:
-    """Write the scene of one link, its drive without friction and limits but for one part."""
+def drawn_alone(part: type[Part], seed: int) -> Numbers:
+    """Return the scene's section of a joint without friction and limits but for one part."""
     rng = np.random.default_rng([seed, 4244, *part.__name__.encode()])
-    urdf = random_chain_urdf(rng, 1)
     motor: Numbers = {
         "resistance": 1.0, "inductance": 2e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
         "rotor_inertia": 1e-4,
@@ -364,7 +363,7 @@ def write_alone(folder: Path, part: type[Part], seed: int) -> Path:
     else:
         *above, key = part.section.split(".")
         (joint[above[0]] if above else joint)[key] = drawn
-    return write_scene(folder, urdf, dict.fromkeys(moving_joints(urdf), joint))
+    return joint
 
 
 def write_scene(folder: Path, urdf: str, joints: Numbers, **more: Any) -> Path:
@@ -377,7 +376,7 @@ def write_scene(folder: Path, urdf: str, joints: Numbers, **more: Any) -> Path:
         "gravity": [0.0, 0.0, -9.81],
         "supply_voltage": 24.0,
         "joints": joints,
-        "integrator": {"scheme": "rosenbrock", "dt": PERIOD / STEPS[0], "events": "located"},
+        "integrator": {"dt": PERIOD / STEPS[0], "events": "located"},
         "servo_period": PERIOD,
         "energy_flow": True,
         **more,

@@ -26,9 +26,9 @@ import yaml
 from arm_emulator.analysis.reference import ReferenceMachine
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import LOCATING_SCHEMES, ORDERS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
 from oracles.event_reference import reference_with_events
 from oracles.random_chain import random_chain_urdf
 
@@ -61,13 +61,13 @@ class Verdict:
     @property
     def in_order(self) -> bool:
         """Whether the fine error is that of the scheme's order."""
-        falls = FALLS[ORDERS[self.scheme]]
+        falls = FALLS[KNOWN[self.scheme].order]
         return self.note != "" or self.errors[1] < max(RESOLVED, self.errors[0] / falls)
 
     @property
     def balance_in_order(self) -> bool:
         """Whether what is left of energy is that of the scheme's order."""
-        falls = FALLS[ORDERS[self.scheme]]
+        falls = FALLS[KNOWN[self.scheme].order]
         return self.note != "" or self.left[1] < max(ROUNDED, self.left[0] / falls)
 
     @property

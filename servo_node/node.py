@@ -20,7 +20,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -31,7 +30,8 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.doubles import Doubles
-from arm_emulator.ros.fixed_layout import FixedLayout, taking
+from arm_emulator.ros.fixed_layout import Taking
+from arm_emulator.ros.middleware import Outgoing
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
@@ -41,19 +41,18 @@ from arm_emulator.ros.node_shell import (
     Diagnostics,
     accept_changes,
     declare_parameters,
-    nanoseconds_of,
     run_node,
     set_range,
     set_stamp,
-    stamp,
     time_of,
     wall_timer,
 )
 from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.servo import FloatArray, Servo
+from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
 from arm_emulator.servo.watchdog import WatchdogState
 from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState
+from servo_node.answered_states import AnsweredStates
 
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
@@ -74,24 +73,15 @@ class ServoNodeParameters:
     )
 
 
-@dataclass(frozen=True)
-class _Measurement:
-    """A motor state in the servo's order of joints."""
-
-    tick: int
-    time_ns: int
-    counts: FloatArray
-    current: FloatArray
-    applied: FloatArray | None
-    powered: bool
-    closed: FloatArray | None
-
-
 class ServoNode(Node):
     """The servo as a ROS node.
 
     In lock-step each motor state is answered once, and at the start of a motion period only after
     the joint targets that answer this period's joint states have come.
+
+    Attributes:
+        hot: its messages in C.
+        real_time: whether its threads go ahead of other processes.
     """
 
     def __init__(self) -> None:
@@ -121,13 +111,21 @@ class ServoNode(Node):
         accept_changes(self, self._changed, self._take_parameters)
         self._lockstep = own.clock == "lockstep"
         self._period_ns = round(self._config.period * NANOSECONDS)
-        self._joint_states_ticks = max(1, round(own.joint_states_period / self._config.period))
         self._motion_ticks = round(self._config.motion_period / self._config.period)
         names = self._config.joint_names
         self._states_order = JointOrder("motor_states", names)
         self._targets_order = JointOrder("joint_targets", names)
         self._counts = self._config.counts
         self._drives = Drives(self._config)
+        self.hot = self
+        self._hot = AnsweredStates(
+            self._config,
+            self._drives,
+            lockstep=self._lockstep,
+            motion_ticks=self._motion_ticks,
+            report_ticks=max(1, round(own.joint_states_period / self._config.period)),
+        )
+        self._at = self._hot.at
         self._diagnostics = Diagnostics(self, "servo drives")
         self._doubles = Doubles(
             self,
@@ -137,21 +135,39 @@ class ServoNode(Node):
             "the emulator takes the first answer to each tick",
         )
         self._heard_at = time.monotonic()
-        self._machine = 0  # the emulator served, 0 for any
         self._start_over()
 
-        command = MotorCommand(joint_names=names, command=array("d", bytes(8 * len(names))))
-        self._command = FixedLayout(command)
-        self._joint_state = JointState(name=names)
-        self._commands = self.create_publisher(MotorCommand, "motor_commands", COMMAND_QOS)
-        self._state = ServoState(joint_names=names)
-        self._servo_states = self.create_publisher(ServoState, "servo_states", STATE_PUB_QOS)
-        self._joint_states = self.create_publisher(JointState, "joint_states", STATE_PUB_QOS)
-        take = taking("motor_states", MotorState, self._on_state, self._diagnostics.refuse)
-        self.create_subscription(MotorState, "motor_states", take, STATE_SUB_QOS, raw=True)
-        self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_SUB_QOS)
+        zeros = array("d", bytes(8 * len(names)))
+        create, hot = self.create_publisher, self._hot
+        self._command = Outgoing(
+            create(MotorCommand, "motor_commands", COMMAND_QOS),
+            MotorCommand(joint_names=names, command=zeros),
+            further=[("command", self._drives.servo.commanded)],
+        )
+        self._state = Outgoing(
+            create(ServoState, "servo_states", STATE_PUB_QOS),
+            ServoState(joint_names=names, movable=array("q", zeros.tobytes())),
+            further=[("movable", hot.movable)],
+        )
+        self._joint_state = Outgoing(
+            create(JointState, "joint_states", STATE_PUB_QOS),
+            JointState(name=names, position=zeros, velocity=zeros),
+            further=[("position", hot.q), ("velocity", hot.v)],
+        )
+        refuse, subscribe = self._diagnostics.refuse, self.create_subscription
+        states = Taking("motor_states", MotorState, self._on_state, refuse)
+        targets = Taking("joint_targets", JointState, self._on_target, refuse)
+        state = subscribe(MotorState, "motor_states", states.take, STATE_SUB_QOS, raw=True)
+        target = subscribe(JointState, "joint_targets", targets.take, COMMAND_SUB_QOS, raw=True)
+        hot.connect(
+            (states, state),
+            (targets, target),
+            (self._command, self._state, self._joint_state),
+        )
+        self.takes, self.outgoing = hot.takes, hot.outgoing
         self.create_service(Trigger, "~/reset", self._on_reset)
         wall_timer(self, SILENCE_CHECK, self._on_silence_check)
+        self.real_time = not self._lockstep
 
     def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the servo's parameters, with some changed."""
@@ -174,77 +190,89 @@ class ServoNode(Node):
     def close(self) -> None:
         """Nothing to release."""
 
+    def begin(self) -> None:
+        """Let messages be taken in C, see `HotPath`."""
+        self._hot.begin(self._at.tick >= 0 and not self._silent and self._next_config is None)
+
+    def end(self) -> None:
+        """Take over what was done, see `HotPath`."""
+        at = self._at
+        if at.states:
+            self._heard_at = time.monotonic()
+        if at.answers:
+            self._drives.commanded(bool(at.powered))
+            self._report_drives()
+
     def _start_over(self) -> None:
         self._drives.reset()
-        self._newest: _Measurement | None = None
-        self._waiting = False  # for the joint targets of this motion period
-        self._cycle_ns = 0  # start of this motion period
+        self._at.tick = -1  # none has come
+        self._at.waiting = 0  # for the joint targets of this motion period
+        self._at.cycle = 0  # start of this motion period
         self._silent = False  # no motor states, and the power is cut
+
+    @property
+    def _time_ns(self) -> int:
+        """Logical time of the newest motor state [ns]."""
+        return int(self._at.tick) * self._period_ns
 
     # Topics
 
     def _on_state(self, message: Any, _: bytes) -> None:
-        names = message.joint_names
+        names, arrange, tick = message.joint_names, self._states_order.arrange, int(message.tick)
         try:
             self._check_time(message)
-            now = _Measurement(
-                int(message.tick),
-                nanoseconds_of(message.header.stamp),
-                self._states_order.arrange(names, message.encoder_counts, self._counts),
-                self._states_order.arrange(names, message.current, CURRENT),
-                self._states_order.arrange(names, message.applied, COMMAND)
-                if len(message.applied)
-                else None,
-                bool(message.powered),
-                self._states_order.arrange(names, message.brake_closed, BRAKE_CLOSED)
+            counts = arrange(names, message.encoder_counts, self._counts)
+            current = arrange(names, message.current, CURRENT)
+            applied = arrange(names, message.applied, COMMAND) if len(message.applied) else None
+            closed = (
+                arrange(names, message.brake_closed, BRAKE_CLOSED)
                 if len(message.brake_closed)
-                else None,
+                else None
             )
             self._check_machine(int(message.machine))
         except Refusal as reason:
             self._diagnostics.refuse("motor_states", reason)
             return
         self._heard_at = time.monotonic()
-        if self._newest is not None:
-            if now.tick == self._newest.tick:
+        at = self._at
+        if at.tick >= 0:
+            if tick == at.tick:
                 self._report_again()
                 return
             # In lock-step no tick is skipped, unless it runs free: then nothing is lost.
-            if now.tick < self._newest.tick or (
-                self._lockstep and now.tick > self._newest.tick + 1
-            ):
+            if tick < at.tick or (self._lockstep and tick > at.tick + 1):
                 self._diagnostics.ok("the emulator began anew")
                 self._start_over()
-        self._newest = now
+        at.tick, at.powered = tick, bool(message.powered)
         self._silent = False
         if self._next_config is not None:
             self._config, self._next_config = self._next_config, None
             self._drives.retune(self._config)
-        self._drives.measure(now.time_ns, now.counts, now.current, now.applied, now.closed)
-        begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
+        self._drives.measure(self._time_ns, counts, current, applied, closed)
+        begins = self._lockstep and self._motion_ticks > 0 and tick % self._motion_ticks == 0
         if begins:
-            self._waiting, self._cycle_ns = True, now.time_ns
-        if now.tick % self._joint_states_ticks == 0 or begins:
-            self._report_joint_states(now.time_ns)
-        if not self._waiting:
-            self._answer(now)
+            at.waiting, at.cycle = 1, self._time_ns
+        if tick % at.report_ticks == 0 or begins:
+            self._report_joint_states(self._time_ns)
+        if not at.waiting:
+            self._answer()
 
     def _check_machine(self, machine: int) -> None:
         """Serve the emulator that was started first, as long as it publishes."""
-        if machine in (0, self._machine):
+        if machine in (0, self._at.machine):
             return
         silence = time.monotonic() - self._heard_at
-        if 0 < self._machine < machine and silence < MACHINE_SILENCE:
+        if 0 < self._at.machine < machine and silence < MACHINE_SILENCE:
             raise Refusal(
                 "motor_states",
                 "machine",
-                f"be {self._machine}, the emulator that was started first",
+                f"be {self._at.machine}, the emulator that was started first",
                 machine,
             )
-        if self._newest is not None:
+        if self._at.tick >= 0:
             self._diagnostics.ok("the emulator began anew")
             self._start_over()
-        self._machine = machine
+        self._at.machine = machine
 
     def _check_time(self, message: Any) -> None:
         time_ns, tick = time_of("motor_states", message.header.stamp), int(message.tick)
@@ -256,86 +284,86 @@ class ServoNode(Node):
                 f"{time_ns / NANOSECONDS:g} s",
             )
 
-    def _on_target(self, message: JointState) -> None:
+    def _on_target(self, message: Any, _: bytes) -> None:
         try:
             target = self._read_target(message)
         except Refusal as reason:
             self._diagnostics.refuse("joint_targets", reason)
             return
-        if self._lockstep and self._motion_ticks and not self._waiting:
+        if self._lockstep and self._motion_ticks and not self._at.waiting:
             return  # this motion period's targets, published again
         self._drives.aim(target)
-        if self._waiting and self._newest is not None:
-            self._waiting = False
-            self._answer(self._newest)
+        if self._at.waiting:
+            self._at.waiting = 0
+            self._answer()
 
-    def _read_target(self, message: JointState) -> Target:
+    def _read_target(self, message: Any) -> Target:
         arrange, names = self._targets_order.arrange, message.name
         time_ns = time_of("joint_targets", message.header.stamp)
         target = Target(
             arrange(names, message.position, POSITION),
-            arrange(names, message.velocity, VELOCITY) if message.velocity else None,
-            arrange(names, message.effort, EFFORT) if message.effort else None,
+            arrange(names, message.velocity, VELOCITY) if len(message.velocity) else None,
+            arrange(names, message.effort, EFFORT) if len(message.effort) else None,
         )
-        if self._lockstep and self._motion_ticks and time_ns != self._cycle_ns:
+        if self._lockstep and self._motion_ticks and time_ns != self._at.cycle:
             raise Refusal(
                 "joint_targets",
                 "header.stamp",
-                f"be that of the joint states it answers, {self._cycle_ns / NANOSECONDS:g} s",
+                f"be that of the joint states it answers, {self._at.cycle / NANOSECONDS:g} s",
                 f"{time_ns / NANOSECONDS:g} s",
             )
         return target
 
     # Control law
 
-    def _answer(self, now: _Measurement) -> None:
-        """Compute and publish the commands for the servo period that begins with `now`."""
-        drives = self._drives
-        commands = drives.command(now.powered)
+    def _answer(self) -> None:
+        """Compute and publish the commands for the servo period that begins."""
+        self._command.layout.message.command[:] = self._drives.command(bool(self._at.powered))
+        self._publish_command()
+        self._report_drives()
+
+    def _report_drives(self) -> None:
+        drives, diagnostics = self._drives, self._diagnostics
         restarts = drives.servo.restarts
-        if restarts != self._diagnostics.values.get("began anew", 0):
-            self._diagnostics.values["began anew"] = restarts
-            self._diagnostics.error("the servo's state was no longer finite and began anew")
+        if restarts != diagnostics.values.get("began anew", 0):
+            diagnostics.values["began anew"] = restarts
+            diagnostics.error("the servo's state was no longer finite and began anew")
         elif drives.state is WatchdogState.OK:
-            self._diagnostics.ok("following")
+            diagnostics.ok("following")
         elif drives.state is WatchdogState.HOLD:
-            self._diagnostics.warn(f"holding: {drives.reason}")
+            diagnostics.warn(f"holding: {drives.reason}")
         else:
-            self._diagnostics.error(drives.reason)
-        command = self._command.message
-        set_stamp(command.header.stamp, now.time_ns)
-        command.tick = now.tick
-        command.machine = self._machine
-        command.command[:] = commands
-        self._commands.publish(self._command.data())
+            diagnostics.error(drives.reason)
 
     # Publishing
 
+    def _publish_command(self) -> None:
+        """Publish the newest commands, as the answer to the newest motor state."""
+        command = self._command.layout.message
+        set_stamp(command.header.stamp, self._time_ns)
+        command.tick, command.machine = self._at.tick, self._at.machine
+        self._command.publish()
+
     def _report_joint_states(self, time_ns: int) -> None:
-        message = self._joint_state
-        message.header.stamp = stamp(time_ns)
-        message.position = array("d", self._drives.servo.q_measured.tobytes())
-        message.velocity = array("d", self._drives.servo.v_measured.tobytes())
-        if self._newest is not None:
-            self._state.header.stamp = message.header.stamp
-            self._state.movable = array(
-                "q", self._drives.movable(self._newest.powered).astype(np.int64).tobytes()
-            )
-            self._servo_states.publish(self._state)
-        self._joint_states.publish(message)
+        drives, state, joints = self._drives, self._state.layout.message, self._joint_state.layout
+        set_stamp(state.header.stamp, time_ns)
+        state.movable[:] = drives.movable(bool(self._at.powered))
+        self._state.publish()
+        set_stamp(joints.message.header.stamp, time_ns)
+        joints.message.position[:] = drives.servo.q_measured
+        joints.message.velocity[:] = drives.servo.v_measured
+        self._joint_state.publish()
 
     def _report_again(self) -> None:
         """Repeat the answer: a partner came late, or lost a message."""
-        if self._newest is None:
-            return
-        if self._waiting:
+        if self._at.waiting:
             # As at the motion period's start, even if another servo has answered ticks since.
-            self._report_joint_states(self._cycle_ns)
+            self._report_joint_states(self._at.cycle)
             self._diagnostics.warn(
-                f"waiting for the joint targets that answer t = {self._cycle_ns / NANOSECONDS:g} s"
+                f"waiting for the joint targets that answer t = {self._at.cycle / NANOSECONDS:g} s"
             )
         else:
-            self._commands.publish(self._command.data())
+            self._publish_command()
 
     def _on_silence_check(self) -> None:
         """Cut the power when a running machine falls silent.
@@ -343,17 +371,17 @@ class ServoNode(Node):
         In lock-step silence means that logical time stands still, and with it the arm.
         """
         silence = time.monotonic() - self._heard_at
-        if self._newest is None or silence < self._config.cut_after:
+        if self._at.tick < 0 or silence < self._config.cut_after:
             return
         self._diagnostics.warn(f"no motor state for {silence:.0f} s")
         if not self._lockstep and not self._silent:
             self._silent = True
-            self._command.message.command[:] = 0.0
-            self._commands.publish(self._command.data())
+            self._command.layout.message.command[:] = 0.0
+            self._publish_command()
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._start_over()
-        self._machine = 0
+        self._at.machine = 0
         response.success, response.message = True, "servo and watchdog start over"
         return response
 

@@ -65,7 +65,8 @@ def text_of(file: Path) -> str:
 def found_in(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]:
     """Yield line, word and what to write instead, of each banned word in a text."""
     for word, instead in words.items():
-        pattern = rf"\b(?i:{word})\b(?!\(\)|\(self\))"  # the position of a stream is no word
+        # Neither a method of a library nor the position of a stream is a word.
+        pattern = rf"\b(?!(?<=\w\.)\w+\()(?i:{word})\b(?!\(\)|\(self\))"
         if " " in word:  # `is None` is code
             pattern = rf"(?<![^\W_])(?i:{word[0]}){word[1:].replace(' ', GAP)}(?![^\W_])"
         for match in re.finditer(pattern, text):

@@ -20,6 +20,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.motion_report import Reports
+from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.node_shell import Diagnostics
 from arm_emulator.ros.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
@@ -69,8 +70,8 @@ class Doors:
 
 def bits(value: Any, depth: int = 0) -> Any:
     """Return the numbers and texts in an object, to the bit."""
-    if isinstance(value, Reports | Diagnostics):
-        return None  # what was reported is not what is known
+    if isinstance(value, Reports | Diagnostics | FixedLayout):
+        return None  # reports are no knowledge, and the form of the newest message is a cache
     if isinstance(value, np.ndarray):
         return value.tobytes()
     if isinstance(value, float):

@@ -5,8 +5,12 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import load_gains
 
+PERIOD = 1_000_000  # ns
 NOP, APRD, APWR, APRW, FPRD, FPWR, FPRW, BRD, BWR, BRW, LRD, LWR, LRW, ARMW, FRMW = range(15)
 INIT, PREOP, BOOT, SAFEOP, OP = 1, 2, 3, 4, 8
 ERROR = ACKNOWLEDGE = 0x10
@@ -236,3 +240,8 @@ class Master:
             got = self.fetch(slave)
             assert got is not None, "a fragment is missing"
             reply = got[1][2:]
+
+
+def segment(lockstep: bool = True) -> Segment:
+    path = find_scene("three_axis")
+    return Segment(load_scene(path), load_gains(path).servo, lockstep)

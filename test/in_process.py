@@ -7,7 +7,7 @@ one, in the order in which they were reported, and may put its own in between.
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from arm_emulator.base.config_files import find_config
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.message_types import definition_of
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorState
@@ -159,10 +160,55 @@ class InProcess:
 
     def send(self, topic: str, message: Any) -> None:
         """Deliver a message of one's own at once, to the nodes alone."""
-        data = serialize_message(message)
+        self.send_bytes(topic, serialize_message(message))
+
+    def send_bytes(self, topic: str, data: bytes) -> None:
+        """Deliver bytes of one's own at once, to the nodes alone."""
         for listener in self._wires.listeners[topic]:
             if listener != self._heard:
                 listener(data)
+
+    def take_in_c(self, node: str) -> Counter[int]:
+        """Have the messages of a node's hot path taken in C first, Python taking what is left.
+
+        Returns:
+            Number of messages by what C did with them, enum ros_taken.
+        """
+        done: Counter[int] = Counter()
+        hot = self.nodes[node].hot
+        for subscription, take, argument in hot.takes:
+            topic = subscription.topic_name[1:]
+            (python,) = (
+                one
+                for one in self._wires.listeners[topic]
+                if isinstance(getattr(one, "__self__", None), Taking)
+            )
+
+            def both(
+                data: bytes, take: Any = take, argument: Any = argument, python: Any = python
+            ) -> None:
+                hot.begin()
+                result = take(argument, data, len(data))
+                hot.end()
+                done[result] += 1
+                if result:
+                    python(data)
+
+            listeners = self._wires.listeners[topic]
+            listeners[listeners.index(python)] = both
+        return done
+
+    def stated(self) -> dict[str, bytes]:
+        """Return the bytes that were published last, by topic."""
+        return {topic: data for topic, (_, _, data) in self._wires.newest.items()}
+
+    def published(self, topics: Collection[str]) -> list[tuple[str, Any]]:
+        """Return what was recorded on some topics, in order."""
+        return [
+            (topic, deserialize_message(data, kind))
+            for topic, kind, data in self._wires.record or []
+            if topic in topics
+        ]
 
     def listen_alone(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
         """Hand what is reported on a topic to nobody else."""

@@ -50,7 +50,7 @@ int main() {
     arm_real_time_start(loop, 0);
     std::atomic<bool> enough = false;
     std::jthread commander([&] {
-      arm_command command = {.size = sizeof command, .reserved = 0, .tick = 0, .joint = commands};
+      arm_command command = {.size = sizeof command, .came = 0, .tick = 0, .joint = commands};
       for (; !enough.load(); ++command.tick) {
         arm_real_time_command(loop, &command);
         arm_real_time_figures figures;

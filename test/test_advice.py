@@ -27,11 +27,12 @@ from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confi
 from arm_emulator.bags.recorded_commands import read_commands
 from arm_emulator.base.config_files import BESIDE, check_own
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.advise import advise_scene, demo_commands
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.new import write_new
-from arm_emulator.cli.tune import tune
+from arm_emulator.cli.commands.advise import advise as advise_scene
+from arm_emulator.cli.commands.advise import demo_commands
+from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.integrator_text import write_integrator
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.identification.fitted_scene import write_fitted
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
@@ -426,16 +427,16 @@ def test_shipped_files_are_never_written_into(tmp_path: Path) -> None:
         with pytest.raises(Refusal, match=r"identify: file .* must be one of yours"):
             write_fitted(path, CONFIG / "three_axis.yaml", scene, {}, [], "")
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
-        tune("three_axis", None, None, write=True)
+        tune("three_axis", write=True)
     mine = scene_copy(tmp_path)
     add_demo(mine)  # whose servo's parameters are the shipped ones
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
-        tune(str(mine), None, None, write=True)
+        tune(str(mine), write=True)
     robot = CONFIG / "urdf" / "three_axis.urdf"
     with pytest.raises(Refusal, match=r"new: file .* must be one of yours"):
         write_new(robot, CONFIG, force=True)
     with pytest.raises(Refusal, match=r"advise: file .*three_axis.yaml must be one of yours"):
-        advise_scene("three_axis", 1e-4, None, write=True)
+        advise_scene("three_axis", error=1e-4, write=True)
     with pytest.raises(Refusal, match="must be one of yours"):
         check_own("here", Path(yaml.__file__))  # of an installed package
     check_own("here", mine)
@@ -448,7 +449,7 @@ def test_command_shows_what_errors_are_worth_and_writes(
     """On shorter motions than a user is shown: the reference takes some time."""
     file = scene_copy(tmp_path)
     add_demo(file)
-    monkeypatch.setattr("arm_emulator.cli.advise.SECONDS", 0.2)
+    monkeypatch.setattr("arm_emulator.cli.commands.advise.SECONDS", 0.2)
     monkeypatch.setattr(
         sys, "argv", ["arm_emulator", "advise", str(file), "--error", "1e-5", "--write"]
     )
@@ -479,11 +480,11 @@ def test_a_motion_of_one_s_own_judges_alone(
 ) -> None:
     table = tmp_path / "mine.csv"
     table.write_text("t,waist,shoulder,elbow\n0,1,2,3\n0.03,-4,5,-6\n0.05,0,0,0\n")
-    assert advise_scene("three_axis", 1e-5, table, write=False) == 0
+    assert advise_scene("three_axis", error=1e-5, motion=table) == 0
     printed = capsys.readouterr().out
     assert "scene three_axis, 0.07 s of mine.csv; wanted" in printed, printed
     assert "errors: a bound for the motions that were judged, not for others" in printed, printed
-    assert advise_scene("three_axis", 1e-11, table, write=False) == 1, "exit code"
+    assert advise_scene("three_axis", error=1e-11, motion=table) == 1, "exit code"
     assert "no setting keeps it: " in capsys.readouterr().out
 
 
@@ -493,7 +494,7 @@ def test_command_refuses_in_one_line() -> None:
     last = done.stderr.splitlines()[-1]
     assert last == "advise: error must be from 1e-11 to 1 rad, got 0.0", "the refusal"
     with pytest.raises(Refusal, match=r"nowhere.csv"):
-        advise_scene("three_axis", 1e-4, Path("nowhere.csv"), write=False)
+        advise_scene("three_axis", motion=Path("nowhere.csv"))
 
 
 def test_a_scene_without_a_demo_is_judged_all_the_same(tmp_path: Path) -> None:

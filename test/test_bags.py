@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -31,15 +31,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_bag import check
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.record import request
-from arm_emulator.cli.replay import offer
+from arm_emulator.cli.commands.check_bag import check_bag
+from arm_emulator.cli.commands.replay import offer
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import message_class
+from arm_emulator.ros.recorder import request
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
@@ -151,7 +151,7 @@ def test_a_recorded_run_is_equal_to_the_last_bit(
 ) -> None:
     bag, printed = recording
     assert re.search(r"bag: \d+ messages on \d+ topics in [\d.]+ s$", printed.strip())
-    assert check(bag, None) == 0
+    assert check_bag(bag) == 0
     words = capfd.readouterr().out
     assert "equal to the last bit" in words
     states = [m for m in messages(bag) if isinstance(m, MotorState)]
@@ -213,106 +213,54 @@ def flip(
     return change
 
 
-@pytest.mark.parametrize(
-    ("topic", "kind", "quantity", "tick"),
-    [
-        ("/motor_states", MotorState, "encoder_counts", 57),
-        ("/motor_states", MotorState, "current", 211),
-        ("/emulator/joint_states", JointState, "velocity", 120),
-    ],
-)
-def test_one_bit_of_a_state_is_found(
-    recording: tuple[Path, str],
-    tmp_path: Path,
-    topic: str,
-    kind: Any,
-    quantity: str,
-    tick: int,
-) -> None:
-    copy = rewrite(recording[0], tmp_path / "copy", flip(topic, kind, tick, quantity))
-    code, printed = run("check-bag", copy)
-    assert code == 1
-    place = rf"the first difference: run \d+, tick {tick}, joint elbow, {quantity}: recorded "
-    assert re.search(place, printed)
-    recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", printed, re.M)
-    assert recorded != computed
+def without(topics: Iterable[str], lost: Callable[[int], bool]) -> Callable[[BagMessage], Any]:
+    """Leave out messages of topics by their ticks."""
+
+    def change(one: BagMessage) -> bytes | None:
+        tick = one.topic in topics and deserialize_message(one.data, TYPES[one.topic]).tick
+        return None if one.topic in topics and lost(int(tick)) else one.data
+
+    return change
 
 
-def test_one_bit_of_a_command_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
+STATES, COMMANDS, TRUTH = "/motor_states", "/motor_commands", "/emulator/joint_states"
+ELBOW = r"the first difference: run \d+, tick {}, joint elbow, {}: "
+LOST = np.random.default_rng(3)
+# Change, exit code of `check-bag`, and what it prints.
+CHANGES: dict[str, tuple[Callable[[BagMessage], bytes | None], int, str]] = {
+    "a count": (flip(STATES, MotorState, 57, "encoder_counts"), 1,
+                ELBOW.format(57, "encoder_counts") + "recorded "),
+    "a current": (flip(STATES, MotorState, 211, "current"), 1,
+                  ELBOW.format(211, "current") + "recorded "),
+    "a true speed": (flip(TRUTH, JointState, 120, "velocity"), 1,
+                     ELBOW.format(120, "velocity") + "recorded "),
     # Not its lowest bit, which the rounding of the motor's current may swallow.
-    change = flip("/motor_commands", MotorCommand, 80, "command", bit=30)
+    "a command": (flip(COMMANDS, MotorCommand, 80, "command", bit=30), 1,
+                  ELBOW.format(80, "applied") + r"commanded \S+, applied "),
+    # Without commands, too, what was applied must lead to what was measured. The links pass it on
+    # within the period: the first joint that differs may be another one.
+    "a voltage": (lambda one: None if one.topic == COMMANDS
+                  else flip(STATES, MotorState, 80, "applied", bit=40)(one), 1,
+                  r"the first difference: run \d+, tick 80, joint \w+, current: recorded "),
+    # A servo that publishes with a depth of 1 may lose some on the way to a recorder.
+    "lost commands": (without([COMMANDS], lambda _: LOST.random() < 0.3), 0,
+                      "equal to the last bit"),
+    "a lost state": (without([STATES], lambda tick: tick == 80), 0, "1 states are missing"),
+    "a gap in both": (without(TYPES, lambda tick: tick == 80), 2,
+                      "motor_states must report tick 80, got nothing"),
+    "a late begin": (without(TYPES, lambda tick: tick < 10), 2,
+                     "must hold a run from tick 0 on"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_a_change_of_a_bag_is_found(recording: tuple[Path, str], tmp_path: Path, what: str) -> None:
+    change, exit_code, words = CHANGES[what]
     code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
-    assert code == 1
-    assert re.search(
-        r"the first difference: run \d+, tick 80, joint elbow, applied: commanded \S+, applied ",
-        printed,
-    )
-
-
-def test_one_bit_of_a_voltage_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
-    """Without commands, too: what was applied must lead to what was measured."""
-    change = flip("/motor_states", MotorState, 80, "applied", bit=40)
-    copy = rewrite(
-        recording[0],
-        tmp_path / "copy",
-        lambda one: change(one) if one.topic != "/motor_commands" else None,
-    )
-    code, printed = run("check-bag", copy)
-    assert code == 1
-    # The links pass it on within the period: the first joint that differs may be another one.
-    assert re.search(
-        r"the first difference: run \d+, tick 80, joint \w+, current: recorded ", printed
-    )
-
-
-def test_lost_commands_are_not_needed(recording: tuple[Path, str], tmp_path: Path) -> None:
-    """A servo that publishes with a depth of 1 may lose some on the way to a recorder."""
-    rng = np.random.default_rng(3)
-
-    def change(one: BagMessage) -> bytes | None:
-        lost = one.topic == "/motor_commands" and rng.random() < 0.3
-        return None if lost else one.data
-
-    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
-    assert code == 0, printed
-    assert "equal to the last bit" in printed
-
-
-def test_a_gap_in_states_and_commands_is_refused(
-    recording: tuple[Path, str], tmp_path: Path
-) -> None:
-    def change(one: BagMessage) -> bytes | None:
-        lost = one.topic in TYPES and deserialize_message(one.data, TYPES[one.topic]).tick == 80
-        return None if lost else one.data
-
-    with pytest.raises(Refusal, match="motor_states must report tick 80, got nothing"):
-        check(rewrite(recording[0], tmp_path / "copy", change), None)
-
-
-def test_a_lost_state_is_reported_and_the_others_are_compared(
-    recording: tuple[Path, str], tmp_path: Path
-) -> None:
-    def change(one: BagMessage) -> bytes | None:
-        lost = one.topic == "/motor_states" and (
-            deserialize_message(one.data, MotorState).tick == 80
-        )
-        return None if lost else one.data
-
-    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
-    assert code == 0, printed
-    assert "1 states are missing" in printed
-
-
-def test_a_recording_that_began_late_is_refused(
-    recording: tuple[Path, str], tmp_path: Path
-) -> None:
-    def change(one: BagMessage) -> bytes | None:
-        early = one.topic in TYPES and deserialize_message(one.data, TYPES[one.topic]).tick < 10
-        return None if early else one.data
-
-    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
-    assert code == 2
-    assert "must hold a run from tick 0 on" in printed
+    assert code == exit_code and re.search(words, printed), printed
+    if what in ("a count", "a current", "a true speed"):
+        recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", printed, re.M)
+        assert recorded != computed
 
 
 def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_path: Path) -> None:
@@ -583,7 +531,7 @@ def text_file(folder: Path) -> Path:
 def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path: Path) -> None:
     bag = make(tmp_path / "bag")
     with pytest.raises(Refusal, match=re.escape(words)) as refusal:
-        check(bag, "three_axis")
+        check_bag(bag, scene="three_axis")
     assert "\n" not in str(refusal.value)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import random
 from collections.abc import Callable
@@ -156,22 +157,43 @@ def test_the_servo_stays_finite_within_the_bounds(scene: str) -> None:
         assert servo.update(*now).tobytes() == fresh.update(*now).tobytes(), f"tick {tick}"
 
 
-@pytest.mark.parametrize("part", ["theta", "omega", "load", "current", "integral"])
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_servo_that_is_not_finite_begins_anew_by_itself(part: str, value: float) -> None:
+def test_a_servo_that_is_not_finite_begins_anew_by_itself() -> None:
+    """Each number of a joint's state is spoiled: commands stay finite, and the state is again.
+
+    What was learned, or follows from measurements or targets, comes again by itself.
+    """
     config = servo_config("three_axis")
-    drives = Drives(config)
-    drives.aim(Target(np.zeros(3)))
-    for tick in range(20):
-        drives.measure(tick * 1_000_000, [5, 5, 5], [0.1, 0.1, 0.1])
-        drives.command(True)
-    drives.servo.state[part][1] = value
-    for tick in range(20, 23):
-        drives.measure(tick * 1_000_000, [5, 5, 5], [0.1, 0.1, 0.1])
-        assert np.isfinite(drives.command(True)).all()
-    assert drives.servo.restarts == 1, "joints that began anew"
-    state = drives.servo.state
-    assert all(np.isfinite(state[name]).all() for name in state.dtype.names), f"{state}"
+
+    def numbers(drives: Drives) -> dict[str, Any]:
+        """Return views of all real numbers of the joints' states, by name."""
+        state, of_load = drives.servo.state, drives.servo.state["learned"]
+        learned = {f"learned.{name}": of_load[name] for name in of_load.dtype.names}
+        alone = {name: state[name] for name in state.dtype.names if name != "learned"}
+        return {name: of for name, of in (alone | learned).items() if of.dtype.kind == "f"}
+
+    begun_anew = set()
+    names = list(numbers(Drives(config)))
+    assert len(names) > 15
+    for name, value in itertools.product(names, [math.nan, math.inf, -math.inf]):
+        drives = Drives(config)
+        for tick in range(26):
+            now = tick * 1_000_000
+            if tick % 5 == 0:
+                drives.aim(Target(np.zeros(3), np.full(3, 0.01), np.full(3, 0.1 * tick)))
+            if tick == 21:
+                numbers(drives)[name][1] = value
+            drives.measure(now, [5, 5, 5], [0.1, 0.1, 0.1])
+            assert np.isfinite(drives.command(True)).all(), f"{name} = {value}, tick {tick}"
+        for other, of in numbers(drives).items():
+            # The angle to hold is set when targets cease, and not used until then. A joint whose
+            # observer is too slow to learn its load does not use what it would have learned.
+            unused = other == name and (name == "q_hold" or name.startswith("learned."))
+            assert np.isfinite(of).all() or unused, f"{name} = {value}: {other} = {of}"
+        # The joint has no command until a target with an angle comes, at tick 25.
+        assert drives.servo.restarts <= (4 if name == "q_target" else 1), f"{name} = {value}"
+        if drives.servo.restarts:
+            begun_anew.add(name)
+    assert begun_anew >= {"theta", "omega", "load", "current", "integral"}
 
 
 def test_any_finite_data_sheet_is_refused_or_computed_with() -> None:

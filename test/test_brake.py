@@ -17,7 +17,7 @@ from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
 from test_by_hand import CLOCKS, go_on, session_of
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_bag import check
+from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 
@@ -216,7 +216,7 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
         assert seen == {0, 1}, "brakes close and open"
         assert session_of(one).scene.joints[0].brake is not None
         one.write(tmp_path / "bag")
-    code, words = check(tmp_path / "bag", str(file)), capfd.readouterr().out
+    code, words = check_bag(tmp_path / "bag", scene=str(file)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     assert re.search(r"\d+ changes by hand", words), words
 

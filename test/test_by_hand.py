@@ -24,7 +24,7 @@ from test_bags import rewrite
 from test_recording import begun, end, network_of, recorder
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_bag import check
+from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import load_scene
@@ -191,7 +191,7 @@ def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
     clock: str, seed: int, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     kinds = recorded(clock, seed, tmp_path / "bag", varied)
-    code, printed = check(tmp_path / "bag", str(varied)), capfd.readouterr().out
+    code, printed = check_bag(tmp_path / "bag", scene=str(varied)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in printed, printed
     assert ("in real time" in printed) == (clock == "realtime"), printed
     # The test is of something: many changes, several of them at one tick.
@@ -241,7 +241,7 @@ def test_a_spoiled_event_is_named(
             [e for e in events if change is not elsewhere or e.kind != e.KIND_RESET]
         )
         copy = rewrite(bag, tmp_path / f"copy{case}", spoil(event.number, change))
-        code, printed = check(copy, str(varied)), capfd.readouterr().out
+        code, printed = check_bag(copy, scene=str(varied)), capfd.readouterr().out
         words = f"{change.__name__} of change {event.number} of kind {event.kind}: {printed}"
         assert code == 1, words
         assert f"change {event.number} by hand" in printed, words
@@ -261,7 +261,7 @@ def test_a_missing_event_is_named(
         return None if lost else one.data
 
     try:
-        assert check(rewrite(bag, tmp_path / "copy", without), str(varied)) == 1
+        assert check_bag(rewrite(bag, tmp_path / "copy", without), scene=str(varied)) == 1
     except Refusal as reason:
         assert f"must report change {missing} by hand" in str(reason)
     else:
@@ -274,7 +274,7 @@ def test_without_events_a_difference_is_explained(
     copy = rewrite(
         bag, tmp_path / "copy", lambda m: None if m.topic == "/emulator/events" else m.data
     )
-    assert check(copy, str(varied)) == 1
+    assert check_bag(copy, scene=str(varied)) == 1
     assert "without emulator/events changes by hand are unknown" in capfd.readouterr().out
 
 
@@ -397,7 +397,7 @@ def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
         assert faults > 3, "the test is of something"
         one.nodes["emulator"]._status.report()
         one.write(tmp_path / "bag")
-    assert check(tmp_path / "bag", "three_axis") == 0
+    assert check_bag(tmp_path / "bag", scene="three_axis") == 0
 
 
 def bad_requests(draw: random.Random, saved: bytes) -> Iterator[tuple[str, Any]]:
@@ -556,7 +556,7 @@ def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path:
         at = one.tick
         one.wait("the rest", lambda: one.tick > at + 50)
     assert {"set_state", "restore_state"} <= hand.kinds, hand.kinds
-    assert check(tmp_path / "own", "three_axis") == 0, "the emulator's own record"
+    assert check_bag(tmp_path / "own", scene="three_axis") == 0, "the emulator's own record"
     events = [bytes(event.state) for event in events_of(tmp_path / "own")]
     assert len(events) > 8, "changes"
     # A recorder in real time may miss states, and reports it; events come without a gap from where
@@ -571,4 +571,4 @@ def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path:
         for m in Bag(tmp_path / "recorder").messages(["/motor_states"])
     ]
     if clock == "lockstep":
-        assert check(tmp_path / "recorder", "three_axis") == 0, f"{len(states)} states"
+        assert check_bag(tmp_path / "recorder", scene="three_axis") == 0, f"{len(states)} states"

@@ -25,7 +25,8 @@ from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
 from arm_emulator.campaign.results import Results, digest_of
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.variation import Variation, Varying, correlation_of
-from arm_emulator.cli.campaign import Options, campaign
+from arm_emulator.cli.commands.campaign import campaign
+from arm_emulator.cli.output import output, plain
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
@@ -357,14 +358,14 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
         Results(tmp_path / "two", load_campaign(written(tmp_path, changed(TABLE, "seed", 1))))
 
 
-def test_a_run_is_driven_again_to_the_last_bit(tmp_path, capsys):
+def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     import pyarrow.parquet as pq
 
     file, record = written(tmp_path, TABLE), tmp_path / "r.parquet"
     expected = Simulator(load_campaign(file)).run(17)
     kept = Kept(record=record)
-    assert campaign(file, Options(None, None, None, None, False, 17, kept), json=True) == 0
-    facts = json.loads(capsys.readouterr().out)
+    assert campaign(file, replay=17, kept=kept) == 0
+    facts = json.loads(json.dumps(plain(output.collected)))
     assert facts["robustness"] == expected.robustness and facts["values"] == expected.values
     q, target = pq.read_table(record)["q.elbow"].to_numpy(), facts["values"]
     error = np.abs(q - target["scenario.targets.0.elbow"]).max()
@@ -388,8 +389,8 @@ def processes_below(process):
 def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
     """Client, workers, and Ctrl-C: what was written stays, and the end is the same."""
     rng = np.random.default_rng(seed)
-    file = written(tmp_path, changed(TABLE, "count", 1000))
-    into, kept = tmp_path / "killed", 0
+    file = written(tmp_path, changed(TABLE, "count", 4000))
+    into = tmp_path / "killed"
     for how in some(rng.permutation(["client", "worker", "ctrl-c"]), 2):
         before = set((into / "parts").glob("*.parquet"))
         with subprocess.Popen(
@@ -414,7 +415,6 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
         assert not [one for one in below if Path(f"/proc/{one}").exists()], "nobody stays behind"
         parts = set((into / "parts").glob("*.parquet"))
         assert before <= parts
-        kept += len(parts - before)
     assert finished(file, into)["digest"] == digest_alone(file)[0]
 
 
@@ -442,6 +442,53 @@ def test_dask_is_transport_only(tmp_path):
     with distributed.LocalCluster(n_workers=2, threads_per_worker=2, dashboard_address=None) as one:
         facts = finished(file, tmp_path / "dask", "--dask", one.scheduler_address)
     assert facts["digest"] == digest_alone(file)[0]
+
+
+def begun(module, *words):
+    """A process of a cluster."""
+    process = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard", *words]
+    return subprocess.Popen(process, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+@pytest.mark.skipif(not FULL, reason="FULL=1: a cluster of processes")
+@pytest.mark.parametrize("seed", range(5))
+def test_a_killed_scheduler_loses_nothing(tmp_path, seed):
+    """Another one at its address goes on; without one the client ends with a line."""
+    pytest.importorskip("distributed", reason="Dask: pip install distributed")
+    rng = np.random.default_rng(seed)
+    file, into = written(tmp_path, changed(TABLE, "count", 4000)), tmp_path / "dask"
+    port = int(rng.integers(20_000, 30_000))
+    address = f"tcp://127.0.0.1:{port}"
+
+    def cluster():
+        workers = ("dask_worker", address, "--nthreads", "1", "--no-nanny", "--death-timeout", "9")
+        return [begun("dask_scheduler", "--host", "127.0.0.1", "--port", str(port)),
+                begun(*workers), begun(*workers)]  # fmt: skip
+
+    processes = cluster()
+    try:
+        with subprocess.Popen(
+            command(file, into, "--json", "--dask", address), stdout=subprocess.PIPE, text=True
+        ) as client:
+            until = time.monotonic() + 60.0
+            while not into.exists() and time.monotonic() < until:
+                time.sleep(0.02)
+            time.sleep(rng.uniform(0.5, 5.0))
+            processes[0].kill()
+            processes[0].wait()
+            if seed == 0:
+                assert client.wait(60) == 2
+            else:
+                processes += cluster()
+            out = client.communicate(timeout=120)[0]
+        if seed == 0:
+            assert json.loads(out)["refused"].startswith("campaign: --dask must be the address")
+            out = json.dumps(finished(file, into))
+        assert json.loads(out)["digest"] == digest_alone(file)[0]
+    finally:
+        for one in processes:
+            one.kill()
+            one.wait()
 
 
 def test_the_page_lists_what_a_file_may_have():

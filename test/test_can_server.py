@@ -15,7 +15,7 @@ import pytest
 from draws import some
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.canopen import load_segment, opened
+from arm_emulator.cli.commands.canopen import load_segment, opened
 from arm_emulator.doors.fieldbus.can_bus import BusService, PythonCanBus
 from arm_emulator.doors.fieldbus.can_server import LONGEST_LINE, MOST_CLIENTS, CanServer
 from arm_emulator.doors.fieldbus.canopen_node import Frame

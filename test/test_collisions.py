@@ -200,16 +200,16 @@ def test_a_jog_halts_before_a_collision_and_leaves(seed: int) -> None:
 
 
 def test_a_way_is_looked_through_before_it_begins() -> None:
-    """The time of the first touch of a ball and a floor, within the pieces of the search."""
+    """The place of the first touch of a ball and a floor, within the pieces of the search."""
     config = MotionConfig(tool="tool", obstacles=(Obstacle("floor", 0.0),))
     kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
     guard = CollisionGuard(kinematics, config)
-    found = guard.along(lambda t: np.array([0.5 * t, 0.0]), 4.0)
+    found = guard.along(lambda part: np.outer(part, [2.0, 0.0]))
     assert found is not None
     # The outer ball: 1 - 2 sin(q) - 0.05 = 0.01.
-    assert found[0] == pytest.approx(math.asin(0.47) / 0.5, abs=0.06)
+    assert found[0] == pytest.approx(math.asin(0.47) / 2.0, abs=0.015)
     assert found[1] == "second and floor"
-    assert guard.along(lambda t: np.array([-0.2 * t, 0.0]), 4.0) is None
+    assert guard.along(lambda part: np.outer(part, [-0.8, 0.0])) is None
 
 
 @pytest.mark.parametrize("seed", some(range(40), 4))
@@ -250,11 +250,11 @@ def test_parts_that_touch_already_do_not_hide_others() -> None:
     guard = CollisionGuard(kinematics, config)
     begin = np.array([0.2, -0.8])  # 1 - 0.5 sin(0.2) - 0.1 < 0.85
     assert guard.collisions.first(begin) == "first and floor"
-    found = guard.along(lambda t: begin + np.array([0.0, 0.5 * t]), 4.0)
+    found = guard.along(lambda part: begin + np.outer(part, [0.0, 2.0]))
     assert found is not None and found[1] == "second and floor"
     # The outer ball: 1 - sin(0.2) - sin(0.2 + b) - 0.05 = 0.86.
     touch = math.asin(0.09 - math.sin(0.2)) - 0.2 + 0.8
-    assert found[0] == pytest.approx(touch / 0.5, abs=0.06)
+    assert found[0] == pytest.approx(touch / 2.0, abs=0.015)
 
 
 def test_after_a_refusal_the_arm_takes_other_targets() -> None:

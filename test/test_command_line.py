@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 import io
-import json
 import random
-import re
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
-from draws import some
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli import arguments, command_line
@@ -115,6 +111,8 @@ BAD = {
     ("check-scene",): "SCENE",
     ("record", "bag", "--topics"): "--topics",
     ("cache", "--clear=maybe"): "maybe",
+    ("modbus", "--clock", "sundial"): "lockstep",
+    ("run", "--json=1"): "--json",
     ("canopen", "--bitrate", "1e3x"): "--bitrate",
     ("tune", "three_axis", "--out"): "--out",
     ("run", "--seconds", "1\n2"): "--seconds",
@@ -219,83 +217,7 @@ def test_help_and_version_end_quietly_where_nobody_reads_them() -> None:
     assert ended == [f"{words}|141|" for words in lines], "as by SIGPIPE, without a traceback"
 
 
-# Stable interface for programs: the keys at the top of each command's object.
-KEYS = {
-    "advise": "scene judged_on error settings now why_none checked written",
-    "check-scene": "scenes warnings",
-    "run": "scene logical_time wall_time ticks tool_off energy q diverged warnings",
-    "tune": "scene joints picture written",
-}
-
-
-def test_json_is_taken_by_every_command_that_programs_read() -> None:
-    wanted = set(
-        "advise cache campaign check-bag check-scene doctor faults identify move run status tune "
-        "validate".split()
-    )
-    taken = {one.name for one in commands() if "json" in inspect.signature(one.function).parameters}
-    assert taken == wanted
-
-
-@pytest.mark.parametrize("name", some(["run", "check-scene", "tune", "advise"], 3))
-def test_json_has_its_keys_and_nothing_beside(name: str, tmp_path: Path) -> None:
-    table = tmp_path / "motion.csv"
-    table.write_text("t,waist,shoulder,elbow\n0,1,2,3\n0.03,-4,5,-6\n0.05,0,0,0\n")
-    more = {"advise": ["--motion", str(table), "--error", "1e-5"], "run": ["--seconds", "0.1"]}
-    words = [name, "three_axis", *more.get(name, [])]
-    code, text, errors = run(*words, "--json")
-    facts = json.loads(text)
-    assert list(facts) == KEYS[name].split(), errors
-    assert code == 0 and run(*words)[0] == 0
-    documented = (ROOT / "docs" / "reference" / "command_line.md").read_text()
-    [row] = [line for line in documented.splitlines() if line.startswith(f"| `{name}` |")]
-    assert set(re.findall(r"`(\w+)`", row.split("|")[2])) == set(facts)
-
-
-def test_json_stands_alone_on_stdout_whoever_prints() -> None:
-    program = """
-import ctypes
-from arm_emulator.cli.output import Output
-output = Output(True)
-print("Python")
-output.line("people")
-output.console().print("tables")
-ctypes.CDLL(None).puts(b"C")
-ctypes.CDLL(None).fflush(None)
-output.facts({"none": float("nan"), "one": 1})
-"""
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert json.loads(ended.stdout) == {"none": None, "one": 1}
-    assert "Python" in ended.stderr and "C" in ended.stderr and "tables" not in ended.stderr
-
-
 @pytest.fixture(autouse=True)
 def no_signal() -> None:
     """Of another test."""
     CtrlC.signal = 0
-
-
-def test_programs_read_json_where_people_read_lines(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from made_bags import synthetic
-
-    bag = synthetic(tmp_path / "bag", [True] * 8)
-    code, lines, _ = run("check-bag", str(bag), "--scene", "three_axis")
-    json_code, text, _ = run("check-bag", str(bag), "--scene", "three_axis", "--json")
-    facts = json.loads(text)
-    assert json_code == code == 0 and "equal to the last bit" in lines
-    assert facts["equal"] and facts["scene"] == "three_axis" and facts["counts"]["states"] > 0
-
-    folder = tmp_path / "cache"
-    folder.mkdir(mode=0o700)
-    library = folder / f"three_axis-{7:020x}.so"
-    library.write_bytes(b"library")
-    monkeypatch.setenv("ARM_EMULATOR_CACHE", str(folder))
-    assert library.name in run("cache")[1]
-    [one] = json.loads(run("cache", "--json")[1])["folders"]
-    assert one["folder"] == str(folder) and not one["not_trusted"]
-    assert [entry["file"] for entry in one["libraries"]] == [str(library)]
-    assert one["libraries"][0]["size"] == 7

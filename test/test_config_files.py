@@ -15,8 +15,8 @@ from draws import some
 from arm_emulator.base import config_files
 from arm_emulator.base.config_files import BESIDE, find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_scene import check_scene
 from arm_emulator.cli.command_line import main
+from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bringup import Bringup

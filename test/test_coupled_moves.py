@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from cia402 import CSP, TARGET, enable, truth
 from draws import FULL, some
 from fmu_client import OK, Fmu, Instance
 from test_rerun_stream import read
@@ -21,7 +22,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts, shaft_limits
 from arm_emulator.base.urdf_text import limits_of
 from arm_emulator.build.c_header import Library
-from arm_emulator.cli.new import write_new
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.identification.link_regressor import torques_of_links
@@ -151,7 +152,7 @@ def test_targets_trajectories_and_jogs_keep_the_joints_limits(machine: Machine) 
 
 
 def test_position_limits_of_drives_keep_the_joints_within_theirs(machine: Machine) -> None:
-    """The software limits of CiA 402, and a drive that is sent beyond them."""
+    """The software limits of CiA 402."""
     scene, C = machine.scene, machine.truth.C
     drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
     per_count = 2.0 * np.pi * scene.gear_ratios / [one.counts_per_turn for one in scene.joints]
@@ -171,6 +172,33 @@ def test_position_limits_of_drives_keep_the_joints_within_theirs(machine: Machin
         up, down = np.maximum(C[k], 0.0), np.minimum(C[k], 0.0)
         assert up @ shafts[0] + down @ shafts[1] > low - 1e-6, name
         assert up @ shafts[1] + down @ shafts[0] < high + 1e-6, name
+
+
+def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
+    """Cyclic positions over a field bus, in counts of the motors: each shaft goes where its drive
+    is sent, 0.1 rad or m, at most to its software limit, and no other shaft with it. Links are
+    seen behind gears that the weight winds up by 0.01.
+    """
+    scene = machine.scene
+    drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
+    per_count = 2.0 * np.pi * scene.gear_ratios / [one.counts_per_turn for one in scene.joints]
+    joints = range(len(scene.joints))
+    enable(drives, CSP)
+    drives.period(500)
+    begun = np.array([drives.read(j, TARGET) for j in joints])
+    assert begun * per_count == pytest.approx(truth(drives, "q"), abs=0.02)
+    for j in joints:
+        drives.write(j, 0x6065, 0xFFFFFFFF)  # no following error
+        before = truth(drives, "q")
+        limit = drives.read(j, 0x607D, 2 if per_count[j] > 0 else 1)
+        goal = begun[j] + round(0.1 / per_count[j])
+        for k in range(1, 401):
+            drives.write(j, TARGET, begun[j] + round(0.1 * k / 400 / per_count[j]))
+            drives.period()
+        drives.period(600)
+        reached = min(goal, limit) if per_count[j] > 0 else max(goal, limit)
+        assert truth(drives, "q")[j] == pytest.approx(reached * per_count[j], abs=0.02)
+        assert np.abs(np.delete(truth(drives, "q") - before, j)).max() < 0.02
 
 
 def test_numbers_of_its_links_explain_the_torques_that_its_gears_carry(machine: Machine) -> None:

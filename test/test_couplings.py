@@ -18,8 +18,8 @@ from scipy.integrate import solve_ivp
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.link_loads import LinkLoads
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.new import write_new
-from arm_emulator.cli.tune import tune
+from arm_emulator.cli.commands.tune import tune
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
@@ -295,7 +295,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     for name in shares:
         del scene["joints"][name]["end_stops"]
     written.file.write_text(yaml.safe_dump(scene))
-    assert tune(str(written.file), None, None, write=True) == 0
+    assert tune(str(written.file), write=True) == 0
     scene, gains = load_scene(written.file), load_gains(written.file)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     truth = Lagrange(serial("arm", WRIST), matrix(WRIST, shares), np.zeros(5))

@@ -55,11 +55,21 @@ def times_of(recording: Path, entity: str) -> set[int]:
 
 @pytest.mark.parametrize("scene", some(["three_axis", pytest.param("ur5", marks=needs_robots)], 1))
 def test_demo(scene: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "arm_emulator", "demo", scene, "--out", str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "arm_emulator",
+        "demo",
+        scene,
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
     with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((tmp_path / "demo.json").read_text())
+    assert json.loads(done.stdout) == {**summary, "warnings": []}
     deviations = np.array(summary["deviations_m"])
 
     # Three processes state to the last bit what one process states.
@@ -75,14 +85,14 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     off = float(np.linalg.norm(deviations[-1] * 1e3 - summary["predicted_mm"]))
     assert (off <= summary["predicted_radius_mm"]) == summary["residual_within_prediction"]
     assert summary["residual_within_prediction"] and summary["target"] == "reached"
-    printed = done.stdout
+    printed = done.stderr
     assert "the residual is within the prediction" in printed
     assert printed.index("predicted residual (mm)") < printed.index("instruction "), (
         "before the run"
     )
     if scene == "three_axis":  # as the paper's arm does
         assert below[0] <= 20
-        assert f"after {below[0]} instructions" in done.stdout
+        assert f"after {below[0]} instructions" in printed
 
     picture = matplotlib.image.imread(tmp_path / "fig4.png")
     assert min(picture.shape[:2]) > 200 and picture[..., :3].std() > 0.01  # not a blank page

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from arm_emulator.cli import doctor
-from arm_emulator.cli.doctor import Finding, findings
+from arm_emulator.cli.commands import doctor
+from arm_emulator.cli.commands.doctor import Finding, findings
+from arm_emulator.cli.output import output
 
 
 def found(name: str) -> Finding:
@@ -22,9 +23,10 @@ def found(name: str) -> Finding:
 
 
 def test_each_finding_is_a_line_and_a_row_of_json(capsys: pytest.CaptureFixture[str]) -> None:
-    code = doctor.doctor(json=False)
+    code = doctor.doctor()
     lines = capsys.readouterr().out.splitlines()
-    assert doctor.doctor(json=True) == code
+    with output.printed(as_json=True):
+        assert doctor.doctor() == code
     rows = json.loads(capsys.readouterr().out)["findings"]
     assert len(lines) == len(rows) >= 10
     for line, row in zip(lines, rows, strict=True):

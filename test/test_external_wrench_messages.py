@@ -13,7 +13,7 @@ from in_process import InProcess, in_process
 from machines import CONFIG
 from test_by_hand import CLOCKS, events_of, go_on, session_of
 
-from arm_emulator.cli.check_bag import check
+from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator_msgs.msg import MachineEvent
 
 TOPICS = {"external_wrench": "link", "external_wrench_in_world": "world"}
@@ -70,7 +70,7 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
             go_on(one, 20, between)
         assert one.refused("emulator") == 0, f"of {printed} stated"
         one.write(tmp_path / "bag")
-    code, words = check(tmp_path / "bag", str(pushed)), capfd.readouterr().out
+    code, words = check_bag(tmp_path / "bag", scene=str(pushed)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     kinds = [event.kind for event in events_of(tmp_path / "bag")]
     assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == printed, "each is reported"

@@ -97,18 +97,23 @@ def everything(folder: Path, **more: Any) -> Scene:
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def whole_scene(folder: Path) -> Scene:
+    """The machine with every fault, and every number varied that they change."""
     # The link that carries the payload has its mass's numbers from there.
-    plain = everything(tmp_path_factory.mktemp("possible"), faults=[])
+    plain = everything(folder, faults=[])
     faults = [one for one in plain.possible_faults if one.name != "wrist_link.mass_at_joint"]
     possible = [one.name for one in could_vary(plain.joints, plain.chain, plain.imus)]
     changed = {change.number for one in faults for change in one.changes}
     return everything(
-        tmp_path_factory.mktemp("everything"),
+        folder,
         faults=[one.name for one in faults],
         varied=[*sorted(changed.intersection(possible)), "payload.mass"],
     )
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return whole_scene(tmp_path_factory.mktemp("everything"))
 
 
 def drive(plant: Plant, ticks: range) -> list[bytes]:

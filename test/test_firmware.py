@@ -29,7 +29,7 @@ from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import library
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.servo_header import servo_header
+from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.firmware import Doing, Firmware
 from arm_emulator.machine.firmware_loop import firmware_loop
@@ -69,7 +69,7 @@ def run_c(command: list[str]) -> None:
 def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Build the template with our servo's numbers for three_axis, or other code, as a library."""
     folder = tmp_path_factory.mktemp("built")
-    (folder / "servo_joints.h").write_text(servo_header("three_axis", NAMES, SERVO))
+    (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
     made: dict[tuple[str, ...], Path] = {}
 
     def built(source: str = "", *flags: str) -> Path:

@@ -9,7 +9,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.fixed_layout import FixedLayout, taking
+from arm_emulator.ros.fixed_layout import FixedLayout, Taking
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 KINDS = (MotorState, MotorCommand)
@@ -95,12 +95,12 @@ def test_numbers_are_written_and_read_where_rclpy_has_them(kind: type) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_other_names_lengths_and_senders_are_heard_as_well(kind: type) -> None:
     draw, heard, refused = random.Random(1), [], []
-    take = taking(
+    take = Taking(
         "topic",
         kind,
         lambda fields, data: heard.append((fields, data)),
         lambda topic, reason: refused.append(reason),
-    )
+    ).take
     some = [random_message(draw, kind) for _ in range(5)]
     for _ in range(100):
         message, slack = draw.choice(some), bytes(draw.randrange(8))
@@ -115,12 +115,12 @@ def test_other_names_lengths_and_senders_are_heard_as_well(kind: type) -> None:
 def test_bytes_that_are_no_message_are_refused_in_a_line() -> None:
     draw, heard = random.Random(2), []
     refused: list[Refusal] = []
-    take = taking(
+    take = Taking(
         "motor_commands",
         MotorCommand,
         lambda fields, _: heard.append(fields),
         lambda _, reason: refused.append(reason),
-    )
+    ).take
     whole = serialize_message(random_message(draw, MotorCommand))
     for length in (0, 1, 3, 4, 9, 17, 30):
         take(bytes(whole[:length]))

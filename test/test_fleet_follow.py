@@ -146,16 +146,79 @@ void mine_step(void* with, int32_t first, int32_t arms, const arm_joint_measurem
 """
 
 
+# A law that reads all that rows of lanes have, and the same arm by arm.
+ROWS = """
+#include "arm_fleet.h"
+typedef struct law { int32_t joints, spoiled, periods[16]; } law;
+static double command_of(int64_t encoder, double current, double applied, int64_t brake, int on) {
+  return on && !brake ? 0.3 - 0.01 * encoder - 0.05 * current + 0.1 * applied : 0.0;
+}
+void by_arm(void* with, int32_t first, int32_t arms, const arm_joint_measurement* joint,
+            const uint8_t* powered, arm_joint_command* command) {
+  law* one = with;
+  for (int32_t k = first; k < first + arms; ++k)
+    for (int32_t j = k * one->joints; j < (k + 1) * one->joints; ++j)
+      command[j].value = command_of(joint[j].encoder, joint[j].current, joint[j].applied,
+                                    joint[j].brake, powered[k]);
+}
+void by_rows(void* with, const arm_fleet_rows* rows) {
+  law* one = with;
+  for (int32_t l = 0; l < rows->arms; ++l) {
+    ++one->periods[rows->first + l];
+    for (int32_t j = 0; j < one->joints; ++j) {
+      const int32_t at = j * rows->lanes + l;
+      rows->value[at] = command_of(rows->encoder[at], rows->current[at], rows->applied[at],
+                                   rows->brake[at], rows->powered[l]);
+      if (rows->first + l == one->spoiled) rows->value[at] = 0.0 / 0.0;
+    }
+  }
+}
+"""
+
+
+def compiled(folder: Path, text: str) -> ctypes.CDLL:
+    source, built = folder / "mine.c", folder / "mine.so"
+    source.write_text(text)
+    command = ["cc", "-shared", "-fPIC", "-ffp-contract=off", f"-I{BOUNDARY}", str(source)]
+    run_compiler([*command, "-o", str(built)], folder, "mine", "mine.c")
+    return ctypes.CDLL(str(built))
+
+
+def address(function: Any) -> int:
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+
+def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> None:
+    """It moves the arms as the same law does arm by arm, to the last bit: gliding, cut, braked."""
+    law = compiled(tmp_path, ROWS)
+    fleets = [Fleet(three_axis, COUNT, workers=2) for _ in range(2)]
+    keeps = np.array([len(three_axis.joints), -1, *[0] * 16], np.int32)
+    in_rows = FleetControl(address(law.by_rows), keeps.ctypes.data, in_lanes=True)
+    controls = in_rows, FleetControl(address(law.by_arm), keeps.ctypes.data)
+    off = np.arange(COUNT) % 4 == 1
+    links = np.zeros((2, 90, COUNT, len(three_axis.joints)))
+    for fleet, control, rows in zip(fleets, controls, links, strict=True):
+        fleet.follow(control, 30, links=rows[:30])
+        fleet.powered = ~off
+        fleet.follow(control, 30, links=rows[30:60])
+        fleet.powered = True
+        fleet.follow(control, 30, links=rows[60:])
+    assert np.array_equal(links[0], links[1])
+    assert fleets[0].measured.applied.any(axis=1).all() and np.ptp(links[0], axis=0).max() > 1e-3
+    assert not np.array_equal(links[0, -1, 0], links[0, -1, 1]), "an arm that was cut"
+    assert (keeps[2 : 2 + COUNT] == 90).all() and (keeps[2 + COUNT :] == 0).all()
+    keeps[1] = 9
+    with pytest.raises(Refusal, match=r"Fleet\.follow: arm 9: .* must be finite, got nan"):
+        fleets[0].follow(in_rows, 5)
+    assert fleets[0].state.t[9] == pytest.approx(0.090)
+    assert fleets[0].state.t[0] == pytest.approx(0.095)
+
+
 def test_code_of_users_commands_arm_by_arm(tmp_path: Path, three_axis: Scene) -> None:
-    source, built = tmp_path / "mine.c", tmp_path / "mine.so"
-    source.write_text(MINE)
-    command = ["cc", "-shared", "-fPIC", f"-I{BOUNDARY}", str(source), "-o", str(built)]
-    run_compiler(command, tmp_path, "mine", "mine.c")
     scene = three_axis
-    step = ctypes.cast(ctypes.CDLL(str(built)).mine_step, ctypes.c_void_p).value
     keeps = np.array([len(scene.joints), *[0] * 16, -1], np.int32)
     fleet, other = Fleet(scene, COUNT, workers=2), Fleet(scene, COUNT)
-    control = FleetControl(int(step or 0), keeps.ctypes.data)
+    control = FleetControl(address(compiled(tmp_path, MINE).mine_step), keeps.ctypes.data)
     frame, beside = fleet.frame(), other.step(np.zeros(3), 0)
     fleet.follow(control, 20, out=frame)
     for _ in range(20):
@@ -187,6 +250,7 @@ def test_what_makes_no_sense_is_refused(three_axis: Scene) -> None:
         (lambda: servos.aim(np.zeros((4, 3)), every=1000), "every must be at most 200"),
         (lambda: servos.reset([2]), "arms must be a mask of 2"),
         (lambda: FleetControl(0), "step must be"),
+        (lambda: FleetControl(1, in_lanes="no"), "in_lanes must be"),  # type: ignore[arg-type]
     ]
     for attempt, words in attempts:
         with pytest.raises(Refusal, match=words):

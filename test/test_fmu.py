@@ -27,7 +27,7 @@ from random_scenes import draw
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import Library
-from arm_emulator.cli.fmu import write_fmu
+from arm_emulator.cli.commands.fmu import fmu as write_fmu
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.model_description import model_description
 from arm_emulator.doors.fmu.model_description_2 import model_description_2
@@ -605,18 +605,13 @@ def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"scene_name": "no_such"}, "file no_such must exist"),
-    ({"varied": ["joints.*.color"]}, "varied must name numbers"),
+    ({"scene": "no_such"}, "file no_such must exist"),
+    ({"varied": "joints.*.color"}, "varied must name numbers"),
     ({"target": "z80"}, "target must be known"),
     ({"out": Path("arm.zip")}, "--out must end in .fmu"),
 ])  # fmt: skip
 def test_what_is_not_taken_is_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
-    given = {
-        "scene_name": "three_axis",
-        "out": tmp_path / "arm.fmu",
-        "varied": None,
-        "version": "3",
-    }
+    given = {"scene": "three_axis", "out": tmp_path / "arm.fmu", "target": "native", **change}
     with pytest.raises(Refusal, match=words):
-        write_fmu(**{**given, "target": "native", **change})
+        write_fmu(given.pop("scene"), **given)
     assert not (tmp_path / "arm.fmu").exists(), "nothing is written"

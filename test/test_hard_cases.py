@@ -12,9 +12,9 @@ from draws import FULL, some
 
 from arm_emulator.analysis.stability import SmallMotions, attempts, what_holds
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 from bench.hard_cases import (
     CASES,
     DETECTED,

@@ -12,7 +12,7 @@ from machines import one_link_urdf, write_scene
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.identify import identify
+from arm_emulator.cli.commands.identify import identify
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.fitted_scene import with_followers, write_fitted
@@ -164,10 +164,10 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
 ) -> None:
     """From run A alone; without the second stage, which compiles, it is near."""
     late = [f"{name}={value}" for name, value in DELAYS.items()]
-    hold = ["links.link_6.x", "links.link_6.y"]
     out, given = tmp_path / "kuka_kr300.yaml", str(DATA / "given.yaml")
     identify(
-        given, SHIPPED[0], ["*"], hold, out, angles="deg", delays=late, simulate=simulate
+        given, SHIPPED[0], hold="links.link_6.x,links.link_6.y", out=out, angles="deg", delay=late,
+        simulate=simulate,
     )  # fmt: skip
     assert "not identifiable" in capsys.readouterr().out
     made, shipped = load_scene(out), load_scene("kuka_kr300")

@@ -18,7 +18,7 @@ from test_by_hand import go_on, session_of
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import text
-from arm_emulator.cli.check_bag import check
+from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.doors.fieldbus.converter import COMMANDED, Converter, blocks
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine.core_calls import ARM
@@ -211,7 +211,7 @@ def test_over_ros_and_repeated_from_its_bag(
             expected = rows[1][(state.tick - 1) % 300]
             assert along == pytest.approx(np.clip(expected, -AMPLITUDE, AMPLITUDE))
         one.write(tmp_path / "bag")
-    code, words = check(tmp_path / "bag", str(file)), capfd.readouterr().out
+    code, words = check_bag(tmp_path / "bag", scene=str(file)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     assert "applied_d" in words and "motor_commands (command, command_d)" in words, words
 

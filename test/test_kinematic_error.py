@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 PERIOD = 1e-2  # s, over which a voltage is held
 VISCOUS = 0.2
@@ -106,9 +106,9 @@ def test_every_scheme_keeps_its_order(
         errors.append(float(np.abs(q[:, 0] - expected[:, 2]).max()))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     # The next term of the error's expansion may be some per cent of it.
-    slack = 0.15 if ORDERS[scheme] == 2 else 0.3
-    assert orders[-1] == pytest.approx(ORDERS[scheme], abs=slack), errors
-    if ORDERS[scheme] == 1:
+    slack = 0.15 if KNOWN[scheme].order == 2 else 0.3
+    assert orders[-1] == pytest.approx(KNOWN[scheme].order, abs=slack), errors
+    if KNOWN[scheme].order == 1:
         return
     x = plant.state
     end = np.array([x.theta_m[0], x.omega_m[0], x.q[0], x.v[0]])

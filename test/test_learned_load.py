@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,14 +23,27 @@ INERTIA = 2.0  # kg m2, of the link
 TURN, RATE = 0.3, 6.0  # rad and rad/s: q = TURN (1 - cos(RATE t)) / 2
 
 
+class Swung(NamedTuple):
+    """Outcome of a swing."""
+
+    worst: float
+    """Largest error of the link [rad]."""
+    factors: list[float]
+    """Per motion period."""
+    integral: float
+    """Of the servo at the end [A]."""
+
+
 def swing(
     announced: float,
     load: float = 0.0,
     still: bool = False,
     watched: float = 0.0,
     late: float = 0.0,
-) -> tuple[float, list[float]]:
-    """Return the link's largest error [rad] and the factor, per motion period, on a swing.
+    rests: float = 0.0,
+    freed: bool = False,
+) -> Swung:
+    """Return what a swing led to.
 
     Args:
         announced: part of the link's inertia for which torques are announced.
@@ -37,17 +51,23 @@ def swing(
         still: let the link rest all the time, under the announced torque of a weight.
         watched: part of the swing from which on the error counts [s].
         late: time by which the link's load follows the announced torque [s].
+        rests: how long it rests after the swing [s].
+        freed: the load is gone from the start of the swing on.
     """
     drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
     machine, worst, factors = Drivetrain(JOINT, INERTIA, stiffness=1e5, load=load), 0.0, []
 
     def motion(t: float) -> tuple[float, float, float]:
-        t = 0.0 if still else max(0.0, t - 1.5)
+        t = 0.0 if still else max(0.0, min(t, 3.0) - 1.5)
         s, c = math.sin(RATE * t), math.cos(RATE * t)
-        return 0.5 * TURN * (1.0 - c), 0.5 * TURN * RATE * s, 0.5 * TURN * RATE**2 * c * (t > 0)
+        return (
+            0.5 * TURN * (1.0 - c),
+            0.5 * TURN * RATE * s * (t < 1.5),
+            0.5 * TURN * RATE**2 * c * (0 < t < 1.5),
+        )
 
     applied = np.zeros(1)
-    for k in range(round(3.0 / PERIOD)):  # 1.5 s of rest, 1.5 s of the swing
+    for k in range(round((3.0 + rests) / PERIOD)):  # 1.5 s of rest, 1.5 s of the swing
         t, T = k * PERIOD, MOTION * PERIOD
         drives.measure(round(t * 1e9), [machine.counts], [machine.x[0]], applied)
         if k % MOTION == 0:
@@ -56,18 +76,20 @@ def swing(
             weight = 3.0 if still else 0.0
             tau = announced * INERTIA * 0.5 * (a + a_end) + 0.5 * (q_end - q) / T + weight
             drives.aim(Target(np.array([q]), np.array([(q_end - q) / T]), np.array([tau])))
-            factors.append(float(drives.servo.state["scale"][0]))
+            factors.append(1.0 + float(drives.servo.state["learned"]["excess"][0]))
         if t > 1.5 + watched:
             worst = max(worst, abs(float(machine.x[3]) - motion(t)[0]))
+        if freed and t > 1.5:
+            machine.x[6] = 0.0
         applied = drives.command(True)
         machine.advance(applied[0])
-    return worst, factors
+    return Swung(worst, factors, float(drives.servo.state["integral"][0]))
 
 
 @pytest.mark.parametrize("announced", [0.6, 0.75, 1.0, 1.3, 1.7])
 def test_the_factor_is_that_of_the_announced_inertia(announced: float) -> None:
     """Learned within a swing to 10 %; the rest is friction and what one count shows."""
-    _, factors = swing(announced)
+    factors = swing(announced).factors
     assert factors[-1] == pytest.approx(1.0 / announced, rel=0.1)
 
 
@@ -76,33 +98,35 @@ def test_an_inertia_far_from_the_announced_one_is_followed_once_it_is_learned(
     announced: float,
 ) -> None:
     """From 0.6 s on it stays within twice the error of right torques; without a factor: 9 times."""
-    right, wrong = swing(1.0, watched=0.6)[0], swing(announced, watched=0.6)[0]
+    right, wrong = swing(1.0, watched=0.6).worst, swing(announced, watched=0.6).worst
     assert wrong < 2.0 * right
 
 
 @pytest.mark.parametrize("late", [0.02, -0.02])
-def test_a_load_that_comes_at_another_time_is_hardly_a_reason_for_a_factor(late: float) -> None:
-    """Right torques, but the load on a soft gear follows them later: 0.5 and 2 if the first
-    milliseconds counted, 0.86 and 1.25 as it is.
+def test_a_factor_that_was_wrong_leaves_nothing_behind(late: float) -> None:
+    """Right torques, but the load on a soft gear follows them later: the factor leaves 1 for a
+    while, 0.69 and 1.64. What it did is gone with it: the integral ends within 0.01 A of where it
+    ends without a factor; the 5.4 N m of the swing are 1.1 A.
     """
-    _, factors = swing(1.0, late=late)
-    assert 0.8 < min(factors) <= max(factors) < 1.3
-    assert factors[-1] == 1.0
+    swung, right = swing(1.0, late=late, rests=0.5), swing(1.0, rests=0.5)
+    assert swung.factors[-1] == 1.0
+    assert 0.5 < min(swung.factors) <= max(swung.factors) < 1.8
+    assert swung.integral == pytest.approx(right.integral, abs=0.01)
 
 
 @pytest.mark.parametrize("load", [-20.0, 5.0, 20.0])
 def test_a_constant_load_is_no_reason_for_a_factor(load: float) -> None:
     """It is the integral's, in motion as at rest."""
-    _, factors = swing(1.0, load)
+    factors = swing(1.0, load).factors
     assert factors[-1] == pytest.approx(1.0, abs=0.1)
-    _, factors = swing(1.0, load, still=True)
+    factors = swing(1.0, load, still=True).factors
     assert set(factors) == {1.0}
 
 
 @pytest.mark.parametrize("announced", [0.05, 20.0, -1.0])
 def test_torques_that_mean_nothing_change_the_factor_within_its_bounds(announced: float) -> None:
     """Announced torques of another arm, or of the wrong sign."""
-    worst, factors = swing(announced)
+    worst, factors, _ = swing(announced)
     assert 0.5 <= min(factors) <= max(factors) <= 2.0
     assert math.isfinite(worst)
 
@@ -110,9 +134,9 @@ def test_torques_that_mean_nothing_change_the_factor_within_its_bounds(announced
 def test_the_factor_is_forgotten_with_all_else() -> None:
     """A reset servo begins with what is announced."""
     drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
-    drives.servo.state["scale"] = 1.7
+    drives.servo.state["learned"]["excess"] = 0.7
     drives.reset()
-    assert drives.servo.state["scale"][0] == 1.0
+    assert drives.servo.state["learned"]["excess"][0] == 0.0
 
 
 @pytest.mark.parametrize("scene", some(["ur5", "panda"], 1))
@@ -124,3 +148,39 @@ def test_heavier_links_are_followed_nearly_as_well(scene: str, wrong: float) -> 
     """
     found = follow(scene, Known("full", inertia=wrong))
     assert found.off - found.unseen < {"ur5": 0.5e-3, "panda": 0.8e-3}[scene]
+
+
+def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
+    """A load of 6 N m, 1.5 times the 4 N m that were announced since the joint rested: the integral
+    takes over 2 N m within some 1.5 s, and the motor stays within two counts where the gear winds
+    up by 230 counts. An integral that had to notice an error first let it go 13 counts.
+    """
+    drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
+    machine, applied, seen = Drivetrain(JOINT, INERTIA, stiffness=1e5, load=-6.0), np.zeros(1), []
+    announced = Target(np.zeros(1), np.zeros(1), np.array([4.0]))
+    for k in range(6000):
+        drives.measure(k * 1_000_000, [machine.counts], [machine.x[0]], applied)
+        if k % MOTION == 0:
+            drives.aim(announced)
+        if k == 2000:  # the load is held, one third of it by the integral: let it be the factor's
+            of_factor = 2.0 * JOINT.gear_ratio / JOINT.torque_constant
+            drives.servo.state["integral"] -= of_factor
+            drives.servo.state["learned"]["excess"] = 0.5
+            drives.servo.state["learned"]["tau_base"] = 0.0
+            rested = drives.servo.state["integral"][0]
+        applied = drives.command(True)
+        machine.advance(applied[0])
+        if k >= 2000:
+            seen.append(machine.counts)
+    assert np.ptp(seen) <= 2
+    assert drives.servo.state["integral"][0] - rested == pytest.approx(of_factor, rel=0.1)
+
+
+@pytest.mark.parametrize("stuck", [-8.0, -4.0, 4.0, 8.0])
+def test_friction_that_held_the_joint_is_no_reason_for_a_factor(stuck: float) -> None:
+    """The load of the rest, of which nobody knew, is gone when the joint moves; the announced
+    torques are right. The factor is off for less than 0.4 s; against a slow mean of the past, which
+    remembers the rest, it was for 0.56 to 0.97 s.
+    """
+    swung = swing(1.0, load=stuck, freed=True)
+    assert sum(abs(factor - 1.0) > 0.1 for factor in swung.factors) < 40

@@ -14,9 +14,9 @@ from scipy.optimize import brentq
 
 from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 
 def drawn_three_axis(

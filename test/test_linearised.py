@@ -197,13 +197,20 @@ def test_a_counterbalance_is_a_spring_by_its_potential() -> None:
     assert np.abs(bent).max() < 1e-5 * abs(stiffness)
 
 
+# Each acts in a test of its own, and leaves those of the others alone.
+LOOSE = {
+    "joints.elbow.gear.backlash": 2e-3,
+    "joints.waist.motor.current_limit": 2.0,
+    "joints.waist.end_stops": {"lower": -1.0, "upper": 0.5, "stiffness": 1e4, "damping": 20.0},
+}
+
+
 def in_three_axis(**keys: Any) -> Plant:
     return Plant(load_scene("three_axis", overrides=keys))
 
 
 def test_a_gear_with_play_pulls_where_it_touches() -> None:
-    gear = {"joints.elbow.gear.backlash": 2e-3}
-    plant, plain = Plant(load_scene("three_axis", overrides=gear)), in_three_axis()
+    plant, plain = in_three_axis(**LOOSE), in_three_axis()
     N = slice(-3, None)
     linear, other = linearise(plant), linearise(plain)
     elbow = np.abs(linear.theta_m[2]).argmax()
@@ -214,11 +221,11 @@ def test_a_gear_with_play_pulls_where_it_touches() -> None:
     touching = linearise(plant).A[:, elbow : elbow + 2]  # the links' own pull at each other changes
     assert_same(touching, other.A[:, elbow : elbow + 2], np.full((15, 2), 1e-9 * size))
     with pytest.raises(Refusal, match="the motors hold"):
-        linearise(in_three_axis(gravity=[0, -9.81, 0], **gear), [0.0, 0.5, 0.8])
+        linearise(in_three_axis(gravity=[0, -9.81, 0], **LOOSE), [0.0, 0.5, 0.8])
 
 
 def test_a_current_at_its_limit_stays_there() -> None:
-    plant = in_three_axis(**{"joints.waist.motor.current_limit": 2.0})
+    plant = in_three_axis(**LOOSE)
     plant.advance([40.0, 0.0, 0.0], 5)
     assert plant.state.current[0] == pytest.approx(2.0)
     linear = linearise(plant, command=[40.0, 0.0, 0.0])
@@ -238,8 +245,7 @@ def test_a_link_that_sticks_rests_and_one_that_slides_does_not() -> None:
 
 
 def test_an_end_stop_is_a_spring_where_it_is_pressed() -> None:
-    stops = {"lower": -1.0, "upper": 0.5, "stiffness": 1e4, "damping": 20.0}
-    plant, plain = in_three_axis(**{"joints.waist.end_stops": stops}), in_three_axis()
+    plant, plain = in_three_axis(**LOOSE), in_three_axis()
     for one in (plant, plain):
         one.reset([0.52, 0.5, 0.8])
     linear, other = linearise(plant), linearise(plain)

@@ -14,9 +14,9 @@ from scipy.integrate import solve_ivp
 from stick_slip import Towed, assert_order_two
 from stick_slip import drawn as drawn_stribeck
 
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 NG = 0.02  # of hoists
 HOISTED = 0.2  # kg, of the last link of their gantry

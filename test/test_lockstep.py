@@ -28,7 +28,7 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.run import run as run_command
+from arm_emulator.cli.commands.run import run as run_command
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
@@ -328,12 +328,12 @@ def test_offline_refuses_periods_that_do_not_fit(change: dict[str, float], words
 
 
 def test_the_run_command_reports(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command("three_axis", 3.0, [0.0, 0.01, 0.0]) == 0
+    assert run_command("three_axis", seconds=3.0, displacement=(0.0, 0.01, 0.0)) == 0
     printed = capsys.readouterr().out
     assert "scene three_axis: 3 s of logical time in " in printed
     x, y, z = (float(mm) for mm in re.findall(r"[xyz] ([-+][\d.]+)", printed))
     assert max(abs(x), abs(y), abs(z)) < 0.1  # of 10 mm; the encoders' residual is 0.07 mm
     with pytest.raises(Refusal, match="run: seconds must be at least"):
-        run_command("three_axis", float("nan"), None)
+        run_command("three_axis", seconds=float("nan"))
     with pytest.raises(Refusal, match="run: displacement: position must be numbers within"):
-        run_command("three_axis", 1.0, [0.0, float("inf"), 0.0])
+        run_command("three_axis", seconds=1.0, displacement=(0.0, float("inf"), 0.0))

@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 PERIOD = 1e-2  # s, over which a voltage is held
 RATIO = 0.02  # of the rotor's gear
@@ -52,7 +52,7 @@ def with_steps(
     motor["rotor_inertia"] = 1e-12 if side == "link" else ROTOR
     joint: dict[str, Any] = {"motor": motor, "gear": {"ratio": 1.0 if side == "link" else RATIO}}
     (joint if side == "link" else motor)["lugre"] = lugre
-    events = "located" if ORDERS[scheme] == 2 else "step"
+    events = "located" if KNOWN[scheme].order == 2 else "step"
     file = write_scene(
         folder, one_link_urdf(), {"joint": joint}, servo_period=PERIOD, supply_voltage=1e3,
         integrator={"scheme": scheme, "dt": PERIOD / steps, "events": events}, energy_flow=True,
@@ -102,7 +102,7 @@ def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) ->
         errors.append(float(np.abs(q - expected[:, 1]).max()))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     # The next term of the error's expansion is some per cent of it.
-    assert orders[-1] == pytest.approx(ORDERS[scheme], abs=0.15), errors
+    assert orders[-1] == pytest.approx(KNOWN[scheme].order, abs=0.15), errors
     assert errors[-1] < 0.02 * np.abs(expected[:, 1]).max(), errors
 
 

@@ -26,8 +26,8 @@ from arm_emulator.analysis.mode_loops import (
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.new import write_new
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.doors.fieldbus.drives import Aborted, dictionary, modes
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene

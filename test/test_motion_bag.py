@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from in_process import in_process
 from nav_msgs.msg import Path as ToolPath
 
-from arm_emulator.cli.check_bag import check
+from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.message_types import definition_of
@@ -35,4 +35,4 @@ def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
     assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"
     for kind in ("nav_msgs/msg/Path", "trajectory_msgs/msg/JointTrajectory"):
         assert definition_of(kind), f"{kind} can be recorded"
-    assert check(bag, "three_axis") == 0, "the run is repeated to the last bit"
+    assert check_bag(bag, scene="three_axis") == 0, "the run is repeated to the last bit"

@@ -11,7 +11,7 @@ from draws import some
 from scipy.spatial.transform import Rotation
 
 from arm_emulator.analysis.holding import overloads
-from arm_emulator.cli.new import write_new
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.kinematics import Kinematics

@@ -9,16 +9,9 @@ from pathlib import Path
 
 import pytest
 from network import network
+from test_command_line import run
 
 from arm_emulator.ros.ros_domain import own_domain
-
-
-def run(*words: str) -> tuple[int, str, str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "arm_emulator", *words],
-        capture_output=True, text=True, timeout=120.0, check=False,
-    )  # fmt: skip
-    return done.returncode, done.stdout, done.stderr
 
 
 def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path) -> None:
@@ -26,7 +19,7 @@ def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path
         user.wait("the run", lambda: user.tick > 20)
         code, out, errors = run("move", "--by", "0.01", "0", "0")
         lines = out.splitlines()
-        assert code == 0, errors
+        assert code == 0, out + errors
         assert [line.split(",")[0] for line in lines] == ["accepted", "moving", "reached"], out
         assert float(lines[-1].split()[1]) < 1.0, "mm left, of the 10"
 
@@ -80,7 +73,5 @@ def test_without_a_network_one_line_names_the_remedy() -> None:
 def test_what_is_no_target_is_refused(
     words: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from test_command_line import run as here
-
-    code, out, errors = here(*words)
+    code, out, errors = run(*words)
     assert code == 2 and not out and errors.count("\n") == 1 and reason in errors, errors

@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 from draws import some
 
-import arm_emulator.cli.new as new_scene
 from arm_emulator.analysis.holding import largest_torque, overloads
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_scene import check_scene
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.new import NewScene, write_new
-from arm_emulator.cli.tune import tune
+from arm_emulator.cli.commands.check_scene import check_scene
+from arm_emulator.cli.commands.tune import tune
+from arm_emulator.design import new_scene
 from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
 from arm_emulator.design.data_sheets import STS3215
+from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.design.robot_limits import read_limits
 from arm_emulator.design.sizing import (
     GRAVITY_MARGIN,
@@ -238,7 +238,7 @@ def test_new_and_tune_agree(tmp_path: Path) -> None:
     written, _ = made(tmp_path / "arm", arm([400.0, 100.0, None]), payload=3.0)
     file = written.file
     servo = load_gains(file).servo
-    assert tune(str(file), None, None, write=True) == 0
+    assert tune(str(file), write=True) == 0
     assert load_gains(file).servo == servo
 
 

@@ -11,9 +11,9 @@ from torque_modes import enabled, faults
 
 from arm_emulator.analysis.mode_loops import withheld_modes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_scene import check_scene
-from arm_emulator.cli.new import write_new
-from arm_emulator.cli.tune import tune
+from arm_emulator.cli.commands.check_scene import check_scene
+from arm_emulator.cli.commands.tune import tune
+from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.sizing import Demand, size
 from arm_emulator.doors.fieldbus.drives import modes
 from arm_emulator.machine.parts.dc_motor import DcMotor
@@ -81,7 +81,7 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     assert withheld_modes(scene, gains.servo, modes()) == []
     if FULL:
         assert list(faults(scene, gains.servo)) == []
-        assert tune(str(written.file), None, None, write=True) == 0
+        assert tune(str(written.file), write=True) == 0
         assert load_gains(written.file).servo == gains.servo, "new and tune agree"
     else:
         enabled(scene, gains.servo)

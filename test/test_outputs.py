@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import text
+from arm_emulator.build.c_header import NULL, text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
@@ -44,6 +44,7 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.ros.middleware import Outgoing, middleware
 from arm_emulator.runs.gains import load_gains
 from arm_emulator_msgs.msg import MotorState
 from docs import tables
@@ -173,6 +174,12 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
     message = deserialize_message(layout.data(), MotorState)
     for name in (*fields.in_all, *own):
         np.testing.assert_array_equal(getattr(message, name), getattr(measured, name).ravel())
+    fields.begin(empty, Plant(scene).measured)
+    unpublished: Any = None
+    sent = Outgoing(unpublished, empty, further=fields.places(plant.measured_place))
+    middleware().ros_fill(sent.struct, 0, 0, NULL)
+    copied = deserialize_message(bytes(sent.layout.bytes), MotorState)
+    assert copied == message, "C copies the same"
     rows = np.array(message.readings).reshape(len(message.reading_names), -1)
     for name, row in zip(message.reading_names, rows, strict=True):
         np.testing.assert_array_equal(row, getattr(measured, name), name)

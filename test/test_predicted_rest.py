@@ -12,7 +12,7 @@ from draws import some
 from arm_emulator.analysis.rest_shares import rest_shares
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.demo import verdict
+from arm_emulator.cli.commands.demo import verdict
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.predicted_rest import Arrival, predicted_rest
 from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder, unblurred

@@ -19,17 +19,17 @@ from arm_emulator.core import CORE
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import FLAGS
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 PERIOD = 1e-2  # s, over which a voltage is held
 # A scheme of second order and one of first first.
 SCHEME_ORDERS = [
-    (scheme, ORDERS[scheme]) for scheme in ("rosenbrock", "implicit", "extrapolated", "paper")
+    (scheme, KNOWN[scheme].order) for scheme in ("rosenbrock", "implicit", "extrapolated", "paper")
 ]
 
 
@@ -163,11 +163,11 @@ def test_an_undamped_gear_swings_as_duffing_states(tmp_path: Path, scheme: str) 
         errors.append(float(np.abs(plant.run(np.zeros((rows, 1)), steps)[:, 0] - q).max()))
         gained.append(abs(plant.energy - stored))
     # First order damps or drives the swing by some per cent, which bends its error.
-    slack = 0.1 if ORDERS[scheme] == 2 else 0.3
-    assert orders_of(errors)[1:] == pytest.approx(ORDERS[scheme], abs=slack), errors
+    slack = 0.1 if KNOWN[scheme].order == 2 else 0.3
+    assert orders_of(errors)[1:] == pytest.approx(KNOWN[scheme].order, abs=slack), errors
     # These schemes may keep energy better than the phase.
-    assert (orders_of(gained)[1:] > ORDERS[scheme] - slack).all(), gained
-    assert gained[-1] < (1e-4 if ORDERS[scheme] == 2 else 0.3) * stored, gained
+    assert (orders_of(gained)[1:] > KNOWN[scheme].order - slack).all(), gained
+    assert gained[-1] < (1e-4 if KNOWN[scheme].order == 2 else 0.3) * stored, gained
 
 
 def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from arm_emulator import (
     Servo,
     ServoFleet,
     Session,
+    Timeline,
     linearise,
     load_gains,
     load_scene,
@@ -113,6 +114,54 @@ def test_no_object_shows_itself_by_its_address() -> None:
         assert not re.search(r"\bat 0x", repr(one)), repr(one)
 
 
+def test_a_misspelt_attribute_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    gains, plant, fleet = load_gains("three_axis"), Plant("three_axis"), Fleet("three_axis", 2)
+    kinematics = Kinematics(plant.scene.urdf, plant.scene.joint_names, plant.scene.tool)
+    session = Session("three_axis", "lockstep", "free_run")
+    misspelt = {
+        "powered": (plant, session, copy.copy(session), copy.copy(plant)),
+        "command": (plant,),
+        "t": (fleet.step(np.zeros((2, 3))), fleet.state, plant.state),
+        "scene": (fleet, plant.scene),
+        "config": (Servo("three_axis"), copy.copy(Servo("three_axis"))),
+        "weight": (JacobianController(kinematics),),
+        "tool": (kinematics,),
+        "aimed": (OfflineRun("three_axis", gains.servo, gains.motion),),
+        "newest": (Timeline(OfflineRun("three_axis", gains.servo, gains.motion)),),
+        "struct": (ServoFleet(fleet, "three_axis"),),
+        "take": (Recording(plant),),
+        "applied": (plant.measured,),
+        "R": (Pose([0.0, 0.0, 0.0], np.eye(3)),),
+        "A": (linearise(plant, plant.state.q),),
+    }
+    for name, owners in misspelt.items():
+        for owner in owners:
+            wrong = name[:-1] + "ee" if len(name) > 1 else name + "x"
+            with pytest.raises(AttributeError) as refusal:
+                setattr(owner, wrong, False)
+            assert wrong not in dir(owner) and wrong in str(refusal.value), owner
+            if isinstance(refusal.value, Refusal) and len(name) > 2:
+                assert name in str(refusal.value), owner
+    plant.powered = False
+    assert not plant.powered, "one that it has is set"
+
+
+class Tuned(Plant):
+    """A machine of a user, with a number of its own."""
+
+    def __init__(self, scene: str) -> None:
+        super().__init__(scene)
+        self.gain = 1.0
+
+
+def test_a_class_of_a_user_may_have_attributes_of_its_own() -> None:
+    tuned = Tuned("three_axis")
+    tuned.gain = 2.0
+    assert tuned.gain == 2.0
+    with pytest.raises(AttributeError, match="gain"):
+        tuned.gian = 3.0  # type: ignore[attr-defined]
+
+
 def test_what_is_handed_in_is_taken_or_refused(tmp_path: Path) -> None:
     """By every public name; nothing else is raised, and nothing passes in silence."""
     assert load_servo_config("three_axis") == load_gains("three_axis").servo
@@ -138,6 +187,10 @@ def test_what_is_handed_in_is_taken_or_refused(tmp_path: Path) -> None:
             lambda it: OfflineRun(it, gains.servo, gains.motion),
             lambda it: OfflineRun("three_axis", it, gains.motion),
             lambda it: OfflineRun("three_axis", gains.servo, it),
+            *(
+                Timeline,
+                lambda it: Timeline(OfflineRun("three_axis", gains.servo, gains.motion), it),
+            ),
             lambda it: ServoFleet(it, gains.servo),
             lambda it: ServoFleet(fleet, it),
             lambda it: Kinematics(it, names, tool),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from draws import some
 
-from arm_emulator.machine.integrator import LOCATING_SCHEMES, ORDERS
+from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
 from oracles.random_machines import judge
 
 
@@ -27,7 +27,7 @@ def test_error_and_energy_follow_the_order(seed: int) -> None:
     ("seed", "scheme"), some([(20, "implicit"), (14, "paper"), (21, "paper"), (14, "implicit")], 1)
 )
 def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
-    assert ORDERS[scheme] == 1
+    assert KNOWN[scheme].order == 1
     (verdict,) = judge(seed, (scheme,))
     assert verdict.in_order, f"the error does not fall as h: {verdict}"
     assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"

@@ -24,8 +24,8 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import SUFFIXES, Kept
 from arm_emulator.base.record_file import open_record
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.canopen import load_segment
 from arm_emulator.cli.command import command_names, load_command
+from arm_emulator.cli.commands.canopen import load_segment
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.outputs import outputs_of, units_of

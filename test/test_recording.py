@@ -19,7 +19,7 @@ from network import PATIENCE, User, network, user
 from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check_bag import check
+from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.ros import run_record
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import Topic
@@ -77,7 +77,7 @@ def assert_every_tick(bag: Path, at_least: int) -> None:
     missing = set(range(max(ticks))) - set(ticks)
     assert not missing, f"{len(missing)} of {max(ticks)} ticks are missing, first {min(missing)}"
     assert max(ticks) >= at_least, "ticks that the test waited for"
-    assert check(bag, "three_axis") == 0, "check"
+    assert check_bag(bag, scene="three_axis") == 0, "check"
 
 
 def away(process: subprocess.Popen[str], seconds: float) -> None:
@@ -180,14 +180,19 @@ def test_the_emulators_own_record_is_complete(
 def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
     with network(tmp_path / "log", start="first_answer") as (one, _):
         one.wait("the run", lambda: one.tick > 200)
-        with recorder(tmp_path / "late") as late:
+        # The machine stands while a recorder is loaded: both would want the processor.
+        assert one.call("emulator/pause", True).success
+        with recorder(tmp_path / "late") as late, begun(late):
+            assert one.call("emulator/pause", False).success
             await_words(late, "/motor_states: the first state has arrived, tick ")
             printed = await_words(late, "the machine is at tick")
             assert re.search(
                 r"at tick \d+ already, and `check-bag` needs a run from tick 0 on", printed
             ), printed
             assert "--from-start" in printed
-            with recorder(tmp_path / "reset", "--from-start") as again:
+            assert one.call("emulator/pause", True).success
+            with recorder(tmp_path / "reset", "--from-start") as again, begun(again):
+                assert one.call("emulator/pause", False).success
                 one.wait("the reset", lambda: 0 <= one.tick < 100)
                 await_ticks(one, 300)
                 assert one.call("emulator/pause", True).success
@@ -196,7 +201,7 @@ def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
     ticks = ticks_in(tmp_path / "reset")
     run = ticks[ticks.index(0) :]
     assert set(run) == set(range(max(run) + 1)), "ticks from the reset on"
-    assert check(tmp_path / "reset", None) == 0
+    assert check_bag(tmp_path / "reset") == 0
 
 
 def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from draws import FULL
+from draws import FULL, some
 
+from arm_emulator.base.bound_formula import bound_to, signals_in
+from arm_emulator.base.formula import Constant, Operation, Signal, parse_formula
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.campaign.formula import parse_formula
-from arm_emulator.campaign.requirement import Robustness, bound_to, signals_in
+from arm_emulator.campaign.program import Program, Rows, Targets, judges
+from arm_emulator.campaign.requirement import Robustness
 
 PERIOD = 0.01
 NAMES = ("a", "b.c", "d")
@@ -77,12 +79,31 @@ def drawn_interval(rng, horizon):
 
 def fed(text, rows, cuts):
     count = len(rows["a"])
-    one = Robustness(parse_formula(text, "test", "formula"), PERIOD, count)
+    one = Judged(parse_formula(text, "test", "formula"), count)
     for _ in range(2):  # the second trace begins anew
         for first, last in zip([0, *cuts], [*cuts, count], strict=True):
-            one.feed({name: row[first:last] for name, row in rows.items()}, last - first)
+            one.feed({name: row[first:last] for name, row in rows.items()})
         value = one.end()
     return value
+
+
+class Judged:
+    """A formula alone in its program."""
+
+    def __init__(self, formula, longest, quantity="formula"):
+        self.rows = Rows([], PERIOD)
+        one = Robustness(judges(), formula, self.rows.of, PERIOD, longest, "c.yaml", quantity)
+        self.program = Program(self.rows, [one], [], [], longest)
+        self.program.begin()
+
+    def feed(self, signals):
+        given = [signals[name] for name in self.rows.samples] or [*signals.values()]
+        self.program.take(np.array(given), len(given[0]))
+
+    def end(self):
+        value = self.program.end()[0][0]
+        self.program.begin()
+        return value
 
 
 def drawn_case(seed):
@@ -141,12 +162,12 @@ def test_long_windows_over_a_long_trace():
     rng = np.random.default_rng(1)
     a = rng.normal(size=20_000)
     text = "always[0, 150] eventually[0.5, 3] (a >= 0.2 until[0.1, 1] a <= 1)"
-    one = Robustness(parse_formula(text, "test", "formula"), PERIOD, len(a))
+    one = Judged(parse_formula(text, "test", "formula"), len(a))
     values = []
     for piece in (1, 7, 501, 20_000):
         for first in range(0, len(a), piece):
             some = a[first : first + piece]
-            one.feed({"a": some}, len(some))
+            one.feed({"a": some})
         values.append(one.end())
     last = 15_000 + 300 + 100
     inner = [
@@ -181,8 +202,7 @@ def test_long_windows_over_a_long_trace():
 def test_bad_formulas_are_refused_in_a_line(text, reason):
     with pytest.raises(Refusal) as refusal:
         formula = parse_formula(text, "c.yaml", "requirements.x")
-        Robustness(bound_to(formula, NAMES, "c.yaml", "requirements.x"), PERIOD, 100,
-                   "c.yaml", "requirements.x")  # fmt: skip
+        Judged(bound_to(formula, NAMES, "c.yaml", "requirements.x"), 100, "requirements.x")
     assert reason in str(refusal.value) and "\n" not in str(refusal.value)
     assert str(refusal.value).startswith("c.yaml: requirements.x must ")
 
@@ -191,7 +211,70 @@ def test_stars_stand_for_all_joints():
     known = ["q.elbow", "q.waist", "target.elbow", "target.waist", "v.waist"]
     formula = parse_formula("always abs(q.* - target.*) < 1", "c", "r")
     assert signals_in(bound_to(formula, known, "c", "r")) == set(known[:4])
-    one = Robustness(bound_to(formula, known, "c", "r"), PERIOD, 3)
-    rows = {"q.elbow": 0.0, "q.waist": 0.5, "target.elbow": 0.25, "target.waist": -0.25}
-    one.feed({name: np.full(3, value) for name, value in rows.items()}, 3)
-    assert one.end() == 0.25
+    rows = Rows(["elbow", "waist"], PERIOD)
+    formula = bound_to(formula, known, "c", "r")
+    program = Program(rows, [Robustness(judges(), formula, rows.of, PERIOD, 3)], [], [], 3)
+    program.begin()
+    held = {"q.elbow": 0.0, "q.waist": 0.5}
+    targets = Targets(np.zeros(1, np.int64), np.array([[0.25, -0.25]]))
+    program.take(np.array([[held[name]] * 3 for name in rows.samples]), 3, targets)
+    assert program.end() == ([0.25], [])
+
+
+def drawn_arithmetic(rng, depth, signals):
+    """A random expression, and its values by NumPy."""
+    if depth == 0 or rng.random() < 0.15:
+        if rng.random() < 0.2:
+            value = float(rng.integers(-3, 4)) / 2.0
+            return Constant(value), np.full(len(signals["t"]), value)
+        name = str(rng.choice(sorted(signals)))
+        return Signal(name), signals[name]
+    sign = str(rng.choice(["+", "-", "*", "/", "abs", "sqrt", "min", "max"]))
+    one, of_one = drawn_arithmetic(rng, depth - 1, signals)
+    if sign in ("abs", "sqrt"):
+        return Operation(sign, (one,)), getattr(np, sign)(of_one)
+    other, of_other = drawn_arithmetic(rng, depth - 1, signals)
+    name = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide"}.get(sign, f"{sign}imum")
+    return Operation(sign, (one, other)), getattr(np, name)(of_one, of_other)
+
+
+REDUCED = {"max": np.max, "min": np.min, "last": lambda row: row[-1],
+           "mean": np.mean, "rms": lambda row: np.sqrt(np.mean(row * row))}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", some(range(200), 20))
+def test_arithmetic_of_signals_equals_numpy(seed):
+    rng = np.random.default_rng([7, seed])
+    count = int(rng.choice([1, 3, 255, 256, 257, 700]))
+    ticks = np.arange(count)
+    joints = ["x", "y.z"]
+    since = np.unique([0, *rng.integers(0, count, 5)])
+    targets = Targets(since, rng.normal(size=(len(since), 2)))
+    signals = {name: rng.normal(size=count) for name in ("a", "q.x", "q.y.z")}
+    signals |= {"t": ticks * PERIOD, "tick": ticks.astype(float)}
+    for place, joint in enumerate(joints):
+        held = targets.q[np.searchsorted(since, ticks, "right") - 1, place]
+        signals |= {f"target.{joint}": held, f"error.{joint}": signals[f"q.{joint}"] - held}
+    rows = Rows(joints, PERIOD)
+    with np.errstate(all="ignore"):
+        drawn = [drawn_arithmetic(rng, 4, signals) for _ in range(8)]
+    wanted = [rows.of(one) for one, _ in drawn]
+    measures = [(kind, row) for kind in REDUCED for row in wanted]
+    program = Program(rows, [], measures, wanted, count)
+    whole = np.array([signals[name] for name in rows.samples]).reshape(-1, count)
+    for _ in range(2):  # the second run begins anew
+        program.begin()
+        found, first = [], 0
+        for last in [*np.sort(rng.integers(0, count + 1, 2)), count]:
+            program.take(np.ascontiguousarray(whole[:, first:last]), last - first, targets)
+            found.append(program.kept[:, : last - first].copy())
+            first = last
+        _, reduced = program.end()
+        assert np.array_equal(np.hstack(found), [values for _, values in drawn], equal_nan=True)
+    with np.errstate(all="ignore"):
+        by_numpy = [REDUCED[kind](values) for kind in REDUCED for _, values in drawn]
+    scale = [np.abs(values).max() for _, values in drawn] * len(REDUCED)
+    for value, expected, most in zip(reduced, by_numpy, scale, strict=True):
+        # Sums in another order: rounding of `count` terms.
+        same = value == expected or (math.isnan(value) and math.isnan(expected))
+        assert same or abs(value - expected) <= 1e-15 * count * most

@@ -17,6 +17,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.machine.urdf_chain import read_chain
 from arm_emulator.machine.urdf_file import example_robot_data
 
@@ -53,7 +54,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"gravity": [0, 0, float("nan")]}, "gravity must be 3 numbers"),
     ({"payload.mass": -1}, "payload.mass must be a number >= 0 kg, got -1"),
     ({"payload": {"mass": 1, "inertia": [1, 1, 0, 0, 0, 0]}}, "payload.inertia must be positive definite"),
-    ({"integrator.scheme": "magic"}, "integrator.scheme must be one of the known, got 'magic'; valid: rosenbrock, extrapolated, implicit, paper"),
+    ({"integrator.scheme": "magic"}, f"integrator.scheme must be one of the known, got 'magic'; valid: {', '.join(SCHEMES)}"),
     ({"integrator.dt": 3e-4}, "integrator.dt must divide the servo period of 0.001 s, got 0.0003; valid: 0.00025 s"),
     ({"integrator.dt": 2e-3}, "integrator.dt must divide the servo period"),
     ({"integrator.dt": 0}, "integrator.dt must be a number from 1e-09 to 1 s, got 0"),

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from arm_emulator.cli.check_scene import check_scene
+from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.scene import load_scene
 

@@ -24,9 +24,9 @@ from scipy.linalg import expm
 
 from arm_emulator.analysis.reference import links_model, reference, reference_states
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.integrator import ORDERS, SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 PERIOD = 1e-2  # s, over which a voltage is held
 ROWS = 30
@@ -190,9 +190,11 @@ def test_orders(machine: str, scheme: str) -> None:
     coarse, fine = (error(machine, scheme, steps) for steps in (800, 1600))
     # The next term of the error's expansion is one order higher: at 12 us and below it is some per
     # cent of the first for the fastest motions of these machines (300 rad/s without damping).
-    assert np.log2(coarse / fine) == pytest.approx(ORDERS[scheme], abs=0.06), "order of the error"
+    assert np.log2(coarse / fine) == pytest.approx(KNOWN[scheme].order, abs=0.06), (
+        "order of the error"
+    )
     # A constant of the right size: the motions have accelerations of 10 rad/s2 (1e3 1/s3).
-    assert fine < {1: 1e-3, 2: 1e-6}[ORDERS[scheme]], "error of the fine step [rad or m]"
+    assert fine < {1: 1e-3, 2: 1e-6}[KNOWN[scheme].order], "error of the fine step [rad or m]"
 
 
 def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
@@ -264,8 +266,8 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
         # Eight times the steps: an eighth of the error; a switch may fall well or badly into its
         # step, which for the second order is nearly all of the (small) error.
         reported = f"{scheme}, errors of coarse and fine steps [rad]: {errors}"
-        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[ORDERS[scheme]], reported
-        assert errors[1] < {1: 2e-4, 2: 2e-5}[ORDERS[scheme]], reported
+        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[KNOWN[scheme].order], reported
+        assert errors[1] < {1: 2e-4, 2: 2e-5}[KNOWN[scheme].order], reported
 
 
 @pytest.mark.parametrize("machine", ["everything", "no inductance", "rigid gear"])
@@ -314,12 +316,12 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
         plant.advance([0.0], 1)
     # It stops at the end of the step in which it reverses; a first-order scheme is off by about a
     # step more (relative error of dt Dl / (2 I) over the whole time with viscous friction).
-    slack = 0.0 if ORDERS[scheme] == 2 or not viscous else dt * viscous / LINK_INERTIA * time
+    slack = 0.0 if KNOWN[scheme].order == 2 or not viscous else dt * viscous / LINK_INERTIA * time
     late = plant.t - time
     assert -slack - 1e-9 <= late <= dt + slack + 1e-9, f"it comes to rest {late:.2g} s late"
     # Of first order: v0 dt / 2 from the sum over speeds at one end of each step; of second: the
     # step of the reversal, (Dc / I) dt^2.
-    bound = 0.6 * v0 * dt if ORDERS[scheme] == 1 else Dc / LINK_INERTIA * dt**2
+    bound = 0.6 * v0 * dt if KNOWN[scheme].order == 1 else Dc / LINK_INERTIA * dt**2
     rest = plant.state.q[0]
     assert rest == pytest.approx(distance, abs=bound), "how far it slid [rad]"
     plant.advance([0.0], 100_000)
@@ -374,7 +376,7 @@ def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
 
 def test_the_reference_knows_the_payload_as_the_core_does() -> None:
     """The payload's weight at the tool, 0.9 m above the waist, by Pinocchio and by the core."""
-    one = scene("gravity and payload", "rosenbrock", 100)
+    one = scene("gravity and payload", "implicit", 100)  # a library of test_orders
     model = links_model(one, MACHINES["gravity and payload"]["payload"])
     q, v, tau = np.random.default_rng(2).normal(size=(3, 3))
     expected = pin.aba(model, model.createData(), q, v, tau)

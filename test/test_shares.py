@@ -16,9 +16,12 @@ class Clock:
     """On which each piece of work takes its time after the others."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, of_share: float, of_all: float) -> None:
-        self.now, self._turn, self._of = 0.0, threading.Lock(), (of_share, of_all)
+        self.now, self._turn, self._of = 0.0, threading.Lock(), [of_share, of_all]
         self.done: list[tuple[int, int]] = []
         monkeypatch.setattr(shares_module.time, "perf_counter", lambda: self.now)
+
+    def of_share(self, taken: float) -> None:
+        self._of[0] = taken
 
     def work(self, first: int, arms: int) -> None:
         with self._turn:
@@ -27,7 +30,7 @@ class Clock:
 
 
 @pytest.mark.parametrize(
-    ("of_share", "of_all", "shared"), [(1e-4, 4e-3, True), (4e-3, 1e-4, False)]
+    ("of_share", "of_all", "shared"), [(1e-4, 4e-3, True), (4e-3, 2e-4, False)]
 )
 def test_work_goes_the_way_that_was_quicker(
     of_share: float, of_all: float, shared: bool, monkeypatch: pytest.MonkeyPatch
@@ -47,6 +50,16 @@ def test_work_goes_the_way_that_was_quicker(
         shares.do(1000, clock.work)
     slower = of_all if shared else 8 * of_share
     assert clock.now - began > 50 * slower, "trials of the slower way take a hundredth of the time"
+    shares.end()
+
+
+def test_sharing_that_is_quick_now_and_then_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every other call wakes the other thread in time, and the rest wait for it."""
+    shares, clock = Shares(ALL, 8, 2), Clock(monkeypatch, 0.0, 1e-3)
+    for call in range(3000):
+        clock.of_share(3e-5 if call % 2 == 0 else 4e-4)
+        shares.do(1000, clock.work)
+    assert clock.now < 3000 * 1e-3 * 1.1, "not a tenth more than in one thread"
     shares.end()
 
 

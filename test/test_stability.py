@@ -9,9 +9,9 @@ import pytest
 from draws import some
 
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 STEPS = 20
 SIZE = 1e-6  # rad and rad/s

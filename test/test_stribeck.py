@@ -11,9 +11,9 @@ from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import assert_order_two, drawn
 
-from arm_emulator.machine.integrator import SCHEMES
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from machines import CONFIG, Oracle, write_scene
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.tune import tune
+from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.gain_text import write_gains
 from arm_emulator.design.tuned import link_inertias
 from arm_emulator.machine.scene import load_scene
@@ -116,7 +116,7 @@ def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixtu
     file = tmp_path / "servo" / "arm.yaml"
     file.write_text((CONFIG / "servo" / "three_axis.yaml").read_text())
     before = load_servo_config(file)
-    assert tune(str(scene), tmp_path / "out", None, write=True) == 0
+    assert tune(str(scene), out=tmp_path / "out", write=True) == 0
     shown = capsys.readouterr().out
     for words in ("margins, worst pose", "overshoot", "at rest", "written: "):
         assert words in shown, f"{words!r} is not in\\n{shown}"
@@ -134,4 +134,4 @@ def test_tune_refuses_a_joint_without_a_motor(tmp_path: Path) -> None:
     servo = (CONFIG / "servo" / "three_axis.yaml").read_text()
     (tmp_path / "servo" / scene.name).write_text(servo)
     with pytest.raises(Refusal, match=r"joints\.waist must have a motor to be tuned, got none"):
-        tune(str(scene), None, None, write=False)
+        tune(str(scene))

@@ -28,9 +28,10 @@ from arm_emulator.analysis.true_motion import (
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import EVENTS, ORDERS, SCHEMES, odds
+from arm_emulator.machine.integrator import EVENTS, odds
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
 SHARE = 0.05  # of the requested error, permitted in the truth
@@ -176,7 +177,7 @@ class Judge:
         most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
         while (off := self.error(method, steps, error)) > error:
-            failed, steps = steps, _next(steps, off / error, ORDERS[method.scheme])
+            failed, steps = steps, _next(steps, off / error, KNOWN[method.scheme].order)
             if steps > most or self.runs.least_cost(method, steps) > most_cost:
                 return None
         for fewer in step_counts(failed + 1, steps):

@@ -17,6 +17,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 SECONDS = 1.0
 FINE = 20  # steps per servo period while commands are generated
@@ -115,7 +116,7 @@ class Leader:
     def _with_steps(self, steps: int) -> Plant:
         scene = self.scene
         integrator = dataclasses.replace(
-            scene.integrator, scheme="rosenbrock", events="located", dt=scene.servo_period / steps
+            scene.integrator, scheme=SCHEMES[0], events="located", dt=scene.servo_period / steps
         )
         return Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
 

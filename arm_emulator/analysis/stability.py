@@ -17,11 +17,11 @@ import numpy as np
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import LOCATING_SCHEMES, SCHEMES, Integrator
+from arm_emulator.machine.integrator import Integrator
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES, SCHEMES
 
-GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.
 HARMLESS = 0.1
 SMALLEST_STEP = 1e-8  # s; no step below is looked at
@@ -147,37 +147,7 @@ class SmallMotions:
 
     def step(self, scheme: str, dt: float) -> Array:
         """Return the matrix of one step of a scheme: of x, and x one step ago if it takes that."""
-        n = len(self.J)
-        one = np.eye(n)
-        if scheme == "paper":
-            return self._paper(dt)
-        if scheme == "implicit":
-            return one + dt * np.linalg.solve(one - dt * self.A, self.J)
-        W = one - GAMMA * dt * self.A
-        k1 = np.linalg.solve(W, self.J)
-        if scheme == "rosenbrock":
-            k2 = np.linalg.solve(W, self.J @ (one + dt * k1) - 2.0 * k1)
-            return one + dt * (1.5 * k1 + 0.5 * k2)
-        if scheme != "extrapolated":
-            raise AssertionError(f"no matrix of scheme {scheme}")
-        # d is what J - A has changed since the last step.
-        d = np.linalg.solve(W, self.J - self.A)
-        k2 = math.sqrt(2.0) * np.linalg.solve(W, k1) + d
-        return np.block(
-            [[one + dt * (GAMMA * k1 + 0.5 * k2), -0.5 * dt * d], [one, np.zeros((n, n))]]
-        )
-
-    def _paper(self, dt: float) -> Array:
-        """Backward Euler of the motors with the links held; then the links by forward Euler."""
-        m = self.links
-        motors = np.eye(len(self.J))
-        motors[:m] = np.linalg.solve(
-            np.eye(m) - dt * self.A[:m, :m],
-            np.hstack([np.eye(m), dt * self.A[:m, m:]]),
-        )
-        links = np.eye(len(self.J))
-        links[m:] += dt * self.J[m:]
-        return links @ motors
+        return KNOWN[scheme].matrix(self.J, self.A, self.links, dt)
 
     def growth(self, scheme: str, dt: float) -> float:
         """Return the factor by which the fastest growing small motion grows per step."""

@@ -1,11 +1,11 @@
 """The true motion of a machine and its uncertainty, by halving steps.
 
-`rosenbrock` with located events is of order 2 if its events are separate. The order is measured:
-the differences between runs with n, 2 n, 4 n steps must fall, and their ratio gives an estimate of
-the remaining error. The largest step resolves the fastest small motion: with longer steps,
-differences may fall while an error stays. The motion is computed once with smaller steps, for a
-mode that began and ended within a step. Then the same scheme with events at the ends of steps,
-which uses other code to decide them, must approach the same motion.
+The first of the schemes, with located events, is of order 2 if its events are separate. The order
+is measured: the differences between runs with n, 2 n, 4 n steps must fall, and their ratio gives an
+estimate of the remaining error. The largest step resolves the fastest small motion: with longer
+steps, differences may fall while an error stays. The motion is computed once with smaller steps,
+for a mode that began and ended within a step. Then the same scheme with events at the ends of
+steps, which uses other code to decide them, must approach the same motion.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.integrator import Integrator
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 # Differences that fall by less when a step is halved show no convergence.
 LEAST_FALL = 1.4
@@ -61,8 +62,8 @@ class Method:
         return f"{self.scheme}{located}{', 2 threads' if self.threads == 2 else ''}"
 
 
-FINEST = Method("rosenbrock", "located")
-OTHERWISE = Method("rosenbrock", "step")
+FINEST = Method(SCHEMES[0], "located")
+OTHERWISE = Method(SCHEMES[0], "step")
 
 
 class Runs:

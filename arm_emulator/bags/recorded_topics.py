@@ -72,11 +72,16 @@ class RecordedTopics:
         Raises:
             Refusal: a message cannot be read.
         """
+        for name, message, _ in self.read_with_time(*wanted):
+            yield name, message
+
+    def read_with_time(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
+        """Yield as `read`, with the wall time of publication [ns]."""
         names = {self.names[name]: name for name in wanted if name in self.names}
         for one in self.bag.as_published(names):
             name = names[one.topic]
             try:
-                yield name, deserialize_message(one.data, TYPES[name][0])
+                yield name, deserialize_message(one.data, TYPES[name][0]), one.published
             except RuntimeError as error:
                 rule = "be readable"
                 raise Refusal(str(self.bag.path), f"messages on {name}", rule, error) from None

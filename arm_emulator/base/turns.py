@@ -14,11 +14,13 @@ import weakref
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
+from arm_emulator.base.closed import Closed
+
 _all: weakref.WeakSet[Turns] = weakref.WeakSet()
 _held: list[Turns] = []  # while the process forks
 
 
-class Turns:
+class Turns(Closed):
     """An object whose methods take turns.
 
     Attributes:

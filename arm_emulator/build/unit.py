@@ -43,6 +43,7 @@ class Unit:
         data: bytes of exported objects in copies outside the cache, by their names; units that
             differ in it alone share a library in the cache.
         more: further exported functions, declared in no header.
+        saves_as: the unit whose saved machines this one restores; None: only its own.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Unit:
     beside: str = ""
     data: Mapping[str, bytes] = field(default_factory=dict)
     more: tuple[str, ...] = ()
+    saves_as: Unit | None = None
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -132,8 +134,8 @@ def compiled_bytes(unit: Unit, target: str) -> bytes:
 
 
 def fingerprint(unit: Unit, target: str) -> str:
-    """Return a digest of a unit's sources and flags, as a number of C."""
-    return f"0x{_digest(unit, target)[:16]}u"
+    """Return a digest of sources and flags of what a unit saves, as a number of C."""
+    return f"0x{_digest(unit.saves_as or unit, target)[:16]}u"
 
 
 def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:

@@ -13,8 +13,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.base.refusal import Refusal
@@ -25,6 +23,8 @@ from arm_emulator.campaign.distributions import parse_distribution
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.scenario import Scenario, read_scenario
+from arm_emulator.campaign.search import read_method
+from arm_emulator.campaign.search.method import Method
 from arm_emulator.campaign.variation import (
     SAMPLINGS,
     Variation,
@@ -48,7 +48,7 @@ CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each
 ALL = 1000  # runs of a campaign that states no count
 KEYS = (
     *("scene", "set", "controller", "scenario", "vary", "correlate", "sampling", "faults"),
-    *("requirements", "measures", "count", "stop", "seed"),
+    *("requirements", "measures", "count", "stop", "seed", "search"),
 )
 DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
 
@@ -76,6 +76,7 @@ class Campaign:
         measures: by name, as written.
         count: of runs.
         stop: when it may end before.
+        search: the method that chooses the runs; None: they are sampled.
         key: of all that decides what a run is, 32 bytes.
     """
 
@@ -89,6 +90,7 @@ class Campaign:
     measures: Mapping[str, str]
     count: int
     stop: Stop
+    search: Method | None
     key: bytes
 
     @property
@@ -114,21 +116,26 @@ class Campaign:
         Raises:
             Refusal: a value that is out of its range.
         """
-        data = _unshared({key: self.data[key] for key in DRAWN if key in self.data})
-        servo = self.servo
+        servo, drawn = self.servo, {name.split(".")[0] for name in values}
+        known = self.nominal if values else None  # what does not vary is not read anew
+        changed = {key for key in DRAWN if key in self.data and (known is None or key in drawn)}
+        data = _unshared({key: self.data[key] for key in changed})
         for name, value in values.items():
             section = name.split(".")[0]
             if section == "controller":
                 servo = _with_gain(servo, name, value, self.where)
-            elif section in DRAWN:
+            elif section in changed:
                 _put(data, name.split("."), value)
         root = Section(data, self.where)
-        scenario = read_scenario(root.required_section("scenario"), self.scene, self.file.parent)
-        faults = _faults(root, self.scene)
         root.has("controller")
-        for key in ("scenario", "faults"):
-            if (section_of := root.section(key)) is not None:
-                section_of.finish()
+        scenario = known[0] if known else None
+        faults = known[1] if known else {}
+        if scenario is None or "scenario" in changed:
+            section_of = root.required_section("scenario")
+            scenario = read_scenario(section_of, self.scene, self.file.parent)
+            section_of.finish()
+        if "faults" in changed:
+            faults = _faults(root, self.scene)
         return scenario, faults, servo
 
 
@@ -140,19 +147,20 @@ def load_campaign(file: Path) -> Campaign:
     """
     data = read_yaml(file)
     root = Section(data, file.name)
-    beside = file.parent / root.text("scene")
-    scene_file = find_scene(beside if beside.is_file() else root.text("scene"))
+    root.text("scene")
     controller = root.section("controller") or Section({}, file.name, "controller")
-    servo_file = _file(controller, "servo", file) or find_beside(scene_file, "servo")
-    motion_file = _file(controller, "motion", file) or find_beside(scene_file, "motion")
-    servo, motion = load_servo_config(servo_file), load_motion_config(motion_file)
+    files = used_files(data, file)
+    for kind in ("servo", "motion"):
+        controller.has(kind)
+    scene_file = files["scene"]
+    servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
     servo = _with_gains(servo, controller, file.name)
     patterns = _patterns(root)
     scene = _scene(root, scene_file, [one for one in patterns if one.split(".")[0] not in DRAWN])
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
     used = {"scene": read_bytes(scene_file, MOST_BYTES), "urdf": scene.urdf.encode()}
-    used |= {"servo": servo_file.read_bytes(), "motion": motion_file.read_bytes()}
+    used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
     used |= _named_files(data, file.parent)
     sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
     numbers = _numbers(root, patterns, scene, servo, data)
@@ -174,6 +182,7 @@ def load_campaign(file: Path) -> Campaign:
         measures=_texts(root, "measures", (str,)),
         count=count,
         stop=_stop(stop or Section({}, file.name, "stop")),
+        search=read_method(root, variation),
         key=key,
     )
     for known in (*DRAWN, "requirements", "measures"):
@@ -184,6 +193,22 @@ def load_campaign(file: Path) -> Campaign:
     _check_keys(data, file.name)
     _ = campaign.nominal
     return campaign
+
+
+def used_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
+    """Return the files of ``scene``, ``servo`` and ``motion`` of a campaign's file.
+
+    Raises:
+        Refusal: one is not there.
+    """
+    root = Section(dict(data), file.name)
+    beside = file.parent / root.text("scene")
+    scene = find_scene(beside if beside.is_file() else root.text("scene"))
+    controller = root.section("controller") or Section({}, file.name, "controller")
+    found = {"scene": scene}
+    for key in ("servo", "motion"):
+        found[key] = _file(controller, key, file) or find_beside(scene, key)
+    return found
 
 
 def _check_keys(data: Mapping[str, Any], where: str) -> None:
@@ -293,12 +318,13 @@ def _kind(section: Section) -> type[Fault]:
 
 
 def _faults(root: Section, scene: Scene) -> dict[str, Fault]:
-    section = root.section("faults")
+    section = root.required_section("faults")
     found = {}
-    for name in () if section is None else section.keys():
-        below = section.required_section(name)  # type: ignore[union-attr]
+    for name in section.keys():
+        below = section.required_section(name)
         found[name] = _kind(below).read(below)
         found[name].check(scene, f"{root.where}: faults.{name}")
+    section.finish()
     return found
 
 
@@ -338,7 +364,7 @@ def _numbers(
     """Return what varies, in the order of the file."""
     known = {one.name: (one.number.unit, one.value) for one in scene.varied}
     for section in DRAWN[:2]:
-        known |= {f"{section}.{name}": ("", value) for name, value in _leaves(data.get(section))}
+        known |= {f"{section}.{name}": ("", value) for name, value in leaves(data.get(section))}
     for joint in servo.joints:
         for name, number in numbers_of(type(joint)).items():
             value = getattr(joint, name)
@@ -378,7 +404,7 @@ def _pairs(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]
     return pairs
 
 
-def _leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
+def leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
     """Yield all numbers below a section, by their dotted names."""
     items: Any = ()
     if isinstance(data, dict):
@@ -388,7 +414,7 @@ def _leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
     elif isinstance(data, int | float) and not isinstance(data, bool):
         yield path, float(data)
     for key, value in items:
-        yield from _leaves(value, f"{path}.{key}" if path else str(key))
+        yield from leaves(value, f"{path}.{key}" if path else str(key))
 
 
 def _unshared(data: Any) -> Any:
@@ -411,10 +437,3 @@ def _put(data: Any, path: Sequence[str], value: float) -> None:
         data[key] = value
     else:
         _put(data[key], path[size:], value)
-
-
-def seed_of(variation: Variation, index: int) -> float:
-    """Return the seed of the sensors' noise of a run."""
-    stream = variation.stream(index)
-    stream.random(len(variation.numbers))
-    return float(np.floor(stream.random() * LARGEST_SEED))

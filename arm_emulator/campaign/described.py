@@ -11,6 +11,7 @@ from arm_emulator.campaign import campaign_file
 from arm_emulator.campaign.distributions import KINDS
 from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.scenario import AT, SECONDS
+from arm_emulator.campaign.search import METHODS
 from arm_emulator.machine.scene import load_scene
 
 
@@ -37,6 +38,15 @@ def _faults() -> str:
         about = (fault.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join([*numbers, *others])))
     return _table(("kind", "what happens", "keys"), rows)
+
+
+def _methods() -> str:
+    rows = []
+    for kind, method in METHODS.items():
+        numbers = [f"`{name}`: {one.described}" for name, one in numbers_of(method).items()]
+        about = (method.__doc__ or "").strip().partition("\n")[0]
+        rows.append((f"`{kind}`", about, "<br>".join(numbers)))
+    return _table(("method", "what it does", "keys"), rows)
 
 
 def _numbers() -> str:
@@ -67,6 +77,7 @@ def _signals() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "distributions": _distributions,
     "faults": _faults,
+    "methods": _methods,
     "numbers": _numbers,
     "signals": _signals,
 }

@@ -33,6 +33,10 @@ FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it m
 class Pool(Protocol):
     """Processes that work, here or elsewhere."""
 
+    @property
+    def breaks(self) -> tuple[type[BaseException], ...]:
+        """Exceptions of work whose process was killed; another pool can go on."""
+
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
         """Have a function called there."""
 
@@ -42,6 +46,8 @@ class Pool(Protocol):
 
 class LocalPool(cf.ProcessPoolExecutor):
     """Processes on this machine, which end with this one."""
+
+    breaks: tuple[type[BaseException], ...] = (BrokenProcessPool,)
 
     def __init__(self, workers: int) -> None:
         spawned = mp.get_context("spawn")
@@ -71,7 +77,13 @@ class DaskPool:
     def __init__(self, address: str) -> None:
         need_wheel("campaign", "distributed", "distributed")
         from distributed import Client
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
 
+        # A scheduler that ends cancels its tasks.
+        self.breaks: tuple[type[BaseException], ...] = (
+            cf.CancelledError, CommClosedError, KilledWorker
+        )  # fmt: skip
         try:
             self._client = Client(address, timeout=10)
         except (OSError, ValueError) as error:
@@ -179,16 +191,25 @@ def _complete(
         before, pool = progress.done, make_pool()
         try:
             _work(campaign, results, pool, workers, chunks_of(missing, size), progress, report)
-        except BrokenProcessPool:
+        except pool.breaks:
             breaks = breaks + 1 if progress.done == before else 0
             size = max(1, size // 2)
         finally:
             pool.end()
-        if breaks >= MOST_BREAKS:
-            where = f"{campaign.where}, runs from {missing[0][0]} on"
-            raise Refusal(where, "workers", "not end by themselves", f"ended {breaks} times")
+        check_breaks(campaign, breaks, missing[0][0])
         if progress.late(campaign.stop.seconds):
             return
+
+
+def check_breaks(campaign: Campaign, breaks: int, first: int) -> None:
+    """Refuse to go on with workers that end again and again.
+
+    Raises:
+        Refusal: see above.
+    """
+    if breaks >= MOST_BREAKS:
+        where = f"{campaign.where}, runs from {first} on"
+        raise Refusal(where, "workers", "not end by themselves", f"ended {breaks} times")
 
 
 def _work(

@@ -12,17 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.bound_formula import bound_to, meant_by
+from arm_emulator.base.formula import (
+    Expression,
+    Formula,
+    Signal,
+    parse_expression,
+    parse_formula,
+)
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.campaign_file import Campaign
-from arm_emulator.campaign.formula import Expression, parse_expression, parse_formula
-from arm_emulator.campaign.requirement import (
-    Robustness,
-    bound_to,
-    meant_by,
-    signals_in,
-    value_of,
-)
+from arm_emulator.campaign.program import Program, Rows, Targets, judges
+from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.signals import units_of_signals
 
@@ -54,37 +56,10 @@ class Measure:
         self.kind = found[1]
         whole = parse_expression(found[2], where, quantity)
         self.of: list[Expression] = meant_by(whole, known, where, quantity)
-        self.begin()
 
-    def begin(self) -> None:
-        """Begin a run."""
-        self._found = [-math.inf if self.kind == "max" else math.inf] * len(self.of)
-        self._sums, self._count = [0.0] * len(self.of), 0
-
-    def take(self, signals: Signals, count: int) -> None:
-        """Go on with some samples."""
-        self._count += count
-        for place, one in enumerate(self.of):
-            values = np.broadcast_to(value_of(one, signals), (count,))
-            match self.kind:
-                case "max":
-                    self._found[place] = max(self._found[place], float(values.max()))
-                case "min":
-                    self._found[place] = min(self._found[place], float(values.min()))
-                case "last":
-                    self._found[place] = float(values[-1])
-                case "mean":
-                    self._sums[place] += float(values.sum())
-                case _:
-                    self._sums[place] += float((values * values).sum())
-
-    def end(self) -> float:
-        """End the run and return its value."""
-        found = self._found
-        if self.kind in ("mean", "rms"):
-            found = [one / self._count for one in self._sums]
-        value = min(found) if self.kind == "min" else max(found)
-        return math.sqrt(value) if self.kind == "rms" else value
+    def end(self, values: list[float]) -> float:
+        """Return the measure from those of all that it means."""
+        return min(values) if self.kind == "min" else max(values)
 
 
 class Checked:
@@ -112,26 +87,26 @@ class Checked:
                 valid = ", ".join(known)
                 raise section.refusal("signals", "name signals of the run", pattern, valid)
             self.names += found
+        self.names.append("t")
         section.finish()
         if not name or not (folder / file).is_file():
             rule = "be FILE:FUNCTION, a file beside the campaign's"
             raise section.refusal("python", rule, section.text("python"))
         self._function = _function(folder / file, name, section)
-        self._trace: list[Signals] = []
+        self._trace: list[Array] = []
 
     def begin(self) -> None:
         """Begin a run."""
         self._trace = []
 
-    def take(self, signals: Signals, count: int) -> None:
-        """Keep some samples."""
-        self._trace.append({name: signals[name] for name in (*self.names, "t")})
+    def take(self, rows: Array) -> None:
+        """Keep some samples (K, n) of the names."""
+        self._trace.append(rows.copy())
 
     def end(self) -> float:
         """Return the function's result."""
-        names = self._trace[0]
-        whole = {name: np.concatenate([one[name] for one in self._trace]) for name in names}
-        return float(self._function(whole))
+        whole = np.concatenate(self._trace, axis=1)
+        return float(self._function(dict(zip(self.names, whole, strict=True))))
 
 
 def _function(file: Path, name: str, section: Section) -> Callable[[Signals], Any]:
@@ -150,73 +125,80 @@ def _function(file: Path, name: str, section: Section) -> Callable[[Signals], An
     return function  # type: ignore[no-any-return]
 
 
-class _Formula:
-    """A requirement as text."""
-
-    def __init__(self, text: str, campaign: Campaign, known: list[str], quantity: str) -> None:
-        where, period = campaign.where, campaign.scene.servo_period
-        longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, period))
-        if campaign.draws_sections:
-            longest = 2**40
-        formula = bound_to(parse_formula(text, where, quantity), known, where, quantity)
-        self.names = signals_in(formula)
-        self._one = Robustness(formula, period, longest, where, quantity)
-        self.take, self.end = self._one.feed, self._one.end
-
-    def begin(self) -> None:
-        self._one.end()
-
-
 class Judges:
     """All judges of a run.
 
     Attributes:
-        signals: that it needs.
+        samples: signals that it needs, in the order of their rows.
 
     Args:
         campaign: that states it.
+        room: samples in a piece at most.
 
     Raises:
         Refusal: a requirement or measure that is not taken.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
-        known = list(units_of_signals(campaign.scene))
-        root = Section({"requirements": dict(campaign.requirements)}, campaign.where)
-        section = root.required_section("requirements")
-        self._requirements: dict[str, _Formula | Checked] = {}
-        for name, given in campaign.requirements.items():
-            self._requirements[name] = (
-                _Formula(given, campaign, known, f"requirements.{name}")
-                if isinstance(given, str)
-                else Checked(section.required_section(name), known, campaign.file.parent)
-            )
+    def __init__(self, campaign: Campaign, room: int) -> None:
+        scene, where = campaign.scene, campaign.where
+        known = list(units_of_signals(scene))
+        rows = Rows(scene.joint_names, scene.servo_period)
+        section = Section({"requirements": dict(campaign.requirements)}, where)
+        given = section.required_section("requirements")
+        formulas: dict[str, Formula] = {}
+        self._checked: dict[str, Checked] = {}
+        for name, text in campaign.requirements.items():
+            if isinstance(text, str):
+                quantity = f"requirements.{name}"
+                formula = parse_formula(text, where, quantity)
+                formulas[name] = bound_to(formula, known, where, quantity)
+            else:
+                below = given.required_section(name)
+                self._checked[name] = Checked(below, known, campaign.file.parent)
         self._measures = {
-            name: Measure(text, known, campaign.where, f"measures.{name}")
+            name: Measure(text, known, where, f"measures.{name}")
             for name, text in campaign.measures.items()
         }
-        names: set[str] = set()
-        for requirement in self._requirements.values():
-            names |= set(requirement.names)
-        for measure in self._measures.values():
-            names = names.union(*map(signals_in, measure.of))
-        self.signals = names
+        self._names = list(campaign.requirements)
+        self._formulas = list(formulas)
+        longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, scene.servo_period))
+        if campaign.draws_sections:
+            longest = 2**40
+        requirements = [
+            Robustness(
+                judges(), one, rows.of, scene.servo_period, longest, where, f"requirements.{name}"
+            )
+            for name, one in formulas.items()
+        ]
+        kept = [rows.of(Signal(name)) for one in self._checked.values() for name in one.names]
+        reduced = [(one.kind, rows.of(each)) for one in self._measures.values() for each in one.of]
+        self._program = Program(rows, requirements, reduced, kept, room)
+        self.samples = rows.samples
 
     def begin(self) -> None:
         """Begin a run."""
-        for one in (*self._requirements.values(), *self._measures.values()):
+        self._program.begin()
+        for one in self._checked.values():
             one.begin()
 
-    def take(self, signals: Signals, count: int) -> None:
+    def take(self, samples: Array, count: int, targets: Targets) -> None:
         """Go on with some samples."""
-        for one in (*self._requirements.values(), *self._measures.values()):
-            one.take(signals, count)
+        self._program.take(samples, count, targets)
+        first = 0
+        for one in self._checked.values():
+            end = first + len(one.names)
+            one.take(self._program.kept[first:end, :count])
+            first = end
 
     def end(self, diverged: bool) -> tuple[dict[str, float], dict[str, float]]:
         """End the run; return robustness and measures."""
         if diverged:
-            return dict.fromkeys(self._requirements, -math.inf), dict.fromkeys(
-                self._measures, math.nan
-            )
-        robustness = {name: one.end() for name, one in self._requirements.items()}
-        return robustness, {name: one.end() for name, one in self._measures.items()}
+            return dict.fromkeys(self._names, -math.inf), dict.fromkeys(self._measures, math.nan)
+        values, reduced = self._program.end()
+        found = dict(zip(self._formulas, values, strict=True))
+        found |= {name: one.end() for name, one in self._checked.items()}
+        rest = iter(reduced)
+        measures = {
+            name: one.end([next(rest) for _ in one.of]) for name, one in self._measures.items()
+        }
+        return {name: found[name] for name in self._names}, measures

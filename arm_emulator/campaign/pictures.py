@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.campaign.search.method import Finding
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -31,6 +33,8 @@ _STYLE = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "figure.facecolor": "white",
+    "figure.constrained_layout.w_pad": 0.12,  # inches
+    "figure.constrained_layout.h_pad": 0.08,
 }
 
 
@@ -88,7 +92,7 @@ def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
         requirements: columns of robustness, and their titles.
     """
     count = len(requirements)
-    across = min(3, count)
+    across = 2 if count == 4 else min(3, count)
     down = -(-count // across)
     figure, axes = _figure(3.4 * across, 2.3 * down, down, across)
     for axis, (name, title) in zip(axes, requirements.items(), strict=False):
@@ -131,6 +135,28 @@ def influences(columns: Columns, varying: Sequence[str], requirements: Mapping[s
             _cloud(axis, columns[of][some], values[some])
             axis.set_xlabel(short(of))
         scatters[0].set_ylabel("margin")
+    return figure
+
+
+def bars_of(found: Finding) -> Figure:
+    """Draw a column of a finding as bars, a panel for each output."""
+    at = found.head.index(found.bars)
+    outputs = list(dict.fromkeys(row[0] for row in found.rows))
+    across = min(3, len(outputs))
+    down = -(-len(outputs) // across)
+    figure, axes = _figure(3.4 * across, 2.6 * down, down, across)
+    for axis, output in zip(axes, outputs, strict=False):
+        rows = [row for row in found.rows if row[0] == output][:7][::-1]
+        sizes, errors = [[float(row[k]) for row in rows] for k in (at, at + 1)]
+        axis.barh(range(len(rows)), sizes, xerr=errors, color=HOLDS, height=0.62,
+                  error_kw={"ecolor": INK, "elinewidth": 1.0})  # fmt: skip
+        axis.set_yticks(range(len(rows)), [short(str(row[1])) for row in rows], fontsize=8.5)
+        axis.set_xlim(0.0, None)
+        axis.tick_params(axis="y", length=0)
+        axis.set_title(str(output))
+        axis.set_xlabel(found.bars)
+    for axis in axes[len(outputs) :]:
+        axis.set_visible(False)
     return figure
 
 

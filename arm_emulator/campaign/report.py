@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from arm_emulator.campaign import pictures
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.results import DIVERGED, FAILED, INDEX, ROBUSTNESS, Results, digest_of
+from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.summary import Share, Summary
 
 WORST = 12  # runs that are listed
@@ -34,12 +35,17 @@ font-size:.9em}td code{word-break:break-word}img{max-width:100%;display:block;ma
 .bar{position:relative;height:10px;background:#eef2f4;border-radius:5px;min-width:150px;
 margin-top:.45em}.bar i{position:absolute;top:0;bottom:0;background:#f0b9c1;border-radius:5px}
 .bar b{position:absolute;top:-2px;bottom:-2px;width:3px;background:#d1495b}
-.scroll{overflow-x:auto}footer{color:#8695a1;font-size:.85em;margin-top:3em}
+.scroll{overflow-x:auto}.scroll td,.scroll th{white-space:nowrap}.scroll td code{word-break:normal}
+footer{color:#8695a1;font-size:.85em;margin-top:3em}
 """
 
 
 def write_report(
-    campaign: Campaign, results: Results, columns: pictures.Columns, summary: Summary
+    campaign: Campaign,
+    results: Results,
+    columns: pictures.Columns,
+    summary: Summary,
+    findings: Sequence[Finding] = (),
 ) -> Path:
     """Write ``report.html`` and its pictures into the folder of the results; return the file.
 
@@ -48,6 +54,7 @@ def write_report(
         results: their folder.
         columns: all columns of these, with a run at least.
         summary: of these.
+        findings: of a search.
     """
     varying = [one.name for one in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
@@ -61,10 +68,13 @@ def write_report(
         order = _by_influence(columns, varying, list(names))
         lines = pictures.coordinates(columns, order, columns[FAILED], least)
         drawn["coordinates"] = pictures.png(lines)
+    for one in findings:
+        if one.bars and one.rows:
+            drawn[one.title.lower()] = pictures.png(pictures.bars_of(one))
     for name, content in drawn.items():
         _write(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
-    text = "\n".join(_page(campaign, results, summary, columns, least, drawn))
+    text = "\n".join(_page(campaign, results, summary, columns, least, drawn, findings))
     _write(file, text.encode())
     return file
 
@@ -100,24 +110,34 @@ def _page(
     columns: pictures.Columns,
     least: NDArray[np.float64],
     drawn: dict[str, bytes],
+    findings: Sequence[Finding],
 ) -> Iterable[str]:
     scenario, name = campaign.nominal[0], html.escape(campaign.file.stem)
     yield f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
     yield f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>"
-    yield f"<h1>{name}</h1><p class=lead>{summary.count} of {campaign.count} runs of "
+    method = campaign.search
+    of_all = "" if method else f"of {campaign.count} "
+    yield f"<h1>{name}</h1><p class=lead>{summary.count} {of_all}runs of "
     yield f"{scenario.seconds:g} s of <b>{html.escape(campaign.scene.name)}</b>, "
-    yield f"{len(campaign.variation.numbers)} numbers vary ({campaign.variation.sampling})</p>"
+    how = f"searched by {method.kind}" if method else campaign.variation.sampling
+    yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
     yield "<div class=cards>"
     share = summary.shares[-1]
     kind = "bad" if share.hits else "good"
-    yield _card(f"{100 * share.share:.3g} %", "of all runs fail", kind)
-    percent = f"{100 * summary.confidence:g} % confidence"
-    yield _card(f"{100 * share.low:.2g} to {100 * share.high:.2g} %", percent)
+    if method:
+        yield _card(str(share.hits), "runs fail", kind)
+    else:
+        yield _card(f"{100 * share.share:.3g} %", "of all runs fail", kind)
+        percent = f"{100 * summary.confidence:g} % confidence"
+        yield _card(f"{100 * share.low:.2g} to {100 * share.high:.2g} %", percent)
     yield _card(str(int(np.count_nonzero(np.isfinite(columns[DIVERGED])))), "diverged")
     yield _card(f"{summary.count * scenario.seconds:g} s", "simulated")
     yield "</div>"
+    for one in findings:
+        yield from _finding(one)
     yield from _requirements(campaign, summary)
     titles = {
+        "sensitivity": "Sensitivity, drawn",
         "margins": "Margins",
         "influences": "What moves the margins",
         "coordinates": "All that varies, run by run",
@@ -127,9 +147,27 @@ def _page(
         yield f"<h2>{titles[picture]}</h2><img alt='{titles[picture]}' "
         yield f"src='data:image/png;base64,{data}'>"
     yield from _worst(campaign, results, columns, least)
-    yield from _quantiles(summary)
+    if not method:
+        yield from _quantiles(summary)
     yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
     yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
+
+
+def _finding(one: Finding) -> Iterable[str]:
+    yield f"<h2>{html.escape(one.title)}</h2><p>{html.escape(one.about)}</p>"
+    if not one.rows:
+        return
+    words = [isinstance(entry, str) for entry in one.rows[0]]
+    kinds = ["" if word else " class=n" for word in words]
+    yield "<div class=scroll><table><tr>"
+    yield "".join(
+        f"<th{kind}>{html.escape(head)}" for kind, head in zip(kinds, one.head, strict=True)
+    )
+    yield "</tr>"
+    for row in one.texts():
+        cells = zip(kinds, row, strict=True)
+        yield "<tr>" + "".join(f"<td{kind}>{html.escape(entry)}" for kind, entry in cells) + "</tr>"
+    yield "</table></div>"
 
 
 def _card(value: str, text: str, kind: str = "") -> str:
@@ -138,7 +176,9 @@ def _card(value: str, text: str, kind: str = "") -> str:
 
 def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     yield "<h2>Requirements</h2><table><tr><th>requirement<th>must hold<th class=n>fails"
-    yield "<th class=n>share<th>confidence interval<th class=n>least margin<th class=n>in run</tr>"
+    sampled = campaign.search is None  # the share of runs that a search chose means nothing
+    yield "<th class=n>share<th>confidence interval" if sampled else ""
+    yield "<th class=n>least margin<th class=n>in run</tr>"
     scale = max([one.high for one in summary.shares] or [1.0])
     for one in summary.shares:
         given = campaign.requirements.get(one.name, "")
@@ -146,8 +186,8 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         bad = " bad" if one.hits else ""
         yield f"<tr><td><b>{html.escape(one.name)}</b><td>"
         yield f"<code>{html.escape(text)}</code>" if text else ""
-        yield f"<td class='n{bad}'>{one.hits}<td class=n>{100 * one.share:.3g} %"
-        yield f"<td>{_bar(one, scale)}"
+        yield f"<td class='n{bad}'>{one.hits}"
+        yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
         known = one.worst >= 0
         yield f"<td class='n{bad}'>{one.least:.4g}" if known else "<td>"
         yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"

@@ -26,7 +26,7 @@ void sampler_take(void* with, const arm_machine* machine) {
   one->get_truth(machine, one->truth);
   for (int32_t k = 0; k < one->count; ++k) {
     const sampler_number* of = &one->numbers[k];
-    one->samples[k * one->room + one->taken] = number_at(one->row + of->offset, of->kind);
+    one->samples[of->row * one->room + one->taken] = number_at(one->row + of->offset, of->kind);
   }
   ++one->taken;
 }

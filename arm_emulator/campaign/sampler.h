@@ -14,7 +14,7 @@ enum sampler_kind { SAMPLER_DOUBLE, SAMPLER_INT64, SAMPLER_UINT32 };
 typedef struct sampler_number {
   int64_t offset; /* bytes */
   int32_t kind;
-  int32_t reserved;
+  int32_t row; /* of the samples */
 } sampler_number;
 
 typedef struct sampler {
@@ -26,7 +26,7 @@ typedef struct sampler {
   arm_truth* truth;
   const char* row;
   const sampler_number* numbers;
-  double* samples; /* a row of `room` per number */
+  double* samples; /* rows of `room` */
   int64_t room;
   int64_t taken; /* what finds no room is not kept */
 } sampler;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -53,23 +53,26 @@ class Sampler:
 
     Args:
         plant: the machine.
-        names: of requested signals.
+        names: of signals, in the order of their rows.
     """
 
-    def __init__(self, plant: Plant, names: Iterable[str]) -> None:
+    def __init__(self, plant: Plant, names: Sequence[str]) -> None:
         scene = plant.scene
-        self._plant, self._period = plant, scene.servo_period
-        self._wanted = sorted(set(names))
+        self._plant = plant
+        wanted = list(names)
+        self._tool = {
+            wanted.index(name): place for place, name in enumerate(TOOL) if name in wanted
+        }
         own = {one.name: one for one in columns_of(scene)}
-        sampled = {name for name in self._wanted if name in own and name not in ("t", "tick")}
-        joints = [one.partition(".")[2] for one in self._wanted if one.startswith("error.")]
-        sampled |= {f"q.{joint}" for joint in joints}
-        if any(name in TOOL for name in self._wanted):
-            sampled |= {f"q.{joint}" for joint in scene.joint_names}
-        self._names = sorted(sampled)
+        if self._tool:
+            wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
+        self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
+        sampled = [place for place, name in enumerate(wanted) if name not in TOOL]
+        self._names = [wanted[place] for place in sampled]
         self._row = RecordRow(plant)
-        self._samples = np.zeros((max(1, len(self._names)), ROOM))
+        self._samples = np.zeros((max(1, len(wanted)), ROOM))
         numbers = self._numbers([own[name] for name in self._names])
+        numbers["row"][: len(sampled)] = sampled
         truth = {name.partition(".")[0] for name in self._names} - {"measured"}
         rows = self._row.rows
         self._truth = truth_at(**{
@@ -90,8 +93,6 @@ class Sampler:
             room=ROOM,
         )
         self._calls = _sampler()
-        self.targets: list[tuple[int, Array]] = []  # tick from which each one holds
-        self._first = 0
 
     def _numbers(self, columns: Sequence[Column]) -> NDArray[np.void]:
         rows = self._row.rows
@@ -105,7 +106,7 @@ class Sampler:
 
     def begin(self) -> None:
         """Take the first sample of a run, and one at each tick from now on."""
-        self._first, self._sampler.taken, self.targets = 0, 0, []
+        self._sampler.taken = 0
         plant = self._plant
         self._calls.sampler_take(self._sampler, plant.machine)
         plant.core.arm_listen(plant.machine, self._calls.sampler_take, self._sampler)
@@ -119,36 +120,18 @@ class Sampler:
         """Room for samples before `take`."""
         return ROOM - int(self._sampler.taken)
 
-    def take(self) -> tuple[dict[str, Array], int]:
-        """Return the signals of the samples that were taken since the last call (K,), and K."""
-        count, first = int(self._sampler.taken), self._first
-        self._sampler.taken, self._first = 0, first + count
-        signals: dict[str, Array] = {
-            name: row[:count].copy() for name, row in zip(self._names, self._samples, strict=False)
-        }
-        ticks = np.arange(first, first + count)
-        signals["tick"] = ticks.astype(np.float64)
-        signals["t"] = signals["tick"] * self._period
-        if any(name.startswith(("target.", "error.")) for name in self._wanted):
-            self._add_targets(signals, ticks)
-        if any(name in TOOL for name in self._wanted):
-            joints = self._plant.scene.joint_names
-            q = np.array([signals[f"q.{joint}"] for joint in joints])
-            signals |= dict(zip(TOOL, tool_positions(self._plant.scene, q), strict=True))
-        return signals, count
-
-    def _add_targets(self, signals: dict[str, Array], ticks: NDArray[np.int64]) -> None:
-        scene = self._plant.scene
-        since = np.array([tick for tick, _ in self.targets])
-        rows = np.array([row for _, row in self.targets])
-        q = rows[np.searchsorted(since, ticks, "right") - 1]
-        for place, joint in enumerate(scene.joint_names):
-            signals[f"target.{joint}"] = np.ascontiguousarray(q[:, place])
-            if f"q.{joint}" in signals:
-                signals[f"error.{joint}"] = signals[f"q.{joint}"] - q[:, place]
+    def take(self) -> tuple[Array, int]:
+        """Return rows of samples (S, ROOM), and how many have come since the last call."""
+        count = int(self._sampler.taken)
+        self._sampler.taken = 0
+        if self._tool:
+            p = tool_positions(self._plant.scene, self._samples[self._q, :count])
+            for row, axis in self._tool.items():
+                self._samples[row, :count] = p[axis]
+        return self._samples, count
 
 
-def tool_positions(scene: Scene, q: Mapping[int, Array] | Array) -> Array:
+def tool_positions(scene: Scene, q: Array) -> Array:
     """Return the tool's positions in the world (3, K) [m] for joint positions (N, K) [rad or m]."""
     chain = scene.chain
     joint, frame = chain.place_of(scene.tool)

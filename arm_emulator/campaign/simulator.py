@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.campaign.campaign_file import Campaign, seed_of
+from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.campaign.case import Case, drawn_case
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.campaign.judges import Judges
+from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
-from arm_emulator.campaign.signals import Sampler
+from arm_emulator.campaign.signals import ROOM, Sampler
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.pose import Pose
@@ -65,13 +67,14 @@ class Simulator:
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
-        self._judges = Judges(campaign)  # first, since its refusals need no compiler
+        self._judges = Judges(campaign, ROOM)  # first, since its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
+        self._parameters = {one.name for one in campaign.scene.varied}
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()
-        self._sampler = Sampler(self.session.plant, self._judges.signals)
+        self._sampler = Sampler(self.session.plant, self._judges.samples)
 
     def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
         """Return machine and controller of the scenario."""
@@ -83,64 +86,68 @@ class Simulator:
         table = TargetTable(np.zeros(1), self._scene.start[None])
         return TableRun(self._scene, table, ServoStep(self._drives, place))
 
-    def run(self, index: int) -> Outcome:
+    def run(self, which: int | Case) -> Outcome:
         """Simulate one run and judge it.
+
+        Args:
+            which: the index of a run that is sampled, or any other run.
 
         Raises:
             Refusal: values of this run that are out of range.
         """
-        values = self._begin(index)
+        case = drawn_case(self._campaign.variation, which) if isinstance(which, int) else which
+        self._begin(case)
         sampler, judges = self._sampler, self._judges
         judges.begin()
         sampler.begin()
-        sampler.targets = list(self._targets())
         diverged = math.nan
         try:
             for _ in self._pieces():
                 if sampler.room < 1:
-                    judges.take(*sampler.take())
-            judges.take(*sampler.take())
+                    judges.take(*sampler.take(), self._targets)
+            judges.take(*sampler.take(), self._targets)
         except Diverged as fault:
             diverged = fault.t
             sampler.take()
         finally:
             sampler.end()
         robustness, measures = judges.end(math.isfinite(diverged))
-        return Outcome(index, values, robustness, measures, diverged)
+        return Outcome(case.index, case.values, robustness, measures, diverged)
 
-    def drive(self, index: int) -> Iterator[int]:
+    def drive(self, case: Case) -> Iterator[int]:
         """Simulate a run piece by piece, for a recorder of the machine.
 
         Yields:
             Ticks that it has come, the first time 0.
         """
-        self._begin(index)
+        self._begin(case)
         yield 0
         yield from self._pieces()
 
     # ------------------------------------------------------------------------------------- a run
 
-    def _begin(self, index: int) -> dict[str, float]:
+    def _begin(self, case: Case) -> None:
         """Set machine and controller to the start of a run."""
-        campaign, session = self._campaign, self.session
-        values = campaign.variation.values(index)
+        campaign, session, values = self._campaign, self.session, case.values
         try:
             given = campaign.with_values(values) if campaign.draws_sections else campaign.nominal
             self._scenario, faults, servo = given
             self._restart(servo)
             for name, value in values.items():
-                if name in session.plant.parameters:
+                if name in self._parameters:
                     session.plant.set_parameter(name, value)
         except Refusal as no:
-            where = f"{campaign.where}, run {index}"
+            where = f"{campaign.where}, run {case.index}"
             raise Refusal(where, no.quantity, no.rule, no.got, no.valid) from None
-        if self._scene.sensed:
-            session.plant.set_parameter("seed", seed_of(campaign.variation, index))
+        if self._scene.sensed and "seed" not in values:
+            session.plant.set_parameter("seed", case.seed)
         session.plant.reset(self._scenario.start)
-        self._events = self._ordered(faults)
+        self._events = self._ordered(
+            {name: fault for name, fault in faults.items() if name not in case.without}
+        )
+        self._seconds = min(case.seconds, self._scenario.seconds)
         if isinstance(self._run, OfflineRun):
             self._send(self._run)
-        return values
 
     def _restart(self, servo: ServoConfig) -> None:
         drives = self._run.drives if isinstance(self._run, OfflineRun) else self._drives
@@ -149,6 +156,7 @@ class Simulator:
             self._tuned = servo
         if isinstance(self._run, OfflineRun):
             self._run.restart(self._fresh)
+            self._aimed = [(0, self._scenario.start)]
             return
         table, start = self._scenario.targets, self._scenario.start
         if table is None or table.t[0] > 0.0:
@@ -184,7 +192,7 @@ class Simulator:
     def _pieces(self) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
-        last = max(1, ticks_of(self._scenario.seconds, self._scene.servo_period))
+        last = max(1, ticks_of(self._seconds, self._scene.servo_period))
         events = self._events
         while session.tick < last:
             while events and events[0][0] <= session.tick:
@@ -194,7 +202,7 @@ class Simulator:
             began = session.tick
             run.advance(ticks)
             if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
-                self._sampler.targets.append((began + 1, self._of_arm(run.aimed)))
+                self._aimed.append((began + 1, self._of_arm(run.aimed)))
             yield session.tick
 
     @property
@@ -210,13 +218,14 @@ class Simulator:
         names = self._campaign.servo.joint_names
         return q[[names.index(name) for name in self._scene.joint_names]]
 
-    def _targets(self) -> Iterator[tuple[int, Array]]:
-        """Yield the joint targets of a table, with the tick from which on each holds."""
+    @property
+    def _targets(self) -> Targets:
+        """The joint targets so far, with the tick from which on each holds."""
         if isinstance(self._run, OfflineRun):
-            yield 0, self._scenario.start
-        else:
-            ticks = self._table.ticks(self._scene.servo_period)
-            yield from zip(ticks, self._table.q, strict=True)
+            since, rows = zip(*self._aimed, strict=True)
+            return Targets(np.array(since), np.array(rows))
+        ticks = self._table.ticks(self._scene.servo_period)
+        return Targets(np.array(ticks), np.ascontiguousarray(self._table.q))
 
 
 def _halves(fault: Fault, session: Session) -> tuple[Event, Event]:

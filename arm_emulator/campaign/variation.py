@@ -58,6 +58,7 @@ class Variation:
     where: str = "campaign"
     _cube: Array | None = field(default=None, repr=False)
     _sobol: tuple[int, qmc.Sobol] | None = field(default=None, repr=False)
+    _newest: tuple[int, list[float]] = field(default=(-1, []), repr=False)
 
     def __post_init__(self) -> None:
         grids = [place for place, one in enumerate(self.numbers) if one.distribution.levels]
@@ -86,10 +87,13 @@ class Variation:
         """Combinations of all grids; 1 without any."""
         return math.prod(self.numbers[place].distribution.levels for place in self._grids)
 
-    def stream(self, index: int) -> np.random.Generator:
-        """Return the random numbers of a run."""
-        counter = np.array([0, 0, 0, index], np.uint64)
-        return np.random.Generator(np.random.Philox(counter=counter, key=self._key))
+    def uniforms(self, index: int) -> list[float]:
+        """Return the random numbers of a run from 0 to 1: for each that varies, and one more."""
+        if self._newest[0] != index:
+            counter = np.array([0, 0, 0, index], np.uint64)
+            stream = np.random.Generator(np.random.Philox(counter=counter, key=self._key))
+            self._newest = index, stream.random(len(self.numbers) + 1).tolist()
+        return self._newest[1]
 
     def values(self, index: int) -> dict[str, float]:
         """Return the values of a run by name."""
@@ -99,6 +103,21 @@ class Variation:
             for one, at in zip(self.numbers, u, strict=True)
         }
 
+    def values_at(self, z: Sequence[float] | Array) -> dict[str, float]:
+        """Return the values at a point of independent standard normal numbers (D,), by name."""
+        scores = np.asarray(z, np.float64)
+        return {
+            one.name: one.distribution.at(self._share(place, scores), one.nominal)
+            for place, one in enumerate(self.numbers)
+        }
+
+    def _share(self, place: int, z: Array) -> float:
+        """Return what share of a number's values lies below its value at a point."""
+        score = float(z[place])
+        if self._mixed is not None:
+            score = math.fsum((self._mixed[place] * z).tolist())
+        return min(max(float(special.ndtr(score)), _FIRST), _LAST)
+
     def _point(self, index: int) -> list[float]:
         """Return a point of the unit cube, a number for each that varies."""
         u = [0.5] * len(self.numbers)
@@ -107,8 +126,7 @@ class Variation:
         if self._mixed is not None:
             z = np.array([float(special.ndtri(at)) for at in u])
             for place in self._free:
-                mixed = math.fsum((self._mixed[place] * z).tolist())
-                u[place] = min(max(float(special.ndtr(mixed)), _FIRST), _LAST)
+                u[place] = self._share(place, z)
         rest = index
         for place in reversed(self._grids):
             levels = self.numbers[place].distribution.levels
@@ -130,7 +148,7 @@ class Variation:
                 self._cube = cube.random(self.count)
             row: list[float] = self._cube[index].tolist()
             return row
-        return [float(one) for one in self.stream(index).random(D)]
+        return self.uniforms(index)[:D]
 
     def _sobol_point(self, index: int, D: int) -> list[float]:
         at, sequence = self._sobol or (0, None)

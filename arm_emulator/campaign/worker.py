@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
+from arm_emulator.campaign.case import Case, case_at
 from arm_emulator.campaign.results import write_part
 from arm_emulator.campaign.simulator import Outcome, Simulator
 
+Array = NDArray[np.float64]
 _PR_SET_PDEATHSIG = 1
 _asked = {"end": False, "busy": False}
 
@@ -31,12 +34,14 @@ class Done(NamedTuple):
         failures: of each requirement, and of any of them last (R + 1,).
         seconds: of this process that they took.
         whole: whether all runs of the chunk are done.
+        outputs: robustness and measures of each run, if it is one of a search (K, M).
     """
 
     runs: int
     failures: tuple[int, ...]
     seconds: float
     whole: bool
+    outputs: Array | None = None
 
 
 def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator]:
@@ -57,8 +62,18 @@ def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator]
     return campaign, Simulator(campaign)
 
 
-def simulate(file: str, key: bytes, folder: str, first: int, end: int) -> Done:
+def simulate(
+    file: str, key: bytes, folder: str, first: int, end: int, points: Array | None = None
+) -> Done:
     """Simulate the runs [first, end) and write those that are done as a part.
+
+    Args:
+        file: of the campaign.
+        key: of the campaign.
+        folder: of the results.
+        first: index of a run.
+        end: index after the last one.
+        points: of these runs, in normal scores (K, D); None: they are sampled.
 
     Raises:
         Refusal: values of a run that are out of range; the runs before it are written.
@@ -71,7 +86,10 @@ def simulate(file: str, key: bytes, folder: str, first: int, end: int) -> Done:
         for index in range(first, end):
             if _asked["end"]:
                 break
-            outcomes.append(simulator.run(index))
+            which: int | Case = index
+            if points is not None:
+                which = case_at(campaign.variation, index, points[index - first])
+            outcomes.append(simulator.run(which))
     finally:
         write_part(Path(folder), campaign, outcomes)
         _asked["busy"] = False
@@ -82,8 +100,11 @@ def simulate(file: str, key: bytes, folder: str, first: int, end: int) -> Done:
         failures[:-1] += [not value >= 0.0 for value in one.robustness.values()]
         failures[-1] += one.failed
     spent = time.process_time() - began
-    whole = len(outcomes) == end - first
-    return Done(len(outcomes), tuple(failures.tolist()), spent, whole)
+    found = None
+    if points is not None:
+        rows = [(*one.robustness.values(), *one.measures.values()) for one in outcomes]
+        found = np.array(rows, np.float64)
+    return Done(len(outcomes), tuple(failures.tolist()), spent, len(outcomes) == end - first, found)
 
 
 def end_with(parent: int) -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, get_args, get_origin
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 from cyclopts.argument import Argument
 
 from arm_emulator.cli.command import Command, command_names, load_command
+from arm_emulator.cli.options import Json
 
 COLUMN = 24  # of an explanation
 DEFAULTS = Parameter(negative=(), consume_multiple=(1, None), json_list=False, json_dict=False)
@@ -32,6 +34,8 @@ def run_with(one: Command, words: Sequence[str]) -> int:
     except CycloptsError as error:
         reason = " ".join(str(error).split())
         raise BadArguments(reason[:1].lower() + reason[1:].removesuffix(".")) from None
+    if given.kwargs.pop("json", False):  # the option itself is no word any more
+        raise BadArguments("--json takes no value")
     return int(function(*given.args, **given.kwargs))
 
 
@@ -55,14 +59,29 @@ def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
     for name in command_names():
         one = load_command(name)
         assert one is not None, name
-        app.command(one.function, name=name)
+        app.command(_with_json(one.function), name=name)
     return app.generate_completion(prog_name="arm_emulator", shell=shell)
 
 
 def _app(one: Command) -> App:
     app = App(name=one.name, help_flags=(), version_flags=(), default_parameter=DEFAULTS)
-    app.default(one.function)
+    app.default(_with_json(one.function))
     return app
+
+
+def _with_json(function: Callable[..., int]) -> Callable[..., int]:
+    """Return a command's function with the option that all commands have."""
+    plain = inspect.signature(function)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    json = inspect.Parameter("json", kind, default=False, annotation=Json)
+
+    @functools.wraps(function)
+    def run(*given: object, **named: object) -> int:
+        return function(*given, **named)
+
+    run.__signature__ = plain.replace(parameters=[*plain.parameters.values(), json])  # type: ignore[attr-defined]
+    run.__annotations__ = {**function.__annotations__, "json": Json}
+    return run
 
 
 def _is_positional(argument: Argument) -> bool:

@@ -1,14 +1,18 @@
-"""Commands register themselves: a module of `commands` is imported when its command is run."""
+"""Commands register themselves: a module of `commands` each, imported when its command runs."""
 
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
 import os
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 FOLDER = os.path.join(os.path.dirname(__file__), "commands")
+# A declaration is a command's function without its body; these modules suffice for it.
+OF_DECLARATIONS = ("arm_emulator.base.kept", "arm_emulator.cli.command", "arm_emulator.cli.options",
+                   "cyclopts", "pathlib", "typing")  # fmt: skip
 Function = TypeVar("Function", bound=Callable[..., int])
 
 
@@ -50,16 +54,42 @@ def command_names() -> list[str]:
 
 def summary_of(name: str) -> str:
     """Return the first line of a command's module; imports nothing."""
-    with open(os.path.join(FOLDER, f"{name.replace('-', '_')}.py"), encoding="utf-8") as file:
+    with open(_file_of(name), encoding="utf-8") as file:
         return file.readline().strip().strip('"').removesuffix(".")
 
 
 def load_command(name: str) -> Command | None:
-    """Import a command, and nothing else; None: the command does not exist."""
+    """Return a command, whose module is imported when it is called; None: it does not exist."""
     if name not in command_names():
         return None
-    importlib.import_module(f"arm_emulator.cli.commands.{name.replace('-', '_')}")
-    return _registered[name]
+    module = f"{__package__}.commands.{name.replace('-', '_')}"
+    import ast
+
+    def declares(one: ast.stmt) -> bool:
+        """Whether a statement belongs to the declaration; a function of it loses its body."""
+        if isinstance(one, ast.ImportFrom):
+            return one.module == "__future__" or one.module in OF_DECLARATIONS
+        if not (isinstance(one, ast.FunctionDef) and one.decorator_list):
+            return False
+        one.body = one.body[:1]  # its text
+        return ast.unparse(one.decorator_list[0]).startswith("command(")
+
+    with open(_file_of(name), encoding="utf-8") as file:
+        tree = ast.parse(file.read())
+    tree.body = [one for one in tree.body if declares(one)]
+    exec(compile(tree, _file_of(name), "exec"), {"__name__": module})
+    declared = _registered[name]
+
+    @functools.wraps(declared.function)
+    def run(*given: object, **named: object) -> int:
+        work = getattr(importlib.import_module(module), declared.function.__name__)
+        return int(work(*given, **named))
+
+    return declared._replace(function=run)
+
+
+def _file_of(name: str) -> str:
+    return os.path.join(FOLDER, f"{name.replace('-', '_')}.py")
 
 
 def near_names(name: str, known: list[str]) -> str:

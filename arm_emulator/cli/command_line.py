@@ -19,9 +19,11 @@ from arm_emulator.cli.command import (
     near_names,
     summary_of,
 )
+from arm_emulator.cli.output import output
 from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
 
 HELP = ("-h", "--help")
+JSON = "--json"
 ROS_MODULES = ("rclpy", "ament_index_python", "rosidl_runtime_py")
 ROS_REMEDY = (
     "commands without a network (`run`, `tune`, field buses) do without it; for this one use a "
@@ -31,25 +33,27 @@ ROS_REMEDY = (
 
 def main() -> None:
     """Run one command; exit code 2 and one line for refused input."""
-    words = sys.argv[1:]
+    words = [word for word in sys.argv[1:] if word != JSON]
+    as_json = len(words) < len(sys.argv) - 1
     try:
         one = load_command(words[0]) if words else None
     except ModuleNotFoundError as missing:
         end_at_once(None)
-        sys.exit(_refused("arm_emulator", missing))
+        sys.exit(_printed(partial(_refused, _missing("arm_emulator", missing)), as_json))
     code = 0 if one is not None and one.until_stopped else None
     end_at_once(code)
     if one is None:
-        sys.exit(_printed(partial(_without_command, words)))
+        sys.exit(_printed(partial(_without_command, words), as_json))
     with CtrlC(code) as ctrl_c:
-        sys.exit(_printed(partial(_run, one, words[1:])))
+        sys.exit(_printed(partial(_run, one, words[1:]), as_json))
     sys.exit(exit_code(ctrl_c.signal, code))
 
 
-def _printed(work: Callable[[], int]) -> int:
+def _printed(work: Callable[[], int], as_json: bool) -> int:
     """Do work and return its exit code; end as by SIGPIPE if the reader of our output has."""
     try:
-        code = work()
+        with output.printed(as_json=as_json):
+            code = work()
         sys.stdout.flush()
         return code
     except BrokenPipeError:
@@ -63,24 +67,31 @@ def _run(one: Command, words: Sequence[str]) -> int:
     from arm_emulator.cli.arguments import BadArguments, page_of, run_with
 
     if set(HELP) & set(words):
-        print(page_of(one))
+        page = page_of(one)
+        output.line(page)
+        output.facts({"help": page})
         return 0
     try:
         for module in ("rclpy", "arm_emulator_msgs") if one.of_ros else ():
             if importlib.util.find_spec(module) is None:  # before it starts anything
-                return _refused(one.name, ModuleNotFoundError(name=module))
+                return _refused(_missing(one.name, ModuleNotFoundError(name=module)))
         return run_with(one, words)
     except Refusal as refusal:
-        reason = str(refusal)
+        return _refused(refusal)
     except BadArguments as bad:
-        reason = f"arm_emulator {one.name}: {bad}"
+        return _refused(f"arm_emulator {one.name}: {bad}")
     except ModuleNotFoundError as missing:
-        return _refused(one.name, missing)
+        return _refused(_missing(one.name, missing))
     except Exception as error:
         if isinstance(error, BrokenPipeError) or not is_want_of_memory(error):
             raise
-        reason = str(Refusal("arm_emulator", "memory", "suffice", repr(error)))
+        return _refused(Refusal("arm_emulator", "memory", "suffice", repr(error)))
+
+
+def _refused(reason: Refusal | str) -> int:
+    """Print a refusal, for people and for programs, and return the exit code."""
     print(reason, file=sys.stderr)
+    output.facts({"refused": str(reason)})
     return 2
 
 
@@ -91,30 +102,30 @@ def _reader_is_gone() -> bool:
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def _refused(where: str, missing: ModuleNotFoundError) -> int:
-    """Print which package is missing, and the remedy."""
+def _missing(where: str, missing: ModuleNotFoundError) -> Refusal:
+    """Return which package is missing, and the remedy."""
     top = (missing.name or "").partition(".")[0]
     if not top or top == "arm_emulator":
         raise missing
     of_ros = top in ROS_MODULES or top.endswith(("_msgs", "_srvs", "_interfaces"))
     quantity = f"ROS 2, with its Python module {top}," if of_ros else f"Python module {top}"
     remedy = ROS_REMEDY if of_ros else f"pip install {top}"
-    print(Refusal(where, quantity, "be installed", "none", remedy), file=sys.stderr)
-    return 2
+    return Refusal(where, quantity, "be installed", "none", remedy)
 
 
 def _without_command(words: Sequence[str]) -> int:
     """Print help or the version, or refuse a command that does not exist."""
     if not words or words[0] in HELP:
-        print(_overview())
+        output.line(_overview())
+        output.facts({"commands": {name: summary_of(name) for name in command_names()}})
     elif words[0] == "--version":
         from arm_emulator.version import VERSION
 
-        print(f"arm_emulator {VERSION}")
+        output.line(f"arm_emulator {VERSION}")
+        output.facts({"version": VERSION})
     else:
         near = near_names(words[0], command_names()) or "; `arm_emulator --help` lists them"
-        print(f"arm_emulator: unknown command {words[0]}{near}", file=sys.stderr)
-        return 2
+        return _refused(f"arm_emulator: unknown command {words[0]}{near}")
     return 0
 
 

@@ -1,13 +1,12 @@
-"""Output of a command: lines as text, or one JSON object."""
+"""Output of a command: lines for people, or one JSON object for programs."""
 
 from __future__ import annotations
 
-import dataclasses
-import json
+import contextlib
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from arm_emulator.base import warning
@@ -17,23 +16,34 @@ if TYPE_CHECKING:
 
 
 class Output:
-    """Prints lines, or collects values and prints them as JSON at the end.
+    """Prints lines; or collects values, and prints them as JSON at the end.
 
     With JSON, all other output of this process, C code included, goes to stderr.
 
-    Args:
+    Attributes:
         as_json: one JSON object instead of lines.
+        collected: that object so far.
     """
 
-    def __init__(self, as_json: bool) -> None:
-        self.as_json = as_json
+    def __init__(self) -> None:
+        self.as_json = False
+        self.collected: dict[str, object] = {}
         self._stdout = -1
+
+    @contextlib.contextmanager
+    def printed(self, *, as_json: bool) -> Iterator[None]:
+        """Within, a command runs; its object is printed however it ends."""
+        self.as_json, self.collected = as_json, {}
         warning.given.clear()
         standard = sys.__stdout__
         if as_json and standard is not None and sys.stdout is standard:
             standard.flush()
             self._stdout = os.dup(1)
             os.dup2(2, 1)
+        try:
+            yield
+        finally:
+            self.end()
 
     def line(self, text: str) -> None:
         """Print a line, unless as JSON."""
@@ -41,7 +51,7 @@ class Output:
             print(text, flush=True)
 
     def console(self, least_width: int | None = None) -> Console:
-        """Return the console for tables."""
+        """Return the console for tables and other text without markup."""
         from rich.console import Console
 
         width = None if least_width is None else max(least_width, Console().width)
@@ -50,19 +60,32 @@ class Output:
         )
 
     def facts(self, facts: Mapping[str, object]) -> None:
-        """Print the values as JSON, once."""
+        """Add values to the object."""
+        self.collected.update(facts)
+
+    def end(self) -> None:
+        """Print the object, once."""
         if not self.as_json:
             return
+        import json  # not before: `--version` takes longer by what it imports
+
+        self.as_json = False
         if self._stdout >= 0:
             sys.stdout.flush()
             os.dup2(self._stdout, 1)
             os.close(self._stdout)
             self._stdout = -1
+        facts = {**self.collected, "warnings": warning.given}
         print(json.dumps(plain(facts), indent=2), flush=True)
+
+
+output = Output()  # of this process
 
 
 def plain(value: Any) -> Any:
     """Return a value as JSON: without NumPy, and null for numbers that are not finite."""
+    import dataclasses
+
     if isinstance(value, Mapping):
         return {str(key): plain(one) for key, one in value.items()}
     if dataclasses.is_dataclass(value):

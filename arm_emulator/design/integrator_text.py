@@ -17,6 +17,7 @@ from arm_emulator.base.yaml_file import MOST_BYTES
 from arm_emulator.machine.integrator import EVENTS
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.schemes.known import SCHEMES
 
 SECTION = "integrator"
 
@@ -67,7 +68,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
 
 def _rest(scene: Scene) -> tuple[object, ...]:
     """Return what of a scene has nothing to do with how it is integrated."""
-    plain = dataclasses.replace(scene.integrator, scheme="rosenbrock", events=EVENTS[0])
+    plain = dataclasses.replace(scene.integrator, scheme=SCHEMES[0], events=EVENTS[0])
     return (
         scene.name, scene.urdf, scene.tool, scene.servo_period, scene.cores, scene.varied,
         scene_unit(dataclasses.replace(scene, integrator=plain, threads=1)),

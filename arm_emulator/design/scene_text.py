@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.sizing import Demand, Sized, rounded
-from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.motion.drive_numbers import SECTION, DriveNumbers
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
@@ -89,7 +89,8 @@ def scene_text(
         lines += _joint(demand, drive)
     lines += [
         "",
-        "integrator: {scheme: rosenbrock, dt: 5.0e-4}  # `arm_emulator advise` finds the cheapest",
+        f"integrator: {{scheme: {SCHEMES[0]}, dt: 5.0e-4}}  "
+        "# `arm_emulator advise` finds the cheapest",
         f"servo_period: {servo_period!r}  # s",
     ]
     return "\n".join(lines) + "\n"
@@ -123,7 +124,7 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
 
 def _motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:
     """Return the section of a motor and of what is around it."""
-    kind = [] if isinstance(motor, DcMotor) else [f"      kind: {motor.kind}"]
+    kind = [] if motor.is_default else [f"      kind: {motor.kind}"]
     lines = ["    motor:", *kind, *_numbers(motor, "      ")]
     for one in decorators:
         lines += [f"      {one.section.rpartition('.')[2]}:", *_numbers(one, "        ")]

@@ -15,11 +15,8 @@ import numpy as np
 
 from arm_emulator.design.data_sheets import JointSheet
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.encoder import Encoder
-from arm_emulator.machine.parts.friction import LinkFriction
-from arm_emulator.machine.parts.known import DECORATORS
+from arm_emulator.machine.parts.known import DECORATORS, MOTORS, gear_of, link_friction_of
 from arm_emulator.machine.parts.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
@@ -85,7 +82,7 @@ class Sized:
     """Sources of `torque` and `speed`, as text."""
 
 
-def size(demands: list[Demand], kind: type[Motor] = DcMotor) -> tuple[float, list[Sized]]:
+def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, list[Sized]]:
     """Return the supply voltage [V] and a drive for every joint, with motors of a kind.
 
     In short: peak torque and speed as published, else those of the description, else what holds and
@@ -201,13 +198,13 @@ def _drive(
         name=demand.name,
         start=demand.start,
         motor=_rounded(motor),
-        gear=ElasticGear(
+        gear=gear_of(
             ratio=rounded(ratio, 6),
             stiffness=rounded(stiffness),
             damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
         sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
-        friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
+        friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
         decorators=tuple(_rounded(one) for one in around if one is not None),
     )
     return Sized(joint, torque, speed, acceleration, notes)

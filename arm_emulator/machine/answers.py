@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -53,10 +54,19 @@ class Answers:
         self._left = left
         self.put(-1, None)
 
-    def put(self, tick: int, rows: Array | None) -> None:
-        """Let this be the newest command, and none before it."""
+    def put(self, tick: int, rows: Array | None, before: Array | None = None) -> None:
+        """Let this be the newest command; `before` answered the tick before, None: no command."""
         self.tick, self.newest = tick, rows
-        self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
+        # The accepted one before it.
+        self._before: tuple[int, Array | None] = (-1 if before is None else tick - 1, before)
+
+    def save(self) -> tuple[object, ...]:
+        """Return the commands that are known now, for `restore`."""
+        return self._left, self.tick, self.newest, self._before
+
+    def restore(self, saved: tuple[Any, ...]) -> None:
+        """Know the commands that were known when `save` returned this."""
+        self._left, self.tick, self.newest, self._before = saved
 
     @property
     def rows(self) -> Array:

@@ -48,6 +48,8 @@ def _periods(scene: Scene) -> dict[str, bytes]:
 def library_with(scene: Scene, name: str, source: str, header: Header) -> Library:
     """Return the scene's compiled machine with more C++ in the same unit, see `library_of`.
 
+    It restores what a machine of `library_of` has saved.
+
     Args:
         scene: the scene.
         name: what is added, for the name of the library.
@@ -63,6 +65,7 @@ def library_with(scene: Scene, name: str, source: str, header: Header) -> Librar
             headers=(*unit.headers, header),
             folders=(*unit.folders, header.path.parent, *header.folders),
             about=f"{unit.about} with {name}",
+            saves_as=unit,
         )
     )
 

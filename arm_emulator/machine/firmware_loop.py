@@ -57,9 +57,6 @@ class FirmwareLoop:
     ) -> None:
         self._plant = plant
         self._calls = firmware_loop()
-        ticks, rows = targets or ((), np.zeros((0, len(plant.scene.joints))))
-        self._row_tick = np.array(ticks, np.int64)
-        self._rows = np.array(rows, np.float64, order="C")
         self.pointer = code.struct or FIRMWARE_LOOP.new("firmware_loop")
         FIRMWARE_LOOP.fill(
             self.pointer,
@@ -69,15 +66,26 @@ class FirmwareLoop:
             exchange=plant.core.arm_exchange,
             step=code.step,
             period=period_ns,
-            row_tick=self._row_tick,
-            rows=self._rows,
-            row_count=len(self._row_tick),
             joint=plant.command.joint,
             further=plant.command.further,
             command=plant.command,
             measurement=plant.measurement,
             stop=code.stop,
             **{"with": code.with_},
+        )
+        self.aim(targets or ((), np.zeros((0, len(plant.scene.joints)))))
+
+    def aim(self, targets: tuple[Sequence[int], Array]) -> None:
+        """Begin anew with other targets, see above."""
+        ticks, rows = targets
+        self._row_tick = np.array(ticks, np.int64)
+        self._rows = np.array(rows, np.float64, order="C")
+        FIRMWARE_LOOP.fill(
+            self.pointer,
+            row_tick=self._row_tick,
+            rows=self._rows,
+            row_count=len(self._row_tick),
+            row=0,
         )
 
     @property

@@ -618,7 +618,9 @@ class Fleet(Turns):
         if given.shape not in ((self._N,), (many, self._N), shape):
             shapes = " or ".join(f"({n}, {self._N})" for n in sorted({many, self._count}))
             raise Refusal(where, bound.name, f"have shape ({self._N},) or {shapes}", given.shape)
-        if mask is None or mask.all():
+        if mask is None and given.shape == shape:
+            rows = given
+        elif mask is None or mask.all():
             rows = np.ascontiguousarray(np.broadcast_to(given, shape))
         else:
             rows = np.zeros(shape)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from arm_emulator.base.closed import Closed
 from arm_emulator.base.count import check_count
+from arm_emulator.base.given import as_flag
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET
 from arm_emulator.machine.scene import Scene
@@ -10,7 +12,7 @@ from arm_emulator.machine.scene import Scene
 _LARGEST = 2**64 - 1  # address
 
 
-class FleetControl:
+class FleetControl(Closed):
     """A function in C that commands arms in every servo period, for `Fleet.follow`.
 
     Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
@@ -29,13 +31,14 @@ class FleetControl:
         in_lanes: whether it takes rows of lanes.
 
     Raises:
-        Refusal: no addresses.
+        Refusal: no addresses, or `in_lanes` that is neither True nor False.
     """
 
     def __init__(self, step: int, with_: int = 0, *, in_lanes: bool = False) -> None:
         step = check_count("FleetControl", "step", step, 1, _LARGEST)
         with_ = check_count("FleetControl", "with_", with_, 0, _LARGEST)
-        name, kind = ("step_rows", "rows") if in_lanes else ("step", "control")
+        by_rows = as_flag(in_lanes, "FleetControl", "in_lanes")
+        name, kind = ("step_rows", "rows") if by_rows else ("step", "control")
         self.functions: dict[str, CData] = {name: FLEET.ffi.cast(f"arm_fleet_step_of_{kind}", step)}
         self.with_: CData = FLEET.ffi.cast("void *", with_)
 

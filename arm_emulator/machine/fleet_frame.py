@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.closed import Closed
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.measured import Measured, MeasuredPlace
+from arm_emulator.machine.outputs import outputs_of
 from arm_emulator.machine.scene import Scene
 
 
-class FleetFrame:
+class FleetFrame(Closed):
     """Measured and true values of all arms after a step.
 
     The arrays are reused in every step; copy them to keep values.
@@ -50,7 +52,10 @@ class FleetFrame:
         names = ("t", "current", "theta_m", "omega_m", "q", "v")
         places = {PLACES.get(name, name): getattr(self, name) for name in names}
         # For the core.
-        self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **place.arrays)
+        # Outputs that the scene does not have stay 0.
+        there = {one.symbol.partition(".")[0] for one in outputs_of(scene)}
+        arrays = {name: rows for name, rows in place.arrays.items() if name in there}
+        self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **arrays)
         self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
 
     def __repr__(self) -> str:

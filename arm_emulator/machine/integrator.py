@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from arm_emulator.base.number import number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import LARGEST_COUNT, Section
+from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES, SCHEMES
+from arm_emulator.machine.schemes.scheme import Scheme
 
-# Of the error between events; the first scheme is the default.
-ORDERS = {"rosenbrock": 2, "extrapolated": 2, "implicit": 1, "paper": 1}
-SCHEMES = tuple(ORDERS)
 EXCHANGES = ("predict", "lag")
 DEEPEST_EXCHANGE = 4
 EVENTS = ("step", "located")
-LOCATING_SCHEMES = tuple(scheme for scheme, order in ORDERS.items() if order > 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +27,11 @@ class Integrator:
     # Samples from which a step takes the links' part of two threads.
     exchange_depth: int = number(at_least=1, at_most=DEEPEST_EXCHANGE, whole=True, default=1)
     events: str  # where modes of joints change, see core/schemes/located.hpp
+
+    @property
+    def method(self) -> type[Scheme]:
+        """The scheme."""
+        return KNOWN[self.scheme]
 
     @classmethod
     def read(cls, section: Section) -> Integrator:
@@ -44,12 +47,12 @@ class Integrator:
 def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
     """Return a conflict of an integrator's settings: key, rule, value, valid ones."""
     scheme = integrator.scheme
-    if threads == 2 and scheme == "rosenbrock":
-        rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
+    if threads == 2 and integrator.method.evaluations > 1:
+        rule = f"be 1 with scheme {scheme}, whose second stage waits for its first"
         return "threads", rule, 2, "2 with another scheme"
     if integrator.events != "located":
         return None
-    if scheme not in LOCATING_SCHEMES:
+    if not integrator.method.locates:
         rule = f"be step with scheme {scheme}, of first order at any event"
         valid = f"step, or located with scheme {' or '.join(LOCATING_SCHEMES)}"
     elif threads == 2:

@@ -16,12 +16,14 @@ from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from arm_emulator.machine.parts.end_stops import put_limits
 from arm_emulator.machine.parts.extra import Extra
-from arm_emulator.machine.parts.friction import Friction, LinkFriction
-from arm_emulator.machine.parts.gear import Gear, RigidGear
+from arm_emulator.machine.parts.friction import Friction
+from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
+    gear_of,
+    link_friction_of,
     read_decorators,
     read_extras,
     read_friction,
@@ -194,9 +196,11 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         name=name,
         **one.numbers(Joint),
         motor=driven,
-        gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
+        gear=gear_of(ratio=1.0) if gear is None else read_gear(gear),
         sensors=JointSensors.read(one, kind),
-        friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
+        friction=link_friction_of()
+        if friction is None
+        else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
         decorators=read_decorators(driven, motor) if driven and motor else (),
         brake=None if brake is None else Brake.read(brake),

@@ -12,7 +12,7 @@ from arm_emulator.base.by_value import ByValue
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import KNOWN, input_of, outputs_of, readings_of
-from arm_emulator.machine.parts.output import FURTHER, READINGS
+from arm_emulator.machine.parts.output import FURTHER, READINGS, Output
 from arm_emulator.machine.scene import Scene
 
 
@@ -35,16 +35,19 @@ class Measured(ByValue):
         output = KNOWN.get(name)
         if output is None:
             raise AttributeError(f"{name} is not measured; valid: {', '.join(KNOWN)}")
+        values = self.place(output)
+        return values.astype(np.int64) if output.kind in ("flag", "bits") else values
+
+    def place(self, output: Output) -> NDArray[Any]:
+        """Return an output as a view of the arrays."""
         array, _, field = output.symbol.partition(".")
         rows = self.rows.get(array)
-        if rows is not None and name not in rows:
+        if rows is not None and output.name not in rows:
             return np.zeros(self.arrays["joint"].shape)
         values = self.arrays[array]
         if rows is not None:
-            values = values[..., rows.index(name), :]
-        elif field:
-            values = values[field]
-        return values.astype(np.int64) if output.kind in ("flag", "bits") else values
+            return values[..., rows.index(output.name), :]
+        return values[field] if field else values
 
     def __repr__(self) -> str:
         values = (

@@ -56,6 +56,11 @@ class MeasuredFields:
         if self.listed:
             message.readings[:] = self._readings(measured)
 
+    def places(self, measured: Measured) -> list[tuple[str, NDArray[Any]]]:
+        """Return the views from which `fill` writes, with the fields of a message, in order."""
+        into = [(name, name) for name in self._names] + [("readings", name) for name in self.listed]
+        return [(field, measured.place(KNOWN[name])) for field, name in into]
+
     def _readings(self, measured: Measured) -> NDArray[np.float64]:
         rows = [getattr(measured, name).astype(np.float64) for name in self.listed]
         return np.concatenate(rows) if rows else np.zeros(0)

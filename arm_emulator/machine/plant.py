@@ -167,13 +167,16 @@ class Plant(CoreMachine):
             if result == DIVERGED:
                 raise self._diverged(self._held)
 
-    def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
+    def exchange(
+        self, command: Commands, tick: int = -1, *, came: bool = False, **further: Commands
+    ) -> None:
         """Go through one servo period under commands that answer a tick, -1: none.
 
         A command is a voltage, torque or current, as the joint's motor takes it
         (`scene.joints[k].inputs`). Commands are (N,), or by names of all joints. Further inputs of
         motors are given alike, by their names (``command_d=``), and are 0 otherwise, as all
-        commands are without power.
+        commands are without power. Commands that `came` are those that the drives received: faults
+        of their lines leave them.
 
         Raises:
             Refusal: wrong shape, not finite, or an input that no motor has; nothing has changed.
@@ -188,7 +191,7 @@ class Plant(CoreMachine):
         with self.turn:
             self._commands["value"] = row
             self._further[:] = 0.0 if others is None else others
-            self.command.tick = tick
+            self.command.tick, self.command.came = tick, came
             result = self.core.arm_exchange(self.machine, self.command, self.measurement)
             if result == REFUSED:
                 raise self._refusal(where, "a number")
@@ -250,6 +253,11 @@ class Plant(CoreMachine):
         """
         self.core.arm_measure(self.machine, self.measurement)
         return self._place.read()
+
+    @property
+    def measured_place(self) -> Measured:
+        """Readings as a view of the memory into which `exchange` writes, for doors in C."""
+        return self._place.view()
 
     @property
     def links(self) -> LinkDynamics:

@@ -6,6 +6,8 @@ from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.line import Line
+from arm_emulator.machine.parts.lost_phase import has_phases
 from arm_emulator.machine.varied import Varied
 from arm_emulator.machine.varied_body import varied_body
 
@@ -24,7 +26,11 @@ def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -
 
 
 def possible_faults(
-    joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...], payload: float | None
+    joints: tuple[Joint, ...],
+    chain: Chain,
+    imus: tuple[Imu, ...],
+    payload: float | None,
+    gravity: tuple[float, ...] | None,
 ) -> dict[str, SceneFault]:
     """Return the faults that a scene could list, by their names; `payload` is its mass [kg]."""
     # Only where they are asked for: most scenes have none and are loaded in less time.
@@ -42,6 +48,17 @@ def possible_faults(
     }
     numbers |= {one.name: one.value for joint in chain.joints for one in varied_body(joint)}
     numbers |= {f"joints.{joint.name}.brake.closed": 0.0 for joint in joints if joint.brake}
+    for joint in joints:
+        of = f"joints.{joint.name}.line."
+        numbers |= dict.fromkeys((of + key for key in Line.numbers()), None)
+    del numbers[f"joints.{joints[-1].name}.line.swapped"]  # it has no next joint
+    wound = [joint for joint in joints if joint.motor is not None and joint.motor.has_winding]
+    phased = [one for one in wound if has_phases(one.motor, one.decorators)]
+    numbers |= {f"joints.{joint.name}.motor.phase_lost": 0.0 for joint in phased}
+    if wound:
+        numbers["supply.share"] = 1.0
+    if gravity is not None:
+        numbers["base.tilt"] = 0.0
     if payload is not None:
         numbers["payload.mass"] = payload
     owners = {

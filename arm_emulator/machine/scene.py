@@ -20,19 +20,21 @@ from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.section import Section
 from arm_emulator.base.shafts import shaft_limits
 from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array, Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
-from arm_emulator.machine.integrator import LOCATING_SCHEMES, Integrator, dividing, odds
+from arm_emulator.machine.integrator import Integrator, dividing, odds
 from arm_emulator.machine.joint import Joint, read_joints
 from arm_emulator.machine.overrides import override, plain
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.sensors import SENSORS
 from arm_emulator.machine.payload import MASS, Load, load_of, read_payload
 from arm_emulator.machine.possible import could_vary, possible_faults
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from arm_emulator.machine.urdf_chain import lock_joints, read_chain
 from arm_emulator.machine.urdf_file import find_urdf
 from arm_emulator.machine.varied import Varied, choose
@@ -46,7 +48,7 @@ _CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene(ByValue):
+class Scene(ByValue, Lasting):
     """All data of one machine."""
 
     name: str
@@ -235,7 +237,7 @@ def _build(root: Section, file: Path) -> Scene:
     faults_by_name: dict[str, SceneFault] = {}
     if root.has("faults"):
         mass = None if payload_body is None else payload_body.mass
-        faults_by_name = possible_faults(joints, chain, imus, mass)
+        faults_by_name = possible_faults(joints, chain, imus, mass, gravity)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), faults_by_name, where, "faults", rule)
     varied += tuple(one.varied for one in faults)

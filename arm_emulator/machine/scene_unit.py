@@ -13,7 +13,9 @@ from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.parts.decorator import CxxMotor
+from arm_emulator.machine.parts.decorator import CxxMotor, Supply
+from arm_emulator.machine.parts.line import Line, lines
+from arm_emulator.machine.parts.lost_phase import without_a_phase
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import measured_kinds, suite
 from arm_emulator.machine.scene import Scene
@@ -51,25 +53,31 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
+    around = _surroundings(scene, places)
     headers = sorted({f"parts/{part.header}" for joint in scene.joints for part in joint.parts})
-    sensors = ""
+    headers += ["parts/torque_ripple.hpp"] * any(".motor.phase_lost" in one for one in places)
+    sensors, seed = "", places.get("seed") or number(scene.seed)
     if scene.sensed:
         kinds = measured_kinds(joint.sensors for joint in scene.joints)
         headers += sorted({"mechanics/sensors.hpp", *(kind.quantity_header for kind in kinds)})
         of_joints = {joint.name: joint.sensors for joint in scene.joints}
-        sensors = suite(scene.seed, of_joints, scene.imus, places)
+        sensors = suite(seed, of_joints, scene.imus, places)
+    if of_lines := lines(seed, scene.joint_names, places):
+        headers.append(f"parts/{Line.header}")
+        sensors += of_lines
     includes = "".join(f'#include "{header}"\n' for header in headers)
     parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
     return f"""\
 {includes}#include "parts/device.hpp"
 #include "mechanics/scene.hpp"
+#include "{scene.integrator.method.header()}"
 #include "{threads_header}"
 
 struct Scene {{
   static constexpr int N = {len(scene.joints)};
   static constexpr int L = {len(scene.chain.links)};
 {_coupling(scene.chain)}\
-  static constexpr arm::Scheme scheme = arm::Scheme::{scene.integrator.scheme};
+  using Scheme = {scene.integrator.method.cxx_type()};
   template <class Stepper>
   using Threads = arm::{threads}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
@@ -80,6 +88,7 @@ struct Scene {{
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
   static constexpr double supply_voltage = {number(scene.supply_voltage)};
   static constexpr arm::Vec3<double> gravity = {vector(gravity)};
+{around}\
   static constexpr int brakes = {len(braked)};
 {_brakes(scene)}\
   static constexpr int parameters = {len(scene.varied)};
@@ -99,6 +108,23 @@ struct Scene {{
 
 #include "{boundary}"
 """
+
+
+def _surroundings(scene: Scene, places: Mapping[str, str]) -> str:
+    """Return gravity and supply where faults change them."""
+    text = ""
+    if tilt := places.get("base.tilt"):
+        axis = vector(scene.chain.R_BW @ (1.0, 0.0, 0.0))
+        text += f"""\
+  static constexpr arm::Vec3<double> field(const double* p) {{
+    return arm::turned(gravity, {axis}, {tilt});
+  }}
+"""
+    if share := places.get("supply.share"):
+        text += f"""\
+  static constexpr double supply(const double* p) {{ return supply_voltage * {share}; }}
+"""
+    return text
 
 
 def _inputs(scene: Scene) -> str:
@@ -222,7 +248,10 @@ def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> st
     if joint.motor is not None:
         motor = CxxMotor(joint.motor.cxx_type, part(joint.motor))
         for one in joint.decorators:
-            motor = one.around(joint.motor, motor, part(one), supply_voltage)
+            supply = Supply(supply_voltage, places.get("supply.share", ""))
+            motor = one.around(joint.motor, motor, part(one), supply)
+        if lost := places.get(f"joints.{joint.name}.motor.phase_lost"):
+            motor = without_a_phase(motor, joint.motor, lost)
     kinds = [
         motor.type,
         joint.gear.cxx_type,

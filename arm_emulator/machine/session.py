@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -31,6 +32,7 @@ from arm_emulator.machine.scene import Scene, scene_of
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
+_PLACE = ("tick", "fault", "_powered", "_paused")  # of a session in its run, but for its commands
 STARTS = ("free_run", "first_answer", "paused")
 
 
@@ -39,6 +41,15 @@ class EndOfTime(RuntimeError):
 
     def __init__(self) -> None:
         super().__init__("logical time ends at 2**31 s, the largest that a message can report")
+
+
+@dataclass(slots=True)
+class _Read:
+    """Values of the machine at this tick, once they were read."""
+
+    state: PlantState | None = None
+    measured: Measured | None = None
+    energy: float | None = None
 
 
 class Session(Turns):
@@ -77,6 +88,7 @@ class Session(Turns):
         self.plant = Plant(scene)
         super().__init__(self.plant)
         self._powered = True
+        self._read = _Read()
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
@@ -94,8 +106,8 @@ class Session(Turns):
         return {name: one for name, one in vars(self).items() if name not in ("turn", "_clock")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__init__(state["plant"])
         vars(self).update(state)
-        super().__init__(self.plant)
         self._clock = Clock(self.plant)
 
     def __repr__(self) -> str:
@@ -119,7 +131,7 @@ class Session(Turns):
 
     @property
     def step_wall_ns(self) -> int:
-        """Wall time that integration steps have taken so far [ns]."""
+        """Wall time that integration steps have taken since this was first read [ns]."""
         return self._clock.spent_ns
 
     @property
@@ -203,6 +215,26 @@ class Session(Turns):
             self._take_machine()
 
     @in_turn
+    def save(self) -> dict[str, Any]:
+        """Return all that decides how the session goes on, its tick included, for `return_to`."""
+        with self.between_ticks():
+            kept = {name: getattr(self, name) for name in _PLACE}
+            return kept | {"machine": self.plant.save(), "answers": self._answers.save()}
+
+    @in_turn
+    def return_to(self, saved: dict[str, Any]) -> None:
+        """Go on from the tick at which `save` of this session has returned this.
+
+        Unlike `restore`, it takes ticks and commands back, too: as if what followed had not been.
+        """
+        with self.between_ticks():
+            self.plant.restore(saved["machine"])
+            self._take_machine()
+            self._answers.restore(saved["answers"])
+            for name in _PLACE:
+                setattr(self, name, saved[name])
+
+    @in_turn
     def set_state(self, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]) -> None:
         """Set some quantities of some joints; whatever is not given stays as it is.
 
@@ -277,34 +309,33 @@ class Session(Turns):
 
     def _look(self) -> None:
         """Forget what was read; a machine that a loop drives is read while it stands still."""
-        self._state: PlantState | None = None
-        self._measured: Measured | None = None
-        self._energy: float | None = None
+        read = self._read
+        read.state = read.measured = read.energy = None
         if self._clock.by_itself:
             plant = self.plant
-            self._state, self._measured, self._energy = plant.state, plant.measured, plant.energy
+            read.state, read.measured, read.energy = plant.state, plant.measured, plant.energy
 
     @property
     @in_turn
     def state(self) -> PlantState:
         """State of the machine at this tick."""
-        if self._state is None:
-            self._state = self.plant.state
-        return self._state
+        if self._read.state is None:
+            self._read.state = self.plant.state
+        return self._read.state
 
     @property
     @in_turn
     def measured(self) -> Measured:
         """Readings of the sensors at this tick."""
-        if self._measured is None:
-            self._measured = self.plant.measured
-        return self._measured
+        if self._read.measured is None:
+            self._read.measured = self.plant.measured
+        return self._read.measured
 
     @property
     @in_turn
     def energy(self) -> float:
         """Energy of the machine at this tick [J]."""
-        return self.plant.energy if self._energy is None else self._energy
+        return self.plant.energy if self._read.energy is None else self._read.energy
 
     @property
     def logical_ns(self) -> int:
@@ -369,12 +400,14 @@ class Session(Turns):
         self.advance_under(self._answers.rows, self._answers.tick)
 
     @in_turn
-    def advance_under(self, command: Array, answered: int = -1) -> None:
+    def advance_under(self, command: Array, answered: int = -1, *, came: bool = False) -> None:
         """Advance by one servo period under commands that answer a tick, see `advance`.
 
         Args:
             command: (N,), or with further inputs after it (1 + I, N).
             answered: the tick; -1: none.
+            came: whether these are what the drives received in an earlier run, as
+                `measured.applied` reports it: faults of their lines then leave them.
         """
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
@@ -382,7 +415,7 @@ class Session(Turns):
         try:
             rows = np.atleast_2d(command)
             further = dict(zip(self._answers.inputs, rows[1:], strict=False))
-            self.plant.exchange(rows[0], answered, **further)
+            self.plant.exchange(rows[0], answered, came=came, **further)
         except Diverged as fault:
             self.fault = fault
         self._look()
@@ -411,6 +444,27 @@ class Session(Turns):
             self._answers.put(loop.tick - 1, self.plant.commanded)
             self.tick = loop.tick
 
+    @property
+    def last_tick(self) -> int:
+        """The tick at which commands that answer each tick in time do not suffice to go on."""
+        waits = self.lockstep and self.phase is Phase.WAITING and self._answers.newest is not None
+        return (END_OF_TIME - 1) // self.period_ns if waits else self.tick
+
+    @in_turn
+    def take_over(self, tick: int, before: Array) -> None:
+        """Take over that code in C has exchanged the answers to all ticks up to `tick`.
+
+        Args:
+            tick: where the machine is, behind the one last answered unless it diverged there.
+            before: commands (N,) before the newest ones.
+        """
+        self.fault = self.plant.diverged
+        self._look()
+        newest = self.plant.commanded
+        rows = np.vstack([before, np.zeros_like(newest[1:])])
+        self._answers.put(tick if self.fault else tick - 1, newest, rows)
+        self.tick = tick
+
     @in_turn
     def close(self) -> None:
         """Stop the machine for good."""
@@ -426,10 +480,11 @@ class Session(Turns):
         reached = self._clock.take()
         if reached is None:
             return False
-        self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
+        self.tick = reached.tick
+        self._read.energy, self._read.measured = reached.energy, reached.measured
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows
-        self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
+        self._read.state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
         if reached.fault >= 0:
             self.fault = self.plant.fault(reached.fault, t, q, v, reached.measured.applied)
         return True

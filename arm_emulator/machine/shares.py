@@ -10,9 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 SHARES_OF_WORKER = 4
 WORTH_A_THREAD = 5000  # steps of arms in one call, before anything is measured
 LARGEST = 20  # bits: larger work goes as that
-SHORT = 3e-5  # s: below this a thread costs more than it can take over
+# Below this a thread costs more than it can take over [s]: the calling thread waits for it longer
+# than the call lasts, and finds its data in the other core's cache.
+SHORT = 1e-4
 SPENT_ON_TRIALS = 0.01  # share of the time: machines change, so the slower way is tried again
-REMEMBERED = 0.8  # share of what was measured before that counts beside the newest
+REMEMBERED = 0.5  # share of what was measured before that counts beside the newest
+OUTLIER = 4.0  # times what was measured before: longer ones, other programs' work, count as that
+GAIN = 0.9  # sharing goes on below this share of the time alone: its time varies more
 
 
 class Shares:
@@ -102,7 +106,7 @@ class Shares:
         tries = self._saved.get(size, 0.0) > slower
         if tries:
             self._saved[size] -= slower
-        return (shared < alone) is not tries
+        return (shared < GAIN * alone) is not tries
 
     def _note(self, size: int, shared: bool, worth: int, spent: float) -> None:
         if not shared and spent < SHORT:
@@ -110,4 +114,5 @@ class Shares:
         self._saved[size] = self._saved.get(size, 0.0) + SPENT_ON_TRIALS * spent
         taken = spent / worth
         before = self._taken.get((size, shared), taken)
-        self._taken[size, shared] = min(taken, REMEMBERED * before + (1.0 - REMEMBERED) * taken)
+        newest = min(taken, OUTLIER * before)
+        self._taken[size, shared] = REMEMBERED * before + (1.0 - REMEMBERED) * newest

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.motion.kinematics import (
@@ -25,7 +26,7 @@ from arm_emulator.motion.way_library import WAY, way_library
 FloatArray = npt.NDArray[np.float64]
 
 
-class ArmTree:
+class ArmTree(Lasting):
     """Kinematics and inverse dynamics of an arm, a row per configuration.
 
     Numbers come from the Pinocchio model, of which it is a copy.

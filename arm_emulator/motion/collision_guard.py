@@ -17,7 +17,10 @@ from arm_emulator.motion.smooth_joints import SmoothJoints
 
 _BETWEEN = 0.05  # m that a part may move between two configurations that are tested
 _ROUNDING = 1e-6  # m
-_MOST = 2000  # configurations of a way
+_FIRST, _MOST = 33, 2000  # configurations of a way
+
+Angles = Callable[[FloatArray], FloatArray]
+"""Angles of the joints (K, N) at parts of a way (K,), 0 to 1."""
 
 
 class WouldTouch(Refusal):
@@ -63,56 +66,61 @@ class CollisionGuard:
         self._rested = way[0] if len(way) == 1 else None
         return ""
 
-    def along(self, at: Callable[[float], FloatArray], duration: float) -> tuple[float, str] | None:
-        """Return when parts touch first on a way, and which; None: they do not.
-
-        Args:
-            at: angles (N,) at a time since its begin [s].
-            duration: of the way [s].
-        """
-        time, q = 0.0, at(0.0)
-        begin = q  # parts that touch there may move apart: `ahead` watches them
-        step = max(duration / 20.0, 1e-6)
-        for _ in range(_MOST):
-            if time >= duration:
-                return None
-            ahead = min(duration, time + step)
-            coming = at(ahead)
-            parts = self._parts(coming - q)
-            if parts > 1.0 and step > 1e-4:
-                step *= 0.5
+    def along(self, angles: Angles) -> tuple[float, str] | None:
+        """Return at which part of a way parts touch first, and which; None: they do not."""
+        part, q = self._apart(angles)
+        begin, last = q[0], 0  # parts that touch there may move apart: `ahead` watches them
+        gone = np.concatenate([[0.0], np.cumsum(self._parts(np.diff(q, axis=0)))])
+        for k in range(1, len(q)):
+            if k + 1 < len(q) and gone[k + 1] - gone[last] <= 1.0:
                 continue
-            if touching := self.collisions.fresh(coming, begin, math.inf):
-                return ahead, touching
-            time, q = ahead, coming
-            step *= 1.5 if parts < 0.5 else 1.0
+            if touching := self.collisions.fresh(q[k], begin, math.inf):
+                return float(part[k]), touching
+            last = k
         return None
 
-    def check(self, where: str, at: Callable[[float], FloatArray], duration: float) -> None:
+    def check(self, where: str, angles: Angles) -> None:
         """Check a whole motion before it begins.
 
         Args:
             where: names the motion.
-            at: angles (N,) at a time since its begin [s].
-            duration: of the motion [s].
+            angles: of the joints on it.
 
         Raises:
             WouldTouch: with the pair and the place.
         """
-        found = self.along(at, duration)
+        found = self.along(angles)
         if found is None:
             return
-        time, touching = found
+        part, touching = found
         place = np.array2string(
-            self._kinematics.forward(at(time))[1], precision=3, suppress_small=True
+            self._kinematics.forward(angles(np.array([part]))[0])[1],
+            precision=3,
+            suppress_small=True,
         )
-        part = time / duration if duration > 0.0 else 1.0
         got = f"{touching} would touch at {part:.0%} of it, the tool at {place} m"
         raise WouldTouch(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
 
+    def _apart(self, angles: Angles) -> tuple[FloatArray, FloatArray]:
+        """Return parts of a way (K,), and angles there (K, N), no farther apart than is tested."""
+        part = np.linspace(0.0, 1.0, _FIRST)
+        q = angles(part)
+        while len(part) < _MOST:
+            pieces = np.ceil(self._parts(np.diff(q, axis=0)) - 1e-9)
+            if (pieces <= 1.0).all():
+                break
+            count = np.clip(pieces, 1, _MOST).astype(np.int64)
+            ends = np.repeat(part[1:], count), np.repeat(part[:-1], count)
+            inside = np.concatenate([np.arange(1, one + 1) / one for one in count])
+            part = np.concatenate([[0.0], ends[1] + inside * (ends[0] - ends[1])])[: 2 * _MOST]
+            q = angles(part)
+        return part, q
+
     def _step(self, way: FloatArray) -> int:
         """Return the number of pieces in which a way of the joints (N,) is tested."""
-        return max(1, math.ceil(self._parts(way)))
+        return max(1, math.ceil(float(self._parts(way))))
 
-    def _parts(self, way: FloatArray) -> float:
-        return float(np.abs(way / self._scale).sum()) * self._reach / _BETWEEN
+    def _parts(self, ways: FloatArray) -> FloatArray:
+        """Return how many pieces ways of the joints (..., N) are."""
+        pieces: FloatArray = np.abs(ways / self._scale).sum(axis=-1) * self._reach / _BETWEEN
+        return pieces

@@ -8,9 +8,7 @@ touching when they are nearer than a margin.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import coal
@@ -19,10 +17,12 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.obstacles import Obstacle
+from arm_emulator.motion.package_folders import package_folders
 
 _DRAWN = 100  # configurations
 _ALWAYS = 0.95  # share of them above which two touching parts count as joined
@@ -30,7 +30,7 @@ _FAR = 1e3  # m
 OWN_SHARE = 0.2  # of the margin, between parts of the arm: their shapes and places are known
 
 
-class Collisions:
+class Collisions(Lasting):
     """Tests configurations.
 
     Two parts of the arm are not tested against each other where one joint or none is between them,
@@ -60,7 +60,7 @@ class Collisions:
         try:
             self._model = pin.buildModelFromXML(urdf_xml)
             self._shapes = pin.buildGeomFromUrdfString(
-                self._model, urdf_xml, pin.GeometryType.COLLISION, package_dirs=_package_folders()
+                self._model, urdf_xml, pin.GeometryType.COLLISION, package_dirs=package_folders()
             )
         except (ValueError, RuntimeError, IndexError) as error:
             rule = "have readable shapes for collisions (meshes by file:// or ROS_PACKAGE_PATH)"
@@ -217,12 +217,3 @@ def _solid(obstacle: Obstacle) -> Any:
         shape, at = coal.Box(*obstacle.size), list(obstacle.at)
     place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(at))
     return pin.GeometryObject(obstacle.name, 0, place, shape)
-
-
-def _package_folders() -> list[str]:
-    """Return the folders of packages with meshes: those of ROS, and beside Pinocchio."""
-    found = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        found.append(str(Path(prefix) / "share"))
-    found += [str(folder / "share") for folder in Path(pin.__file__).parents]
-    return [folder for folder in found if folder and Path(folder).is_dir()]

@@ -12,6 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.closed import Closed
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.instruction import Instruction
@@ -26,7 +27,7 @@ _SHARE = Number("weight", above=0.0, at_most=1.0)
 _STEP_LIMIT = Number("step_limit", "rad", above=0.0)
 
 
-class JacobianController:
+class JacobianController(Closed):
     """Eq. (6) for any serial arm.
 
     The error ``X_target - X(q)`` is the translation and, in a pose task, the rotation vector

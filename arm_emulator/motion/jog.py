@@ -147,7 +147,8 @@ def speeds_of_twist(
         if abs(parts[i]) > _SIGNIFICANT * size:
             whole = min(whole, left)
             status = max(status, _singular(towards, left))
-        parts[i] *= left
+        else:
+            parts[i] *= left
     v = scale * (V[: len(s)].T @ (whole * parts / np.maximum(s, stop)))
     return Speeds(v, status)
 

@@ -11,8 +11,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
+from arm_emulator.base.closed import Closed
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts, shafts_of
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics_model import (
@@ -34,7 +36,7 @@ POSITION_ROWS = 3
 POSE_ROWS = 6
 
 
-class Kinematics:
+class Kinematics(Closed, Lasting):
     """Tool pose, Jacobian and joint limits of any serial arm.
 
     Tool errors and Jacobians have the rows of the task: translation, then in a pose task the

@@ -9,13 +9,14 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.motion.kinematics_model import JOINT, whole_model
 
 FloatArray = npt.NDArray[np.float64]
 
 
-class LinkTorques:
+class LinkTorques(Lasting):
     """Inverse dynamics of the links: gravity and motion.
 
     Rotors, gears and friction come in `ElasticArm`.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import enum
 import math
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
+
+MOST_WAITING = 100  # reports that nobody has taken; a node takes them every period
 
 
 class Kind(enum.IntEnum):
@@ -57,12 +59,12 @@ class MotionReport:
 
 
 class Reports:
-    """The reports that have not been taken yet, and the numbers of orders."""
+    """The newest reports that have not been taken yet, and the numbers of orders."""
 
     def __init__(self) -> None:
         self.numbers: Counter[Kind] = Counter()
         """Number of orders of each kind so far."""
-        self.waiting: list[MotionReport] = []
+        self.waiting: deque[MotionReport] = deque(maxlen=MOST_WAITING)
 
     def next_number(self, kind: Kind) -> int:
         """Return the number of a new one."""
@@ -76,5 +78,6 @@ class Reports:
 
     def take(self) -> list[MotionReport]:
         """Return the reports, and clear them."""
-        taken, self.waiting = self.waiting, []
+        taken = list(self.waiting)
+        self.waiting.clear()
         return taken

@@ -23,6 +23,7 @@ from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 from arm_emulator.motion.trajectory_way import AsAsked, Delayed, Slower, within_limits
+from arm_emulator.motion.way_controller import angles_over
 
 PATIENCE = 1.0  # s: an error that has not decreased for this long never will
 _SMALLER = 0.99  # decrease that counts
@@ -124,7 +125,7 @@ class TargetOrder:
             motion = laws.ways.motion
             if motion is not self._checked:
                 self._checked = motion
-                laws.guard.check(self.kind.topic, lambda time: motion.at(time).q, motion.duration)
+                laws.guard.check(self.kind.topic, angles_over(motion))
         if self._law.coming is None and self._arrival.stalls(now_ns):
             # Eq. (6) would never give up.
             self._held = q
@@ -157,7 +158,7 @@ class PathOrder:
         scaled = config.trajectory_limits == "scale"
         self._motion = motion = plan_path(law, self._path, reference, now_ns, scaled)
         if laws.guard is not None:
-            laws.guard.check(self.kind.topic, lambda time: motion.at(time).q, motion.duration)
+            laws.guard.check(self.kind.topic, angles_over(motion))
         laws.leading = law
         law.follow(self._motion)
         self._law, self._arrival = law, _Arrival(config)
@@ -212,10 +213,10 @@ class TrajectoryOrder:
         scaled = laws.config.trajectory_limits == "scale"
         motion = within_limits(laws.ways, self.trajectory, now_ns, start_ns, reference, scaled)
         if laws.guard is not None and not self.trajectory.stops:
+            left = motion.end_ns - now_ns
             laws.guard.check(
                 self.kind.topic,
-                lambda time: motion.at(now_ns + round(time / _SECONDS)).q,
-                (motion.end_ns - now_ns) * _SECONDS,
+                lambda part: np.array([motion.at(now_ns + round(one * left)).q for one in part]),
             )
         self._motion = motion
         self._start_ns, self._at_ns = start_ns, now_ns

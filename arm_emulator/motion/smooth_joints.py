@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ _BRAKES = 0.5  # part of the acceleration with which a joint stops before its li
 _HALTS = 1e-3  # share of a speed that counts as no motion
 _ROUNDING = 1e-9  # rad or m
 _FAR = 1e4  # rad or m: a place on one side of 0
+_NOW = ("current_position", "current_velocity", "current_acceleration")
 
 
 class SmoothJoints:
@@ -50,6 +52,16 @@ class SmoothJoints:
             one.target_velocity = one.target_acceleration = [0.0] * joints
         self._stop.synchronization = ruckig.Synchronization.No
 
+    def __getstate__(self) -> tuple[tuple[FloatArray | float, ...], Reference]:
+        limits = self._lower, self._upper, self._velocity, self._acceleration, self._jerk
+        return (*limits, self._period), self.now
+
+    def __setstate__(self, state: tuple[tuple[Any, ...], Reference]) -> None:
+        given, now = state
+        SmoothJoints.__init__(self, *given)
+        for name, values in zip(_NOW, (now.q, now.v, now.a), strict=True):
+            setattr(self._in, name, values.tolist())
+
     def begin(self, now: Reference) -> None:
         """Take over a motion."""
         self._in.current_position = now.q.tolist()
@@ -60,9 +72,7 @@ class SmoothJoints:
     @property
     def now(self) -> Reference:
         """The motion now."""
-        one = self._in
-        state = one.current_position, one.current_velocity, one.current_acceleration
-        return Reference(*(np.array(values) for values in state))
+        return Reference(*(np.array(getattr(self._in, name)) for name in _NOW))
 
     @property
     def moving(self) -> bool:

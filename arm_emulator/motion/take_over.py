@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import ruckig
 
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.way import WayLimits
 
@@ -19,7 +20,7 @@ _MOMENT = 1e-7  # s, over which the jerk is measured: it is constant but for a f
 _FOUND = (ruckig.Result.Working, ruckig.Result.Finished)
 
 
-class TakeOver:
+class TakeOver(Lasting):
     """A motion of the joints to rest.
 
     Args:

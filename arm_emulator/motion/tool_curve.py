@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.poses import Poses, rotations
 
@@ -38,7 +39,7 @@ class _Segments(NamedTuple):
     turn: FloatArray
 
 
-class ToolCurve:
+class ToolCurve(Lasting):
     """Segments (S,), each from a pose to the next; segments between equal poses are left out.
 
     On a segment, with l the distance gone and k its curvature:

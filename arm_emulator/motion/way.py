@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.reference import Reference
@@ -68,7 +70,7 @@ class AlongLimits:
         return cls(length, speed, acceleration, jerk, np.ones(1), np.zeros(1))
 
 
-class Way:
+class Way(Lasting):
     """A way from rest to rest.
 
     Args:
@@ -102,7 +104,7 @@ class Way:
         self._arm = arm if len(self._loaded) else None
         ramp, pieces = self._ramp()
         self._ramps = Ramps(ramp)
-        rows = self._rows(places(pieces), self._arm)
+        rows = self._rows(self._places(places(pieces)), self._arm)
         timing = least_duration(pieces, rows)
         if not isinstance(timing, Timing):
             raise self._too_heavy(places(pieces)[timing], where)
@@ -148,10 +150,14 @@ class Way:
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / len(_CHECKS))
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _rows(self, sigma: FloatArray, arm: ArmTree | None) -> Rows:
-        """Return the limits at places, in parts of them; those of torque with an arm."""
+    def _places(self, sigma: FloatArray) -> _Places:
         s = self._ramps.derivatives(sigma)
-        q, f1, f2, f3 = _composed(self.curve, s)
+        return _Places(s, _composed(self.curve, s))
+
+    def _rows(self, at: _Places, arm: ArmTree | None) -> Rows:
+        """Return the limits at places, in parts of them; those of torque with an arm."""
+        s = at.s
+        q, f1, f2, f3 = at.joints
         limits = self._limits
         with np.errstate(divide="ignore"):
             most = ((limits.speed / np.maximum(np.abs(f1), 1e-12)) ** 2).min(axis=1)
@@ -199,7 +205,8 @@ class Way:
         breaks = np.concatenate([ramp, self._ramps.inverse(self.curve.breaks[1:-1])])
         sigma = np.concatenate([places(pieces, _CHECKS), breaks - _BESIDE, breaks + _BESIDE])
         c, d, e = timing.rates(sigma)
-        rows = self._rows(sigma, self._arm if self._overloaded(sigma, c, d) else None)
+        at = self._places(sigma)
+        rows = self._rows(at, self._arm if self._overloaded(at, c, d) else None)
         slower = max(1.0, float((c / rows.most).max()))  # of c
         f0, fc, fd = rows.firsts
         moving = fc * c[:, None] + fd * d[:, None]
@@ -210,11 +217,11 @@ class Way:
         slower = max(slower, (JERK_MARGIN * float(third.max())) ** (2.0 / 3.0))
         return math.sqrt(slower) * MARGIN
 
-    def _overloaded(self, sigma: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+    def _overloaded(self, at: _Places, c: FloatArray, d: FloatArray) -> bool:
         """Whether a torque exceeds its limit at places."""
         if self._arm is None:
             return False
-        q, f1, f2, _ = _composed(self.curve, self._ramps.derivatives(sigma))
+        q, f1, f2, _ = at.joints
         a = f2 * c[:, None] + 0.5 * f1 * d[:, None]
         torques = self._arm.torques(q, f1 * np.sqrt(c)[:, None], a)
         return bool((np.abs(torques) > self._limits.torque).any())
@@ -230,6 +237,15 @@ class Way:
         rule = f"need no more torque of {name} than its limit, {self._limits.torque[j]:.4g} N m"
         got = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s[0]:.0%} of the way"
         return Refusal(where, "the way", rule, got)
+
+
+class _Places(NamedTuple):
+    """Places of a way."""
+
+    s: FloatArray
+    """With its first three derivatives by sigma, (4, K)."""
+    joints: FloatArray
+    """Likewise, (4, K, N)."""
 
 
 def _composed(curve: JointCurve, s: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ noise does not come back as motion.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -392,6 +393,13 @@ class WayController:
             names = ", ".join(kinematics.joint_names[j] for j in np.flatnonzero(at))
             words += f", {names} at the limit"
         return words
+
+
+def angles_over(motion: Motion) -> Callable[[FloatArray], FloatArray]:
+    """Return joint angles (K, N) at parts of a motion (K,): of its curve where it has one."""
+    if isinstance(motion, Way):
+        return lambda part: np.asarray(motion.curve.derivatives(part)[0])
+    return lambda part: np.array([motion.at(time).q for time in part * motion.duration])
 
 
 def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:

@@ -33,6 +33,9 @@ class FixedLayout:
     Attributes:
         message: its fields under their names. Numbers are to be set; arrays of numbers are NumPy
             arrays, to be written into, which the next `take` overwrites.
+        bytes: the message, to be written into by code in C, at `places`.
+        places: where each number, or array of numbers, begins, by names with dots; -1: an empty
+            array.
 
     Args:
         message: with its final strings and lengths of arrays.
@@ -43,42 +46,55 @@ class FixedLayout:
 
     def __init__(self, message: Any) -> None:
         data = serialize_message(message)
-        self._bytes = bytearray(data)
+        self.bytes = bytearray(data)
+        self.places: dict[str, int] = {}
         self._order: Literal["<", ">"] = "<" if data[1] & 1 else ">"
         self._fixed: list[tuple[int, bytes]] = [(0, bytes(data[:_HEADER]))]
         self._numbers: list[tuple[Any, str, struct.Struct, int]] = []
         self._at = _HEADER
         self.message: Any = self._laid_out(message)
-        self._size = self._at  # bytes after it are padding
+        self.size = self._at  # bytes after it are padding
 
     def data(self) -> bytes:
         """Return the message as it is sent."""
+        return bytes(self.written()[: self.size])
+
+    def written(self) -> bytearray:
+        """Write all numbers into `bytes`, and return them."""
         for owner, name, kind, at in self._numbers:
-            kind.pack_into(self._bytes, at, getattr(owner, name))
-        return bytes(self._bytes[: self._size])
+            kind.pack_into(self.bytes, at, getattr(owner, name))
+        return self.bytes
 
     def take(self, data: bytes) -> bool:
         """Load a received message; False if strings, lengths or encoding differ."""
-        size = self._size
+        size = self.size
         if len(data) < size:
             return False
         for at, same in self._fixed:
             if not data.startswith(same, at):
                 return False
-        self._bytes[:size] = data[:size]
+        self.bytes[:size] = data[:size]
         for owner, name, kind, at in self._numbers:
             setattr(owner, name, kind.unpack_from(data, at)[0])
         return True
 
-    def _laid_out(self, message: Any) -> SimpleNamespace:
+    def mask(self) -> bytes:
+        """Return 0xff for each byte of a string, a length or the encoding, else 0."""
+        mask = bytearray(self.size)
+        for at, same in self._fixed:
+            mask[at : at + len(same)] = b"\xff" * len(same)
+        return bytes(mask)
+
+    def _laid_out(self, message: Any, within: str = "") -> SimpleNamespace:
         one = SimpleNamespace()
         for name, kind in message.get_fields_and_field_types().items():
-            setattr(one, name, self._field(one, name, kind, getattr(message, name)))
+            setattr(one, name, self._field(one, name, kind, getattr(message, name), within))
         return one
 
-    def _field(self, owner: SimpleNamespace, name: str, kind: str, value: Any) -> Any:
+    def _field(self, owner: SimpleNamespace, name: str, kind: str, value: Any, within: str) -> Any:
+        path = within + name
         if kind in _KINDS:
-            at = self._skip(_KINDS[kind])
+            at = self.places[path] = self._skip(_KINDS[kind])
             self._numbers.append((owner, name, struct.Struct(self._order + _KINDS[kind]), at))
             return value
         if kind == "string":
@@ -93,9 +109,9 @@ class FixedLayout:
         if base in _KINDS:
             if kind.startswith("sequence<"):
                 self._length(len(value))
-            return self._array(_KINDS[base], len(value))
+            return self._array(path, _KINDS[base], len(value))
         if kind == base:
-            return self._laid_out(value)
+            return self._laid_out(value, f"{path}.")
         raise TypeError(f"no fixed layout for {name}: {kind}")
 
     def _skip(self, kind: str, count: int = 1) -> int:
@@ -105,10 +121,11 @@ class FixedLayout:
         self._at = at + count * size
         return at
 
-    def _array(self, kind: str, count: int) -> np.ndarray[Any, Any]:
+    def _array(self, path: str, kind: str, count: int) -> np.ndarray[Any, Any]:
         dtype = np.dtype(kind).newbyteorder(self._order)
         at = self._skip(kind, count) if count else 0
-        return np.ndarray((count,), dtype, self._bytes, at)
+        self.places[path] = at if count else -1
+        return np.ndarray((count,), dtype, self.bytes, at)
 
     def _length(self, length: int) -> None:
         self._keep(self._skip("I"), struct.pack(self._order + "I", length))
@@ -127,15 +144,13 @@ class FixedLayout:
             self._fixed.append((at, same))
 
 
-def taking(
-    topic: str,
-    kind: type,
-    callback: Callable[[Any, bytes], None],
-    refuse: Callable[[str, Refusal], None],
-) -> Callable[[bytes], None]:
-    """Return a callback for a subscription with `raw=True`, which passes messages on.
+class Taking:
+    """Messages of a subscription with `raw=True`, passed on.
 
     The layout of a message is kept for the following ones.
+
+    Attributes:
+        layout: of the newest message; None: none has come.
 
     Args:
         topic: for refusals.
@@ -143,17 +158,25 @@ def taking(
         callback: gets the fields of each message, which the next one overwrites, and its bytes.
         refuse: gets the topic and the reason where bytes are no message of that kind.
     """
-    layout: FixedLayout | None = None
 
-    def take(data: bytes) -> None:
-        nonlocal layout
-        if layout is None or not layout.take(data):
+    def __init__(
+        self,
+        topic: str,
+        kind: type,
+        callback: Callable[[Any, bytes], None],
+        refuse: Callable[[str, Refusal], None],
+    ) -> None:
+        self._topic, self._kind, self._callback, self._refuse = topic, kind, callback, refuse
+        self.layout: FixedLayout | None = None
+
+    def take(self, data: bytes) -> None:
+        """Take the bytes of a message."""
+        if self.layout is None or not self.layout.take(data):
             try:
-                layout = FixedLayout(deserialize_message(data, kind))
+                self.layout = FixedLayout(deserialize_message(data, self._kind))
             except (RuntimeError, ValueError) as error:
                 got = f"{len(data)} bytes ({type(error).__name__})"
-                refuse(topic, Refusal(topic, "message", f"be a {kind.__name__}", got))
+                rule = f"be a {self._kind.__name__}"
+                self._refuse(self._topic, Refusal(self._topic, "message", rule, got))
                 return
-        callback(layout.message, data)
-
-    return take
+        self._callback(self.layout.message, data)

@@ -2,7 +2,8 @@
 
 rclpy's SingleThreadedExecutor collects all entities of a node anew, and makes a coroutine and a
 task, for every message: on the order of 0.3 ms of Python each time, more than a servo period can
-spare in lock-step. This one collects them now and then, and calls plain callbacks.
+spare in lock-step. This one collects them now and then, waits in C, and calls plain callbacks; a
+node with a hot path has its messages taken in C, and Python sees the others.
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+
+from arm_emulator.ros.c import MIDDLEWARE
+from arm_emulator.ros.middleware import FAILED, HotPath, middleware
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
 # rclpy's own executor (QoS events, clients, guard conditions).
@@ -30,12 +34,16 @@ class LeanExecutor:
 
     Args:
         node: the node to serve.
+        hot: its messages in C; None: nothing.
         housekeeping: see `HOUSEKEEPING`; shorter for a node with actions, which rclpy's executor
             serves [s, wall].
     """
 
-    def __init__(self, node: Node, housekeeping: float = HOUSEKEEPING) -> None:
-        self._node = node
+    def __init__(
+        self, node: Node, hot: HotPath | None = None, housekeeping: float = HOUSEKEEPING
+    ) -> None:
+        self._node, self._hot = node, hot
+        self._run = middleware().ros_wait_run
         self._housekeeping = housekeeping
         self._context = node.context
         self._rest = SingleThreadedExecutor(context=node.context)
@@ -68,16 +76,24 @@ class LeanExecutor:
             len(subscriptions), 0, len(timers), 0, len(services), 0, context
         )
         messages: Any = wait_set(len(subscriptions), 0, 0, 0, 0, 0, context)
+        held.enter_context(messages)
+        for message in () if self._hot is None else self._hot.outgoing:
+            held.enter_context(message.bind())
+        waiting = self._wait_for(messages, subscriptions)
         quiet = True
         look = time.monotonic()  # for the other entities
         while (now := time.monotonic()) < until:
             if quiet or now >= look:
                 all_of_them.clear_entities()
+                for _, subscription in subscriptions if quiet else ():
+                    all_of_them.add_subscription(subscription.handle)
                 for _, timer in timers:
                     all_of_them.add_timer(timer.handle)
                 for _, service in services:
                     all_of_them.add_service(service.handle)
-                taken = self._wait(all_of_them, subscriptions, until - now if quiet else 0.0)
+                all_of_them.wait(int((until - now if quiet else 0.0) * 1e9))
+                if not self._context.ok():
+                    raise ExternalShutdownException
                 for _, timer in _ready(all_of_them, "timer", timers):
                     if timer.handle.is_timer_ready():
                         timer.handle.call_timer()
@@ -85,22 +101,44 @@ class LeanExecutor:
                 for _, service in _ready(all_of_them, "service", services):
                     self._take_request(service)
                 look = time.monotonic() + REST
-                quiet = quiet and not taken
+                quiet = quiet and not _ready(all_of_them, "subscription", subscriptions)
             else:
-                messages.clear_entities()
-                quiet = not self._wait(messages, subscriptions, look - now)
+                quiet = not self._take_messages(waiting, subscriptions, look - now)
 
-    def _wait(self, waiting: Any, subscriptions: list[tuple[int, Any]], seconds: float) -> bool:
-        """Wait, and serve the messages that have come; return whether there were any."""
-        for _, subscription in subscriptions:
-            waiting.add_subscription(subscription.handle)
-        waiting.wait(int(seconds * 1e9))
+    def _wait_for(self, messages: Any, subscriptions: list[tuple[int, Any]]) -> Any:
+        """Return a ``ros_wait *`` for these subscriptions."""
+        ffi = MIDDLEWARE.ffi
+        takes = () if self._hot is None else self._hot.takes
+        topics = ffi.new("ros_topic[]", len(subscriptions))
+        for k, (pointer, subscription) in enumerate(subscriptions):
+            topics[k].subscription = ffi.cast("void *", pointer)
+            for one, take, argument in takes:
+                if one is subscription:
+                    MIDDLEWARE.fill(topics + k, take=take, **{"with": argument})
+        self._topics = topics
+        pointer = ffi.cast("void *", messages.pointer)
+        return MIDDLEWARE.new("ros_wait", set=pointer, topic=topics, topics=len(topics), left=-1)
+
+    def _take_messages(
+        self, waiting: Any, subscriptions: list[tuple[int, Any]], seconds: float
+    ) -> bool:
+        """Take messages for so long, or until one is Python's; return whether there were any."""
+        if self._hot is not None:
+            self._hot.begin()
+        end = self._run(waiting, seconds)
+        if self._hot is not None:
+            self._hot.end()
         if not self._context.ok():
             raise ExternalShutdownException
-        ready = _ready(waiting, "subscription", subscriptions)
-        for _, subscription in ready:
-            self._take_message(subscription)
-        return bool(ready)
+        if end == FAILED:
+            raise RuntimeError("rcl does not wait for messages")
+        for topic, (_, subscription) in zip(self._topics, subscriptions, strict=True):
+            if topic.ready:
+                self._take_message(subscription)
+        if waiting.left >= 0:
+            data = bytes(MIDDLEWARE.ffi.buffer(waiting.data, waiting.size))
+            subscriptions[waiting.left][1].callback(data)
+        return bool(end or waiting.handled)
 
     def _take_message(self, subscription: Any) -> None:
         taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)

@@ -15,6 +15,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.recorder_presence import RECORDER
 
 AHEAD = 100  # messages on motor_states: 0.1 s of logical time at a servo period of 1 ms
+FAR = 2**62  # ticks
 PATIENCE = 120.0  # s, wall: for a recorder that writes nothing, on a machine that is very busy
 
 
@@ -105,6 +106,11 @@ class Recorders:
             else:
                 waited_for = name
         return waited_for
+
+    def room(self) -> int:
+        """Return how many ticks behind tick 0 may be left before `behind` names a recorder."""
+        waited_for = [one.written for one in self._known.values() if one.written and not one.let_go]
+        return max(0, min(waited_for) + AHEAD - self.published + 1) if waited_for else FAR
 
     def without_room(self, depth: int) -> str:
         """Return a recorder that would lose one more message at this `depth`, or ""."""

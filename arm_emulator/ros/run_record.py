@@ -17,7 +17,8 @@ from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 
 CAPACITY = 10_000  # messages between the machine and the disk: some seconds
-SMALL = 10  # messages written at a time, some 0.1 ms of Python's lock
+SMALL = 10  # messages written at a time at least, some 0.1 ms of Python's lock
+PART = 0.01  # share of the queue written at a time: the longer it is, the less the machine is spared
 BREATH = 1e-4  # s, after each small step: lets the machine have Python's lock
 IDLE = 0.02  # s, wall: interval of checks of an empty queue
 FLUSH_PERIOD = 0.5  # s, wall: largest loss in a crash
@@ -117,7 +118,8 @@ class RunRecord:
         flush_at = time.monotonic() + FLUSH_PERIOD
         while self._waiting or not self._stop.is_set():
             try:
-                for _ in range(min(SMALL, len(self._waiting))):
+                waiting = len(self._waiting)
+                for _ in range(min(max(SMALL, int(PART * waiting)), waiting)):
                     number, now, data = self._waiting.popleft()
                     self._bag.write(number, now, now, data)
                 if time.monotonic() > flush_at:

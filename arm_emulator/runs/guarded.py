@@ -9,26 +9,30 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import pickle
 import select
 import signal
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import IO, NoReturn, TypeVar
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FIRMWARE_LOOP
 from arm_emulator.machine.firmware import Doing, new_progress
 
+Outcome = TypeVar("Outcome")
+
 LOOK = 1.0  # s, after which a library that has not returned is looked at
 REPORT_STALL = 5.0  # s
 _PR_SET_PDEATHSIG = 1
 
 
-def guarded(name: str, work: Callable[[CData], int]) -> int:
-    """Do work that calls a user's library, and return its exit code.
+def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
+    """Do work that calls a user's library, and return its outcome.
 
     Under a debugger it is done in this process, which the debugger watches.
 
@@ -37,7 +41,7 @@ def guarded(name: str, work: Callable[[CData], int]) -> int:
         work: writes where it is into the progress that it gets.
 
     Raises:
-        Refusal: the library has ended the process.
+        Refusal: the library has ended the process, or what the work raises.
     """
     if _debugged():
         return work(new_progress())
@@ -45,41 +49,45 @@ def guarded(name: str, work: Callable[[CData], int]) -> int:
     sys.stdout.flush()
     sys.stderr.flush()
     watcher = os.getpid()
-    child = os.fork()
-    if child == 0:
-        _work(work, progress, watcher)
-    try:
-        status = _wait(child, name, progress)
-    except KeyboardInterrupt:
-        print(f"{name}, tick {progress.loop.tick}: ended by a signal", file=sys.stderr)
-        raise
-    code = os.waitstatus_to_exitcode(status)
-    if progress.doing == Doing.ENDED and code == progress.code:
-        return code
+    with tempfile.TemporaryFile(buffering=0) as outcome:
+        child = os.fork()
+        if child == 0:
+            _work(work, progress, watcher, outcome)
+        try:
+            status = _wait(child, name, progress)
+        except KeyboardInterrupt:
+            print(f"{name}, tick {progress.loop.tick}: ended by a signal", file=sys.stderr)
+            raise
+        code = os.waitstatus_to_exitcode(status)
+        if progress.doing == Doing.ENDED and code == 0:
+            outcome.seek(0)
+            result: Outcome | BaseException = pickle.load(outcome)
+            if isinstance(result, BaseException):
+                raise result
+            return result
     got = f"exit with code {code}" if code >= 0 else _name(-code)
     where = f"{name}, tick {progress.loop.tick}" if progress.doing == Doing.STEP else name
     raise Refusal(where, *Doing(progress.doing).must, got)
 
 
-def _work(work: Callable[[CData], int], progress: CData, watcher: int) -> NoReturn:
+def _work(
+    work: Callable[[CData], object], progress: CData, watcher: int, outcome: IO[bytes]
+) -> NoReturn:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    code = 1
+    result: object = SystemExit(1)
     if os.getppid() == watcher:
         try:
-            code = work(progress)
-        except Refusal as refusal:
-            print(refusal, file=sys.stderr)
-            code = 2
-        except KeyboardInterrupt:
-            code = 128 + signal.SIGINT
+            result = work(progress)
+        except (Refusal, KeyboardInterrupt) as error:
+            result = error
         except BaseException:
             traceback.print_exc()
+    outcome.write(pickle.dumps(result))
     sys.stdout.flush()
     sys.stderr.flush()
     ctypes.CDLL(None).fflush(None)  # what the library has printed
-    progress.code = code
     progress.doing = Doing.ENDED
-    os._exit(code)
+    os._exit(0)
 
 
 def _wait(child: int, name: str, progress: CData) -> int:

@@ -12,11 +12,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.closed import Closed
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Saved, SavedObjects
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
@@ -33,7 +35,7 @@ from arm_emulator.servo.servo_config import ServoConfig
 FloatArray = npt.NDArray[np.float64]
 
 
-class OfflineRun:
+class OfflineRun(Closed):
     """One run from tick 0.
 
     Attributes:
@@ -64,6 +66,7 @@ class OfflineRun:
         self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
         self.instructor = Instructor(motion)
         self.aimed = scene.start
+        self._saved = SavedObjects()
         self._motion = motion
         self.motion_ticks = round(motion.period / servo.period)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
@@ -105,6 +108,29 @@ class OfflineRun:
         self.session.restore(machine)
         self.drives.reset()
         self.instructor = Instructor(self._motion)
+
+    @property
+    def tick(self) -> int:
+        """Servo periods since the start."""
+        return self.session.tick
+
+    def save(self) -> Saved:
+        """Return machine, servo and motion controller as they are now, for `restore`."""
+        parts = self.session.save(), self.drives.save(), self.controller, self.instructor
+        return self._saved.save((*parts, self.aimed, self._motion))
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from the tick at which `save` of this run has returned this, to the last bit.
+
+        Controller and instructor are others than before: take them from the run again.
+
+        Raises:
+            Refusal: something else; nothing has changed.
+        """
+        session, drives, *others = self._saved.restore(saved, "OfflineRun.restore")
+        self.session.return_to(session)
+        self.drives.restore(drives)
+        self.controller, self.instructor, self.aimed, self._motion = others
 
     @property
     def wound(self) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.bound import ANY_COMMANDS
+from arm_emulator.base.closed import Closed
 from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.count import check_count
 from arm_emulator.base.kept import check_suffix
@@ -27,7 +28,7 @@ RERUN = ".rrd"
 MEASURED = tuple(f"measured.{name}" for name in KNOWN)
 
 
-class Recording:
+class Recording(Closed):
     """Rows of a plant's quantities, taken whenever `take` is called.
 
     As a context it writes its file at the end.

@@ -51,7 +51,6 @@ void forget_lane(abreast::servo_state& state, int lane) {
   auto* bytes = reinterpret_cast<unsigned char*>(&state);
   for (std::size_t field = 0; field < sizeof state / (kField * L); ++field)
     std::memset(bytes + (field * L + lane) * kField, 0, kField);
-  state.scale[lane] = 1.0;
 }
 
 // Targets that come to arms now, and where they stand.

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.control_code import ControlCode
@@ -51,18 +52,18 @@ class TableRun:
         self.session = session = Session(scene, "lockstep", "first_answer")
         self._servo = servo  # it must not go before the loop
         servo.start(session.plant, session.period_ns)
-        self._loop = self._looping(table)
+        targets = None if table is None else self._targets(table)
+        self._loop = FirmwareLoop(session.plant, session.period_ns, servo, targets)
 
-    def _looping(self, table: TargetTable | None) -> FirmwareLoop:
-        session, targets = self.session, None
-        if table is not None:
-            ticks, rows = table.ticks(session.scene.servo_period), table.q
-            if ticks[0] > 0:
-                ticks, rows = [0, *ticks], np.vstack([session.scene.start, rows])
-            targets = ticks, rows
-        return FirmwareLoop(session.plant, session.period_ns, self._servo, targets)
+    def _targets(self, table: TargetTable) -> tuple[list[int], FloatArray]:
+        """Return the ticks from which on rows hold, and the rows."""
+        scene = self.session.scene
+        ticks, rows = table.ticks(scene.servo_period), table.q
+        if ticks[0] > 0:
+            return [0, *ticks], np.vstack([scene.start, rows])
+        return ticks, rows
 
-    def restart(self, machine: bytes, table: TargetTable | None) -> None:
+    def restart(self, machine: bytes, table: TargetTable) -> None:
         """Begin anew at tick 0, with a saved machine and a table; its owner resets the servo.
 
         Raises:
@@ -70,7 +71,7 @@ class TableRun:
         """
         self.session.reset()
         self.session.restore(machine)
-        self._loop = self._looping(table)
+        self._loop.aim(self._targets(table))
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods.

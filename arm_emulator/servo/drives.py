@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +52,19 @@ class Drives:
         """Forget everything; power that was cut comes back."""
         self.servo.reset()
         self._asked = False
+
+    def save(self) -> dict[str, Any]:
+        """Return all that decides how the drives go on, gains included, for `restore`."""
+        return {
+            "servo": self.servo.__getstate__(),
+            "asked": self._asked,
+            "powered": self._powered,
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go on from what `save` of these drives has returned."""
+        self.servo.go_back(saved["servo"])
+        self._asked, self._powered = saved["asked"], saved["powered"]
 
     def retune(self, config: ServoConfig) -> None:
         """Change gains, limits and timeouts, between two ticks.
@@ -117,8 +131,12 @@ class Drives:
         servo = self.servo
         assert servo.arm.measured, "measure first"
         self._law.servo_command(servo.arm, powered, servo.places[6])
-        self._asked, self._powered = True, powered
+        self.commanded(powered)
         return servo.command
+
+    def commanded(self, powered: bool) -> None:
+        """Take note of a ``servo_command``, for `reason`."""
+        self._asked, self._powered = True, powered
 
     @property
     def state(self) -> WatchdogState:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +61,7 @@ class HeldMotor:
     """Voltage per current above its prediction [V/A]."""
 
 
+@lru_cache(1024)
 def held_motor(
     resistance: float,
     inductance: float,

@@ -89,6 +89,12 @@ class Servo(Turns):
 
     def __setstate__(self, of: dict[str, Any]) -> None:
         Servo.__init__(self, of["config"])
+        self.go_back(of)
+        self.close_attributes()
+
+    def go_back(self, of: dict[str, Any]) -> None:
+        """Go on from what `__getstate__` of this servo, or of one like it, has returned."""
+        self.config = of["config"]
         for name, rows in of["rows"].items():
             getattr(self, name)[:] = rows
         SERVO.fill(self.arm, **of["scalars"])
@@ -212,6 +218,12 @@ class Servo(Turns):
     def _control(self, wanted: Places) -> FloatArray:
         self._law.servo_control(self.arm, *wanted, self.places[6])
         return self.command
+
+    @property
+    def commanded(self) -> FloatArray:
+        """The newest commands (N,), as the memory into which the law writes them."""
+        row: FloatArray = self._rows[5]
+        return row
 
     @property
     @in_turn

@@ -15,6 +15,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.servo.commanded import Commanded
 
 
@@ -152,7 +153,7 @@ class JointServo:
 
 
 @dataclass(frozen=True)
-class ServoConfig:
+class ServoConfig(Lasting):
     """Parameters of the servo: periods, supply and its joints in the order of its arrays."""
 
     period: float = number("s", above=0, text="servo period, that of the scene")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage:
     return np.array([tuple(row[name] for name in kind.names or ()) for row in rows], kind)
 
 
+@lru_cache(256)  # of an arm whose numbers vary one by one
 def _row(joint: JointServo, period: float, supply_voltage: float) -> dict[str, Any]:
     numbers = _finite_numbers(joint, period)
     if numbers is None:

@@ -18,6 +18,7 @@ from arm_emulator.machine.compiler import library_with
 from arm_emulator.machine.core_calls import OK
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
 
 AXES = 6
 END = 1.8560450019  # s
@@ -74,7 +75,7 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     return motion, modes, data["pi_state"][0], data["regulator_state"][0]
 
 
-def simulate(period: float = 5e-5, steps: int = 1, scheme: str = "rosenbrock",
+def simulate(period: float = 5e-5, steps: int = 1, scheme: str = SCHEMES[0],
              events: str = "located") -> Motion:  # fmt: skip
     """Compute the whole motion.
 

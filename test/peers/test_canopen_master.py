@@ -20,7 +20,7 @@ from documents import page_of
 from draws import FULL
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.cli.canopen import load_segment, write_eds
+from arm_emulator.cli.commands.canopen import load_segment, write_eds
 from arm_emulator.doors.fieldbus.can_bus import BusService, can_bus
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
 from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives, dictionary

@@ -18,7 +18,7 @@ from draws import FULL, some
 
 from arm_emulator.build.compiler_command import identity
 from arm_emulator.build.unit import Unit
-from arm_emulator.campaign.requirement import robustness_unit
+from arm_emulator.campaign.program import judges_unit
 from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
@@ -28,9 +28,12 @@ from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_un
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
+from emulator_node.c import answered_ticks_unit
 from oracles.mixtures import write_mixture
+from servo_node.c import answered_states_unit
 
 KINDS = {"g++": range(11, 16), "clang++": range(14, 22)}
 AS_G = 1e-10  # rad, after 0.4 s: rounding, which the two do in another order
@@ -75,8 +78,9 @@ def units(folder: Path) -> Iterator[Unit]:
         yield machine_unit(scene)
         yield fleet_unit(scene)
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
-    yield from (record_ring_unit(), robustness_unit(), sampler_unit())
+    yield from (record_ring_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
+    yield from (middleware_unit(), answered_ticks_unit(), answered_states_unit())
     if find_spec("unicorn"):
         from arm_emulator.doors.microcontroller.microcontroller import runner_unit
 

@@ -15,7 +15,7 @@ from cortex_m import EXAMPLE, SCENE, TINY, cross, run_firmware, tiny, words_of, 
 from draws import some
 from test_cortex_m import Debugger
 
-from arm_emulator.cli.firmware import run
+from arm_emulator.cli.commands.firmware import firmware
 from arm_emulator.doors.microcontroller.board import load_board
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
@@ -172,7 +172,7 @@ int main(void) {{
 """,
     )
     board = write_board(tmp_path)
-    done = run(board, elf, "three_axis", targets=None, seconds=0.01, gdb=None, uarts=[])
+    done = firmware(board, elf, seconds=0.01)
     assert done == 0, "exit code"
     printed = capfd.readouterr().out
     assert "awake, 2 faults, 2 resets" in printed, printed

@@ -12,7 +12,7 @@ import pytest
 from fmu_client import OK, Fmu, Instance
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.fmu import write_fmu
+from arm_emulator.cli.commands.fmu import fmu
 from arm_emulator.doors.fmu.windows import COMPILERS, windows_binary
 
 TEST = Path(__file__).resolve().parent
@@ -29,7 +29,7 @@ needs_mingw = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory: pytest.TempPathFactory) -> Fmu:
     folder = tmp_path_factory.mktemp("unit")
-    write_fmu("three_axis", folder / "arm.fmu", None, TARGET, "3", windows=True)
+    fmu("three_axis", out=folder / "arm.fmu", target=TARGET, windows=True)
     return Fmu(folder / "arm.fmu", folder / "unpacked")
 
 

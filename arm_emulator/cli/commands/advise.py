@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
+from numpy.typing import NDArray
+from rich.table import Table
 
+from arm_emulator.analysis.advice import Advice, Judge, Setting, check_error
+from arm_emulator.analysis.advice import advise as settings_for
+from arm_emulator.analysis.judged_motions import FINE, Motion, judged_motions
+from arm_emulator.analysis.reference import reference
+from arm_emulator.analysis.true_motion import FINEST
+from arm_emulator.bags.recorded_commands import read_commands
+from arm_emulator.base.config_files import check_own, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json, SceneName
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
+from arm_emulator.design.integrator_text import write_integrator
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+
+Array = NDArray[np.float64]
+
+SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 
 
 @command()
@@ -19,7 +45,6 @@ def advise(
     error: float = 1e-4,
     motion: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     write: bool = False,
-    json: Json = False,
 ) -> int:
     """Find the cheapest scheme, events and step that keep an error.
 
@@ -29,6 +54,127 @@ def advise(
             scene's demo and motions of many kinds).
         write: put the result into the scene file.
     """
-    from arm_emulator.cli.advise import advise_scene
+    console = output.console()
+    file = find_scene(scene)
+    check_error(error)
+    if write:
+        check_own("advise", file)
+    machine = load_scene(file)
+    with console.status("leading the arm along motions"):
+        motions, what = _motions(machine, file, motion)
+    judge = Judge(machine, motions)
+    with console.status(f"trying schemes, events and steps on {what}"):
+        found = settings_for(judge, error)
+    console.print(f"scene {machine.name}, {what}; wanted: error <= {error:g} rad or m on the way")
+    output.facts({
+        "scene": machine.name, "judged_on": what, "error": error, "settings": found.settings,
+        "now": found.now, "why_none": found.why_none,
+    })  # fmt: skip
+    if not found.settings:
+        console.print(f"no setting keeps it: {found.why_none}")
+        return 1
+    best = found.settings[0]
+    console.print(_table(found))
+    console.print(_statement(best, len(motions)))
+    checked = _checked(judge, file, error)
+    console.print(checked)
+    events = f", events: {best.method.events}" if best.method.events != "step" else ""
+    threads = f"; threads: {best.method.threads}" if machine.threads != best.method.threads else ""
+    step = f"scheme: {best.method.scheme}, dt: {best.dt:.6g}{events}"
+    console.print(f"cheapest: integrator: {{{step}}}{threads}")
+    if write:
+        write_integrator(file, best.method, best.dt)
+        console.print(f"written into {file}")
+    output.facts({"checked": checked, "written": file if write else None})
+    return 0
 
-    return advise_scene(scene, error, motion, write=write, json=json)
+
+def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
+    """Return the test motions, and their description."""
+    if commands is not None:
+        rows = read_commands(commands, scene)
+        return [Motion(commands.name, rows)], f"{_seconds(scene, rows):g} s of {commands.name}"
+    try:
+        motions = judged_motions(scene, SECONDS)
+    except Diverged as fault:
+        rule = "move by itself; else give a motion with --motion"
+        raise Refusal("advise", scene.where, rule, str(fault).splitlines()[0]) from None
+    what = f"{len(motions)} motions of {SECONDS:g} s"
+    demo = demo_commands(scene, file)
+    if demo is None:
+        return motions, f"{what} (it has no demo)"
+    return [*motions, Motion("demo", demo)], f"{what} and {_seconds(scene, demo):g} s of its demo"
+
+
+def _seconds(scene: Scene, rows: Array) -> float:
+    return len(rows) * scene.servo_period
+
+
+def demo_commands(scene: Scene, file: Path) -> Array | None:
+    """Return the commands (K, N) of the scene's own demo, a row per servo period.
+
+    Recorded in closed loop, once, on the finely integrated machine. Played back in open loop,
+    errors are those of the integration alone, without the controller. None: there is no demo, or it
+    diverges.
+    """
+    fine = dataclasses.replace(
+        scene,
+        integrator=FINEST.integrator(scene, FINE),
+        threads=1,
+    )
+    rows: list[Array] = []
+    try:
+        gains = load_gains(file)
+        plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+        run = OfflineRun(fine, gains.servo, gains.motion)
+    except Refusal:
+        return None
+    R_WT, p_WT = run.controller.kinematics.forward(scene.start)
+    settle = plan.settle_ns / NANOSECONDS
+    run.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
+    try:
+        for _ in range(round((settle + SECONDS) / scene.servo_period)):
+            run.advance(1)
+            rows.append(run.session.measured.applied)
+    except Diverged:
+        return None
+    return np.array(rows)
+
+
+def _statement(best: Setting, motions: int) -> str:
+    """Return the accuracy of the errors in the table, as text."""
+    if math.isinf(best.others):
+        return "errors: a bound for the motions that were judged, not for others"
+    return (
+        f"errors: a bound for the {motions} motions judged; for others of their kinds an estimate, "
+        f"with a reserve of {best.others / best.error:.1f}"
+    )
+
+
+def _checked(judge: Judge, file: Path, error: float) -> str:
+    """Return the difference between the truth of the last motion and an independent solution."""
+    scene, motion, truth = judge.scene, judge.motions[-1], judge.truth(len(judge.motions) - 1)
+    payload: Any = read_yaml(file).get("payload")
+    # Per step of the reference, of which there are some thousand: far below the judged error.
+    rtol = max(1e-4 * error, 1e-11)
+    try:
+        q = reference(scene, motion.commands, scene.servo_period, rtol, payload=payload)
+    except Refusal as reason:
+        return f"no independent solution: {reason}"
+    off = float(np.abs(q - truth.q).max())
+    return f"SciPy at {rtol:.0e} on Pinocchio's dynamics: {off:.1e} from the truth of {motion.name}"
+
+
+def _table(found: Advice) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    table.add_column("setting", no_wrap=True)
+    for name in ("dt [s]", "error, judged", "others", "us per second"):
+        table.add_column(name, justify="right", no_wrap=True)
+    labels = ["cheapest", *[""] * (len(found.settings) - 1), "now"]
+    for label, one in zip(labels, [*found.settings, found.now], strict=True):
+        assert one is not None, "timed along with the others"
+        errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (one.error, one.others))
+        cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "diverges"
+        table.add_row(label, str(one.method), f"{one.dt:.6g}", *errors, cost)
+    return table

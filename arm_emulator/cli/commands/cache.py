@@ -2,17 +2,75 @@
 
 from __future__ import annotations
 
+import dataclasses
+import time
+
+from arm_emulator.build.library_cache import (
+    SIZE_VARIABLE,
+    entries,
+    largest_size,
+    left_over,
+    named_folders,
+    remove,
+    why_not_trusted,
+)
+from arm_emulator.build.trusted import Untrusted, check_folder
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json
+from arm_emulator.cli.output import output
 
 
 @command()
-def cache(*, clear: bool = False, json: Json = False) -> int:
+def cache(*, clear: bool = False) -> int:
     """List the compiled scenes that are kept, or remove them.
 
     Args:
         clear: remove them.
     """
-    from arm_emulator.cli.cache import clear_cache, list_cache
+    return _clear() if clear else _list()
 
-    return clear_cache() if clear else list_cache(json)
+
+def _list() -> int:
+    """Print each folder, whether it is trusted, and its libraries, the last used first."""
+    facts = list[dict[str, object]]()
+    for folder in named_folders():
+        reason = why_not_trusted(folder)
+        found = entries(folder)
+        size = sum(entry.size for entry in found)
+        state = f"not trusted, no file of it is loaded: {reason}" if reason else "trusted"
+        output.line(f"{folder}: {state if folder.is_dir() else 'not there'}")
+        for entry in reversed(found):
+            used = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.used))
+            output.line(
+                f"  {used}  {entry.size / 1e6:8.3f} MB  {entry.scene:20s}  {entry.file.name}"
+            )
+        if found:
+            output.line(
+                f"  {len(found)} libraries, {size / 1e6:.3f} of {largest_size() / 1e6:g} MB "
+                f"({SIZE_VARIABLE})"
+            )
+        libraries = [dataclasses.asdict(entry) for entry in reversed(found)]
+        facts.append({"folder": folder, "not_trusted": reason, "libraries": libraries})
+    output.facts({"folders": facts})
+    return 0
+
+
+def _clear() -> int:
+    """Remove the libraries; return 1 if one remains."""
+    facts = list[dict[str, object]]()
+    for folder in named_folders():
+        try:
+            place = check_folder(folder)
+        except OSError:
+            continue  # missing
+        except Untrusted as reason:
+            output.line(f"{folder}: left alone: {reason}")
+            continue
+        libraries = {entry.file for entry in entries(place)} | left_over(place)
+        stay = [library for library in sorted(libraries) if not remove(library)]
+        output.line(f"{folder}: {len(libraries) - len(stay)} libraries removed")
+        for library in stay:
+            output.line(f"  {library.name} stays: it is being compiled, or cannot be removed")
+        removed = len(libraries) - len(stay)
+        facts.append({"folder": folder, "removed": removed, "stay": stay})
+    output.facts({"folders": facts})
+    return int(any(one["stay"] for one in facts))

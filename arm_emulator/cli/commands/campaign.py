@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.kept import NOTHING
+from arm_emulator.base.count import check_count
+from arm_emulator.base.kept import NOTHING, Kept
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import Campaign, load_campaign
+from arm_emulator.campaign.case import Case
+from arm_emulator.campaign.executor import (
+    DaskPool,
+    LocalPool,
+    Pool,
+    Progress,
+    run_campaign,
+    seconds_per_run,
+)
+from arm_emulator.campaign.report import write_report
+from arm_emulator.campaign.results import Results, column_units, digest_of
+from arm_emulator.campaign.search.method import Finding
+from arm_emulator.campaign.searcher import Searcher
+from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.summary import Summary, summary_of
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json, Keep
+from arm_emulator.cli.options import Keep
+from arm_emulator.cli.output import output
+from arm_emulator.cli.searched import case_of, print_findings, print_shrunk, record_case
+
+BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink
 
 
 @command()
@@ -23,8 +51,8 @@ def campaign(
     dask: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
     dry: bool = False,
     replay: Annotated[int | None, Parameter(metavar="INDEX")] = None,
+    shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     kept: Keep = NOTHING,
-    json: Json = False,
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
 
@@ -38,8 +66,168 @@ def campaign(
         dask: scheduler of a Dask cluster, whose workers see the same files.
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
         replay: simulate one run again, for --record and --rerun.
+        shrink: find the fewest changes and the shortest time with which a run still fails, and
+            write them beside the results as campaign, scene and record.
     """
-    from arm_emulator.cli.campaign import Options
-    from arm_emulator.cli.campaign import campaign as work
+    kept.check("campaign")
+    if kept != NOTHING and replay is None:
+        rule = "come with --replay INDEX, which names the run"
+        raise Refusal("campaign", "--record and --rerun", rule, "no --replay")
+    one = load_campaign(file)
+    if one.search is not None and count is not None:
+        raise Refusal(
+            "campaign", "--count", "be absent beside search, which counts its runs", count
+        )
+    if count is not None:
+        one = dataclasses.replace(one, count=check_count("campaign", "--count", count, 1, 10**12))
+    if workers is None:
+        workers = len(os.sched_getaffinity(0))
+    check_count("campaign", "--workers", workers, 1, 4096)
+    into = into or Path("out") / "campaigns" / file.stem
+    if replay is not None:
+        return _replay(one, case_of(one, into, replay, "--replay"), kept)
+    if shrink is not None:
+        return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
+    seconds, ready = seconds_per_run(one)
+    _preview(one, seconds, ready, workers)
+    if dry:
+        return 0
+    results = Results(into, one)
+    interrupted, findings = _simulate(one, results, dask, workers, seconds)
+    columns = results.columns()
+    summary = summary_of(one, columns)
+    if one.search is None:
+        _print(summary, digest_of(columns), results.folder)
+    else:
+        print_findings(findings, digest_of(columns), summary.count, results.folder)
+    if summary.count:
+        output.line(f"report  {write_report(one, results, columns, summary, findings)}")
+    if interrupted:
+        output.line("interrupted: the same command goes on with what is missing")
+    return 130 if interrupted else 0
 
-    return work(file, Options(into, count, workers, dask, dry, replay, kept), json=json)
+
+def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
+    scenario = one.nominal[0]
+    most = "" if one.search is None else "at most "
+    count = one.count if one.search is None else one.search.runs(len(one.variation.numbers))
+    size = count * len(column_units(one)) * BYTES_PER_NUMBER
+    wall = count * seconds / workers + ready
+    output.facts({"count": count, "per_run": seconds, "estimate": wall, "bytes": size})
+    output.line(
+        f"campaign {one.file.name}: {most}{count} runs of {scenario.seconds:g} s of "
+        f"{one.scene.name}, {len(one.variation.numbers)} numbers vary, "
+        f"{len(one.requirements)} requirements"
+    )
+    output.line(
+        f"a run takes {_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "
+        f"all with {workers} workers {most}{_time(wall)}, {_bytes(size)}"
+    )
+
+
+def _simulate(
+    one: Campaign,
+    results: Results,
+    dask: str | None,
+    workers: int,
+    seconds: float,
+) -> tuple[bool, list[Finding]]:
+    """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
+
+    def pool() -> Pool:
+        return DaskPool(dask) if dask else LocalPool(workers)
+
+    with _shown() as report:
+        try:
+            if one.search is not None:
+                return False, Searcher(one, results, pool, workers, seconds, report).run()
+            run_campaign(one, results, pool, workers, seconds, report)
+        except KeyboardInterrupt:
+            return True, []
+    return False, []
+
+
+@contextmanager
+def _shown() -> Iterator[Callable[[Progress], None]]:
+    """Within, the progress is shown: a bar in a terminal, else a line now and then."""
+    console = output.console()
+    if not console.is_terminal:
+        yield _lines()
+        return
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    columns = "{task.completed}/{task.total} runs", "{task.fields[facts]}"
+    with Bar(BarColumn(), *map(TextColumn, columns), console=console, transient=True) as bar:
+        task = bar.add_task("", facts="")
+
+        def show(now: Progress) -> None:
+            done = now.before + now.done
+            bar.update(task, total=now.count, completed=done, facts=_facts(now))
+
+        yield show
+
+
+def _lines() -> Callable[[Progress], None]:
+    last = [time.monotonic()]
+
+    def show(now: Progress) -> None:
+        if time.monotonic() - last[0] >= 10.0:
+            last[0] = time.monotonic()
+            output.line(f"{now.before + now.done} of {now.count} runs, {_facts(now)}")
+
+    return show
+
+
+def _facts(now: Progress) -> str:
+    left = f"{_time(now.left)} left" if math.isfinite(now.left) else "time left unknown"
+    return f"{now.rate:.0f} runs/s, {now.failures[-1]} failed, {left}"
+
+
+def _print(summary: Summary, digest: str, folder: Path) -> None:
+    percent = f"{100 * summary.confidence:g} %"
+    for one in summary.shares:
+        output.line(
+            f"{one.name:<20} fails in {one.hits} of {summary.count}: {100 * one.share:.4g} %, "
+            f"within {100 * one.low:.4g} and {100 * one.high:.4g} % ({percent} confidence)"
+        )
+    output.line(f"digest  {digest}")
+    output.facts({
+        "count": summary.count, "shares": summary.shares, "quantiles": summary.quantiles,
+        "confidence": summary.confidence, "digest": digest, "results": str(folder),
+    })  # fmt: skip
+
+
+def _replay(one: Campaign, case: Case, kept: Kept) -> int:
+    """Simulate a run again: judged as in the campaign, then once more for who records it."""
+    simulator = Simulator(one)
+    outcome = simulator.run(case)
+    for name, value in outcome.values.items():
+        output.line(f"{name:<44} {value!r}")
+    for name, value in outcome.robustness.items():
+        output.line(f"{name:<44} {'holds' if value >= 0.0 else 'FAILS'} by {abs(value):.6g}")
+    for name, value in outcome.measures.items():
+        output.line(f"{name:<44} {value:.6g}")
+    output.facts({
+        "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
+        "measures": outcome.measures, "failed": outcome.failed,
+    })  # fmt: skip
+    if kept != NOTHING:
+        record_case(simulator, case, kept)
+    return 0
+
+
+def _time(seconds: float) -> str:
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.3g} min" if seconds < 7200.0 else f"{seconds / 3600:.3g} h"
+
+
+def _bytes(size: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 1000.0:
+            return f"{size:.3g} {unit}"
+        size /= 1000.0
+    return f"{size:.3g} TB"

@@ -2,14 +2,69 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.analysis.mode_loops import withheld_words
+from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.doors.fieldbus.can_bus import Bus, BusService, can_bus
+from arm_emulator.doors.fieldbus.can_server import CanServer
+from arm_emulator.doors.fieldbus.canopen_segment import Segment
+from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
+from arm_emulator.doors.fieldbus.eds import eds as data_sheet
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import check_servo, load_gains
+from arm_emulator.runs.recorder import Recorder
+
+
+def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> Segment:
+    """Return the nodes of a scene, its drives with the gains that belong to it.
+
+    Raises:
+        Refusal: a file is missing or refused, the gains do not fit, or node-IDs are out of
+            range.
+    """
+    file = find_scene(scene_name)
+    scene, servo = load_scene(file), load_gains(file).servo
+    warn_of_scene(scene)
+    check_servo(scene, servo)
+    return Segment(Drives(Plant(scene), servo, CANOPEN), first, lockstep=lockstep)
+
+
+@contextlib.contextmanager
+def opened(
+    listen: str, bus: str | None, channel: str | None, bitrate: int | None
+) -> Iterator[tuple[Bus, str]]:
+    """Open the requested bus for a block; yield it with its description.
+
+    Raises:
+        Refusal: the bus is unknown, or does not open.
+    """
+    if bus is not None:
+        with can_bus(bus, channel or "", bitrate) as one:
+            yield one, f"{bus} {channel or ''}".rstrip()
+        return
+    for name, value in (("channel", channel), ("bitrate", bitrate)):
+        if value is not None:
+            raise Refusal("canopen", name, "come with --bus", value)
+    host, _, port = listen.rpartition(":")
+    if not re.fullmatch(r"[0-9]{1,5}", port):
+        raise Refusal("canopen", "--listen", "be PORT or HOST:PORT", listen)
+    server = CanServer(host or "127.0.0.1", int(port))
+    with contextlib.closing(server):
+        yield server, "socketcand on {}:{}".format(*server.address)
 
 
 @command(until_stopped=True)
@@ -36,19 +91,51 @@ def canopen(
         first_node: node-ID of the first joint; the others follow.
         eds: folder for the drives' data sheets, which are written instead.
     """
-    from arm_emulator.cli.canopen import canopen as serve
-    from arm_emulator.cli.canopen import write_eds
-
     kept.check("canopen")
     if eds is not None:
         return write_eds(scene, eds)
-    return serve(
-        scene,
-        listen=listen,
-        bus=bus,
-        channel=channel,
-        bitrate=bitrate,
-        first=first_node,
-        clock=clock,
-        kept=kept,
-    )
+    lockstep = clock == "lockstep"
+    with opened(listen, bus, channel, bitrate) as (on, name):
+        segment = load_segment(scene, first_node, lockstep=lockstep)
+        machine, withheld = segment.scene, segment.drives.withheld
+        nodes = {
+            joint: node.number
+            for node, joint in zip(segment.nodes, machine.joint_names, strict=True)
+        }
+        output.facts({"scene": machine.name, "bus": name, "clock": clock, "nodes": nodes})
+        print(f"canopen: scene {machine.name}, {name}, clock {clock}")
+        for joint, number in nodes.items():
+            print(f"canopen: node {number}: {joint}")
+        for line in withheld_words(machine, withheld):
+            print(f"canopen: {line}")
+        period = None if lockstep else round(machine.servo_period * 1e9)
+        try:
+            with Recorder(segment.drives.plant, kept, waits=lockstep):
+                print("canopen: ready", flush=True)
+                BusService(on, segment, period).serve()
+        finally:
+            output.facts({"ignored": on.ignored})
+            if on.ignored:
+                print(f"canopen: {on.ignored} times something came that was no frame of ours")
+    return 0
+
+
+def write_eds(scene_name: str, folder: Path) -> int:
+    """Write the data sheet of each joint's drive, and report the files.
+
+    Raises:
+        Refusal: see `load_segment`, or the folder cannot be written to.
+    """
+    segment = load_segment(scene_name)
+    scene, files = segment.scene, list[Path]()
+    for node, joint in zip(segment.nodes, scene.joint_names, strict=True):
+        file = folder / (re.sub(r"[^\w.-]", "_", f"{scene.name}_{joint}") + ".eds")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            file.write_text(data_sheet(node, file.name, f"{scene.name} {joint}"), encoding="utf-8")
+        except OSError as error:
+            raise Refusal("canopen", f"file {file}", "be writable", error.strerror) from None
+        output.line(str(file))
+        files.append(file)
+    output.facts({"files": files})
+    return 0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
+from arm_emulator.bags.comparison import compare
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json, SceneName
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
 
 
 @command(of_ros=True)
-def check_bag(
-    bag: Path, /, *, scene: SceneName | None = None, strict: bool = False, json: Json = False
-) -> int:
+def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = False) -> int:
     """Drive the machine again with the commands of a bag, and compare every bit.
 
     Args:
@@ -19,6 +20,33 @@ def check_bag(
         scene: scene file or name (default: the one that the bag names).
         strict: exit code 1 also if any message is not compared.
     """
-    from arm_emulator.cli.check_bag import check
-
-    return check(bag, scene, strict, json=json)
+    found = compare(bag, scene)
+    tally, left_out, difference = found.tally, found.left_out, found.difference
+    clock = "" if found.lockstep else " in real time"
+    output.line(f"scene {found.scene}{clock}: {tally.compared}")
+    output.line(f"compared: {'; '.join(f'{name} ({of})' for name, of in found.fields.items())}")
+    for line in left_out:
+        output.line(f"not compared: {line}")
+    if found.others:
+        output.line(f"topics that are not compared: {', '.join(found.others)}")
+    output.facts(
+        {
+            "bag": bag,
+            "scene": found.scene,
+            "clock": "lockstep" if found.lockstep else "realtime",
+            "equal": difference is None,
+            "difference": difference,
+            "counts": dataclasses.asdict(tally),
+            "not_compared": left_out,
+            "topics_not_compared": found.others,
+        }
+    )
+    if difference is not None:
+        output.line(f"the first difference: {difference}")
+        for hint in found.hints:
+            output.line(f"note: {hint}")
+    elif tally.after:
+        output.line("not checked to its end; what was compared is equal to the last bit")
+    else:
+        output.line(f"equal to the last bit{', as far as it was compared' if left_out else ''}")
+    return int(bool(difference or tally.after or (strict and left_out)))

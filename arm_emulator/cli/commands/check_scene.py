@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.analysis.holding import overloads
+from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
+from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.analysis.servo_loop import warn_of_loops
+from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json, SceneName
+from arm_emulator.cli.mode_table import mode_facts, mode_rows, page_table
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output, plain
+from arm_emulator.doors.fieldbus.drives import modes as drive_modes
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity
+from arm_emulator.servo.servo_config import ServoConfig
 
 
 @command()
@@ -16,13 +32,112 @@ def check_scenes(
     /,
     *more: Annotated[str, Parameter(metavar="SCENE", help="further ones")],
     modes: bool = False,
-    json: Json = False,
 ) -> int:
     """Check scene files, and the servo and motion parameters that lie beside them.
 
     Args:
         modes: show the eigenvalues of every loop that the modes of the scene's drives select.
     """
-    from arm_emulator.cli.check_scene import check_scenes as check
+    facts = list[dict[str, object]]()
+    for name in (scene, *more):
+        one = check_scene(name)
+        output.line(one.line)
+        fact: dict[str, object] = plain(one)
+        if modes:
+            machine, servo = _with_loops(name)
+            fact["modes"] = mode_facts(machine, servo)
+            if not output.as_json:
+                print(page_table(mode_rows(machine, servo)))
+        facts.append(fact)
+    output.facts({"scenes": facts})
+    return 0
 
-    return check((scene, *more), modes=modes, json=json)
+
+@dataclass(frozen=True)
+class Checked:
+    """A valid scene, and the files beside it.
+
+    Attributes:
+        scene: its file's name.
+        joints: their names.
+        assumed: links whose bodies are assumed.
+        servo: the file of the servo's parameters, if there is one.
+        motion: that of the motion controller's.
+        missing: missing files, as text.
+    """
+
+    scene: str
+    joints: tuple[str, ...]
+    assumed: tuple[str, ...]
+    servo: Path | None
+    motion: Path | None
+    missing: tuple[str, ...]
+
+    @property
+    def line(self) -> str:
+        """The same as text."""
+        line = f"{self.scene}: valid, {len(self.joints)} joints: {', '.join(self.joints)}"
+        if self.assumed:
+            line += f"; bodies assumed: {', '.join(self.assumed)}"
+        for kind, file in (("servo", self.servo), ("motion", self.motion)):
+            if file is not None:
+                line += f"; {kind}: {file}"
+        return "; ".join((line, *self.missing))
+
+
+def check_scene(name: str) -> Checked:
+    """Return the files of a scene; compare its gains with it.
+
+    Raises:
+        Refusal: the scene or a file beside it is invalid, or they do not fit together.
+    """
+    file = find_scene(name)
+    scene = load_scene(file)
+    for overload in overloads(scene):
+        warn(f"{scene.where}: {overload}")
+    files: dict[str, Path | None] = {}
+    missing = []
+    for kind in ("servo", "motion"):
+        try:
+            files[kind] = find_beside(file, kind)
+        except Refusal as reason:
+            files[kind] = None
+            missing.append(f"no {kind} parameters: they must {reason.rule}")
+    checked = Checked(
+        scene.where, scene.joint_names, tuple(scene.assumed), **files, missing=tuple(missing)
+    )
+    if missing:
+        warn_of_scene(scene)
+        return checked
+    gains = load_gains(file)
+    check_fit(scene, gains.servo, gains.motion)
+    _check_controller(scene.urdf, scene.joint_names, gains.motion)
+    warn_of_loops(scene, gains.servo)
+    for text in withheld_words(scene, withheld_modes(scene, gains.servo, drive_modes())):
+        warn(text)
+    warn_of_gravity(scene, gains.motion)
+    return checked
+
+
+def _with_loops(name: str) -> tuple[Scene, ServoConfig]:
+    """Return a scene and its servo if all joints have loops.
+
+    Raises:
+        Refusal: the scene or its servo's gains are not valid, do not fit together, or a joint has
+            no motor.
+    """
+    file = find_scene(name)
+    scene, servo = load_scene(file), load_gains(file).servo
+    check_servo(scene, servo)
+    for joint in scene.joints:
+        if joint.motor is None:
+            rule = "have a motor, to have loops"
+            raise Refusal(scene.where, f"joints.{joint.name}", rule, "none")
+    return scene, servo
+
+
+def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionConfig) -> None:
+    # Pinocchio, which is slow to import, only where there is a motion controller to check.
+    from arm_emulator.motion.controller import controller_for
+
+    controller_for(urdf, joint_names, motion)

@@ -7,8 +7,25 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.build.unit import compile_units
+from arm_emulator.campaign.program import judges_unit
+from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.doors.fieldbus.drives import drives_unit
+from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
+from arm_emulator.machine.compiler import compile_ahead
+from arm_emulator.machine.firmware_loop import firmware_loop_unit
+from arm_emulator.machine.record_ring import record_ring_unit
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.way_library import way_unit
+from arm_emulator.ros.c import middleware_unit
+from arm_emulator.runs.servo_step import servo_step_unit
+from arm_emulator.servo.servo_law import servo_unit
+from emulator_node.c import answered_ticks_unit
+from servo_node.c import answered_states_unit
 
 
 @command()
@@ -20,6 +37,7 @@ def compile_scene(
     into: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     fleet: bool = False,
     fieldbus: bool = False,
+    servo: bool = False,
 ) -> int:
     """Compile a scene ahead of its first use, and print the libraries.
 
@@ -29,26 +47,18 @@ def compile_scene(
         into: folder of the libraries (default: the cache).
         fleet: compile the library of a fleet, too.
         fieldbus: compile the libraries of field buses, too.
+        servo: compile our servo with the scene's gains, too.
     """
-    from arm_emulator.build.unit import compile_units
-    from arm_emulator.campaign.requirement import robustness_unit
-    from arm_emulator.campaign.signals import sampler_unit
-    from arm_emulator.machine.compiler import compile_ahead
-    from arm_emulator.machine.firmware_loop import firmware_loop_unit
-    from arm_emulator.machine.record_ring import record_ring_unit
-    from arm_emulator.machine.scene import load_scene
-    from arm_emulator.motion.way_library import way_unit
-    from arm_emulator.runs.servo_step import servo_step_unit
-    from arm_emulator.servo.servo_law import servo_unit
-
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
     code = [servo_unit(), way_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
-    code += [robustness_unit(), sampler_unit()]
+    code += [judges_unit(), sampler_unit()]
+    code += [middleware_unit(), answered_ticks_unit(), answered_states_unit()]
+    if servo:
+        code.append(servo_data_unit(scene))
     if fieldbus:
-        from arm_emulator.doors.fieldbus.drives import drives_unit
-        from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
-
         code += [drives_unit(), ethercat_unit()]
-    for library in [*of_scene, *compile_units(code, target, into)]:
-        print(library)
+    libraries = [*of_scene, *compile_units(code, target, into)]
+    for library in libraries:
+        output.line(str(library))
+    output.facts({"libraries": libraries})
     return 0

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
+from arm_emulator.cli.arguments import completion_script
 from arm_emulator.cli.command import command
+from arm_emulator.cli.output import output
 
 
 @command()
@@ -14,7 +16,7 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     Args:
         shell: such as in `eval "$(arm_emulator completion bash)"`.
     """
-    from arm_emulator.cli.arguments import completion_script
-
-    print(completion_script(shell))
+    script = completion_script(shell)
+    output.line(script)
+    output.facts({"shell": shell, "script": script})
     return 0

@@ -2,13 +2,66 @@
 
 from __future__ import annotations
 
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import rclpy
 from cyclopts import Parameter
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
 
+from arm_emulator.analysis.servo_loop import warn_of_loops
+from arm_emulator.base.config_files import ROBOTS, find_scene
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.new import scene_of_robot
 from arm_emulator.cli.options import Clock, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.demo.demo_safety import report_safety
+from arm_emulator.demo.fig4 import draw_fig4
+from arm_emulator.demo.predicted_rest import Arrival, PredictedRest, predicted_rest
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.controller import Controller, controller_for
+from arm_emulator.motion.pose import Pose
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.node_shell import (
+    COMMAND_QOS,
+    NANOSECONDS,
+    STATE_SUB_QOS,
+    nanoseconds_of,
+    stamp,
+)
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.runs.gains import Gains, check_fit, load_gains
+from arm_emulator_msgs.msg import EmulatorStatus
+
+Array = NDArray[np.float64]
+
+LATELY = 20  # 1 / the final share of the instructions, and of a prediction's radius
+PATIENCE = 120.0  # s, wall: on an idle machine the nodes need a second or two
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """The outcome of the experiment."""
+
+    deviations: Array  # m (K + 1, 3): target minus tool before instruction 0 .. K
+    rotations: Array  # rad (K + 1,): angle between tool and target
+    real_time_factor: float
+    arrived: Array  # rad (N,), the joints at the end
 
 
 @command(of_ros=True)
@@ -25,11 +78,272 @@ def demo(
         scene: scene file or name, or a robot's URDF.
         out: folder of the results.
     """
-    from arm_emulator.base.config_files import ROBOTS
-    from arm_emulator.cli.demo import demo as experiment
-
     if Path(scene).suffix in ROBOTS:
-        from arm_emulator.cli.new import scene_of_robot
-
         scene = str(scene_of_robot(Path(scene), out))
-    return experiment(scene, clock, out)
+    console = Console()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    file = find_scene(scene)
+    machine, gains = load_scene(file), load_gains(file)
+    check_fit(machine, gains.servo, gains.motion)
+    warn_of_loops(machine, gains.servo)
+    plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+    predicted = _predict(machine, gains, plan, console)
+    out.mkdir(parents=True, exist_ok=True)
+    # A domain of its own, so that a network that is already running is not disturbed.
+    with own_domain(unless_named=True) as domain:
+        title = f"{machine.name}, {clock}, ROS_DOMAIN_ID {domain}"
+        console.print(f"[bold]arm_emulator demo[/bold]: {title}")
+        rclpy.init()
+        try:
+            with Bringup(
+                scene,
+                clock=clock,
+                start="paused",
+                emulator={"rerun_file": (out / "demo.rrd").resolve()},
+                log=out / "log",
+            ) as network:
+                result = _run(machine, gains, plan, network, console)
+                codes = network.stop()
+        finally:
+            rclpy.try_shutdown()
+    unclean = {name: code for name, code in codes.items() if code != 0}
+    if unclean:
+        console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")
+    _report(machine, clock, predicted, result, out, console)
+    return 1 if unclean else 0
+
+
+def _predict(
+    scene: Scene, gains: Gains, plan: DemoPlan, console: Console
+) -> PredictedRest | Refusal:
+    """Return, and print, the predicted rest of the tool, or the reason for its absence."""
+    try:
+        predicted = predicted_rest(scene, gains, plan)
+    except Refusal as reason:
+        console.print(f"no prediction: {reason}")
+        return reason
+    console.print(f"predicted residual (mm)   {_row(predicted.centre[:3])}")
+    console.print(f"give or take (mm)         {_row(predicted.within[:3])}   (+-)")
+    console.print(f"so within                 {predicted.radius * 1e3:.4f} mm of that")
+    if predicted.arrival is Arrival.UNREACHABLE:
+        left = float(np.linalg.norm(predicted.reference[:3])) * 1e3
+        console.print(f"the target is out of reach: motion control ends {left:.4f} mm from it")
+    if predicted.arrival is Arrival.NOT_YET:
+        console.print(f"motion control takes more than {plan.instructions} instructions")
+    return predicted
+
+
+def _row(values: Array) -> str:
+    return "  ".join(
+        f"{axis} {value * 1e3:+9.4f}" for axis, value in zip("xyz", values, strict=False)
+    )
+
+
+def _run(
+    scene: Scene, gains: Gains, plan: DemoPlan, network: Bringup, console: Console
+) -> DemoResult:
+    motion = gains.motion
+    controller = controller_for(scene.urdf, scene.joint_names, motion)
+    period_ns = round(motion.period * NANOSECONDS)
+    R_WT, p_WT = controller.kinematics.forward(scene.start)
+    target = Pose(p_WT + plan.displacement, R_WT)
+    observer = _Observer(controller, target, period_ns, plan)
+    try:
+        with console.status("waiting for the three nodes to meet"):
+            observer.wait(lambda: observer.answered, network, "the nodes to meet")
+            observer.send_target(plan.settle_ns)
+            observer.wait(lambda: observer.target_taken, network, "the target to be taken")
+            observer.wait(observer.can_go, network, "the emulator's service")
+            observer.go()
+        started = time.monotonic()
+        with Progress(
+            TextColumn("instruction {task.completed:>3}"),
+            BarColumn(),
+            TextColumn("{task.fields[deviation]}"),
+            TimeElapsedColumn(),
+            console=console,
+        ) as progress:
+            bar = progress.add_task("", total=plan.instructions, deviation="")
+
+            def watched() -> bool:
+                if observer.q:
+                    deviation = np.linalg.norm(observer.deviation(-1)) * 1e3
+                    shown = f"deviation {deviation:9.4f} mm"
+                    progress.update(bar, completed=len(observer.q) - 1, deviation=shown)
+                return len(observer.q) > plan.instructions
+
+            observer.wait(watched, network, "the instructions", patience=15.0 * PATIENCE)
+        wall = time.monotonic() - started
+    finally:
+        observer.destroy_node()
+    logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
+    return DemoResult(
+        deviations=np.array([observer.deviation(k) for k in range(len(observer.q))]),
+        rotations=np.array([observer.rotation(k) for k in range(len(observer.q))]),
+        real_time_factor=logical / wall,
+        arrived=observer.q[-1],
+    )
+
+
+class _Observer(Node):
+    """Sends the target and watches the true arm, at every instruction."""
+
+    def __init__(
+        self, controller: Controller, target: Pose, period_ns: int, plan: DemoPlan
+    ) -> None:
+        super().__init__("demo")
+        self.q: list[Array] = []  # true joint angles at each instruction
+        self.answered = False
+        self.target_taken = False
+        self._kinematics, self._target = controller.kinematics, target
+        self._period_ns, self._start_ns = period_ns, plan.settle_ns
+        self._targets = self.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
+        self._pause = self.create_client(SetBool, "emulator/pause")
+        self.create_subscription(EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS)
+        self.create_subscription(
+            JointState, "emulator/joint_states", self._on_truth, rclpy.qos.QoSProfile(depth=100)
+        )
+        self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        network: Bringup,
+        what: str,
+        patience: float = PATIENCE,
+    ) -> None:
+        """Spin until the condition holds; refuse when a node ends or patience does."""
+        deadline = time.monotonic() + patience
+        see = f"the nodes' output is in {network.log}"
+        while not condition():
+            rclpy.spin_once(self, timeout_sec=0.1)
+            ended = network.ended()
+            if ended is not None:
+                name, code = ended
+                raise Refusal("demo", f"node {name}", "run", f"exit code {code}", see)
+            if time.monotonic() > deadline:
+                raise Refusal("demo", what, f"take less than {patience:g} s", "more", see)
+
+    def send_target(self, from_ns: int) -> None:
+        """Send the target, repeatedly until accepted: an undiscovered node does not receive it."""
+        message = PoseStamped()
+        message.header.stamp = stamp(from_ns)
+        pose = message.pose
+        pose.position.x, pose.position.y, pose.position.z = map(float, self._target.p_WT)
+        o = pose.orientation
+        o.x, o.y, o.z, o.w = map(float, self._target.quaternion())
+
+        def send() -> None:
+            if not self.target_taken:
+                self._targets.publish(message)
+
+        send()
+        self.create_timer(0.2, send)
+
+    def can_go(self) -> bool:
+        return self._pause.service_is_ready()
+
+    def go(self) -> None:
+        """Let time continue, and request it again until it does."""
+
+        def ask() -> None:
+            if not self.q:
+                self._pause.call_async(SetBool.Request(data=False))
+
+        ask()
+        self.create_timer(5.0, ask)
+
+    def deviation(self, k: int) -> Array:
+        """Target minus tool before instruction k, (3,) [m]."""
+        return self._target.p_WT - self._kinematics.forward(self.q[k])[1]
+
+    def rotation(self, k: int) -> float:
+        """Angle between the tool and its target before instruction k [rad]."""
+        R = self._kinematics.forward(self.q[k])[0].T @ self._target.R_WT
+        # From the skew part, since the arc cosine of the trace is inaccurate near 0.
+        skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
+
+    def _on_status(self, status: EmulatorStatus) -> None:
+        self.answered = self.answered or status.answered
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "motion_controller":
+                taken = {pair.key: pair.value for pair in status.values}.get("tool targets", "0")
+                self.target_taken = self.target_taken or taken != "0"
+
+    def _on_truth(self, truth: JointState) -> None:
+        now = nanoseconds_of(truth.header.stamp)
+        expected = self._start_ns + len(self.q) * self._period_ns
+        if now == expected:
+            self.q.append(np.array(truth.position))
+        elif now > expected:
+            raise Refusal("demo", "emulator/joint_states", "come without a gap", f"t = {now} ns")
+
+
+def verdict(predicted: PredictedRest, deviations: Array) -> str:
+    """Return as text how the tool came to rest, from its deviations before each instruction."""
+    residual = deviations[-1]
+    if predicted.contains(residual):
+        if predicted.arrival is Arrival.UNREACHABLE:
+            return "the target is out of reach, and the residual is within the prediction"
+        return "the residual is within the prediction"
+    before = deviations[-1 - max(1, len(deviations) // LATELY)]
+    moving = float(np.linalg.norm(residual - before)) > predicted.radius / LATELY
+    if predicted.arrival is Arrival.NOT_YET or moving:
+        return "the tool is [red]not yet there[/red]: it still moves"
+    return "the residual is [red]outside[/red] the prediction"
+
+
+def _report(
+    scene: Scene,
+    clock: str,
+    predicted: PredictedRest | Refusal,
+    result: DemoResult,
+    out: Path,
+    console: Console,
+) -> None:
+    deviations = result.deviations
+    residual = deviations[-1]
+    draw_fig4(
+        deviations,
+        predicted.total[:3] if isinstance(predicted, PredictedRest) else np.zeros(3),
+        out / "fig4.png",
+        title=f"{scene.name}: deviation of the tool from its target",
+    )
+    start = float(np.linalg.norm(deviations[0]))
+    distance = np.linalg.norm(deviations, axis=1)
+    below = np.flatnonzero(distance < 0.01 * start)
+    summary = {
+        "scene": scene.name,
+        "clock": clock,
+        "start_mm": start * 1e3,
+        "residual_mm": (residual * 1e3).tolist(),
+        "rotation_mrad": float(result.rotations[-1] * 1e3),
+        "instructions_to_1_percent": int(below[0]) if len(below) else None,
+        "real_time_factor": result.real_time_factor,
+        "deviations_m": deviations.tolist(),
+    }
+    console.print(f"residual (mm)             {_row(residual)}")
+    if isinstance(predicted, PredictedRest):
+        summary |= {
+            "predicted_mm": (predicted.centre[:3] * 1e3).tolist(),
+            "predicted_within_mm": (predicted.within[:3] * 1e3).tolist(),
+            "predicted_radius_mm": predicted.radius * 1e3,
+            "target": predicted.arrival.value,
+            "residual_within_prediction": predicted.contains(residual),
+        }
+        console.print(verdict(predicted, deviations))
+    else:
+        summary |= {"not_predicted": str(predicted), "residual_within_prediction": None}
+    output.facts(summary)
+    (out / "demo.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
+    if isinstance(predicted, PredictedRest) and len(predicted.total) > 3:
+        console.print(f"orientation off by        {result.rotations[-1] * 1e3:.4f} mrad")
+    if len(below):
+        console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")
+    console.print(f"real-time factor          {result.real_time_factor:.2f}")
+    for line in report_safety(scene, result.arrived):
+        console.print(line)
+    console.print(f"look at  {out / 'fig4.png'}  and  rerun {out / 'demo.rrd'}")

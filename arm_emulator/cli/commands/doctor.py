@@ -2,16 +2,200 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.build.library_cache import largest_size, writable_caches
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json
+from arm_emulator.cli.output import output
+from arm_emulator.ros.ros_domain import LARGEST
+from arm_emulator.ros.shared_memory import left_over
+from arm_emulator.version import VERSION
+
+WAKE_UP, WAKE_UPS = 1e-3, 500  # s, and how many are timed
+LEAST_DISK = 1.0  # GB: libraries, a recording
+NODES = ("emulator_node.node", "servo_node.node", "motion_controller_node.node")
+# Module, its package, and the commands that need it.
+EXTRAS = (
+    ("rerun", "rerun-sdk", "`--rerun`, `demo`"),
+    ("can", "python-can", "`canopen`"),
+    ("unicorn", "unicorn", "`firmware`"),
+    ("elftools", "pyelftools", "`firmware`"),
+)
+
+
+class Finding(NamedTuple):
+    """A line of the report.
+
+    Attributes:
+        name: item checked.
+        level: ok, note (only some commands need it) or problem.
+        text: finding.
+        remedy: remedy, empty if none is needed.
+    """
+
+    name: str
+    level: str
+    text: str
+    remedy: str = ""
 
 
 @command()
-def doctor(*, json: Json = False) -> int:
+def doctor() -> int:
     """Check compiler, packages, ROS, processes, shared memory and disk: a line each, with a remedy.
 
     The exit code is 1 if there is a problem. A missing package of some commands is a note.
     """
-    from arm_emulator.cli.doctor import doctor as examine
+    found = list(findings())
+    for one in found:
+        remedy = f"; {one.remedy}" if one.remedy else ""
+        output.line(f"{one.level:<8} {one.name:<15} {one.text}{remedy}")
+    output.facts({"findings": [one._asdict() for one in found]})
+    return int(any(one.level == "problem" for one in found))
 
-    return examine(json=json)
+
+def findings() -> Iterator[Finding]:
+    """Yield the findings, from compiler to packages."""
+    of_python = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
+    yield Finding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
+    for look in (_compiler, _cache, _disk, _ros, _domain, _processes, _shared_memory, _priority):
+        yield look()
+    for module, package, needed_by in EXTRAS:
+        if importlib.util.find_spec(module) is None:
+            text = f"not installed, needed by {needed_by}"
+            yield Finding(package, "note", text, f"pip install {package}")
+        else:
+            yield Finding(package, "ok", "installed")
+
+
+def _tried(name: str, look: Callable[[], str]) -> Finding:
+    try:
+        return Finding(name, "ok", look())
+    except Refusal as reason:
+        return Finding(name, "problem", str(reason))
+
+
+def _compiler() -> Finding:
+    def look() -> str:
+        words = find_compiler()
+        program = "#include <concepts>\n#include <numbers>\n"
+        command = [*words, "-std=c++20", "-fsyntax-only", "-x", "c++", "-"]
+        done = subprocess.run(command, input=program, capture_output=True, text=True, check=False)
+        if done.returncode:
+            got = (done.stderr.strip().splitlines() or ["no reason given"])[0]
+            valid = "g++ from 11 or clang from 14 on (Debian, Ubuntu: apt install g++)"
+            raise Refusal(" ".join(words), "C++20", "compile", got, valid)
+        version = subprocess.run(
+            [*words, "--version"], capture_output=True, text=True, check=False
+        ).stdout.splitlines()
+        return f"{' '.join(words)}: {version[0] if version else 'compiles C++20'}"
+
+    return _tried("compiler", look)
+
+
+def _cache() -> Finding:
+    return _tried(
+        "cache", lambda: f"{next(writable_caches())}, at most {largest_size() / 1e6:g} MB"
+    )
+
+
+def _disk() -> Finding:
+    places = {Path.cwd(), Path(os.environ.get("TMPDIR", "/tmp"))}
+    free = {place: shutil.disk_usage(place).free / 1e9 for place in sorted(places)}
+    text = ", ".join(f"{size:.1f} GB free in {place}" for place, size in free.items())
+    if min(free.values()) < LEAST_DISK:
+        return Finding("disk", "problem", text, f"make room for {LEAST_DISK:g} GB")
+    return Finding("disk", "ok", text)
+
+
+def _ros() -> Finding:
+    missing = [
+        name for name in ("rclpy", "arm_emulator_msgs") if importlib.util.find_spec(name) is None
+    ]
+    if missing:
+        text = f"no Python module {' and '.join(missing)}, needed by nodes and bags"
+        remedy = "`make setup` in a checkout, or source a workspace: `. install/setup.bash`"
+        return Finding("ROS 2", "note", text, remedy)
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "default middleware")
+    return Finding("ROS 2", "ok", f"{os.environ.get('ROS_DISTRO', 'from wheels')}, {middleware}")
+
+
+def _domain() -> Finding:
+    named = os.environ.get("ROS_DOMAIN_ID", "0")
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    if not (named.isdecimal() and int(named) <= LARGEST):
+        remedy = f"export ROS_DOMAIN_ID=0 to {LARGEST}"
+        return Finding("ROS domain", "problem", f"ROS_DOMAIN_ID is {named!r}", remedy)
+    if reach == "SUBNET":
+        text = f"{named}, open to the whole subnet: who has the same domain there joins in"
+        remedy = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST to stay on this machine"
+        return Finding("ROS domain", "note", text, remedy)
+    return Finding("ROS domain", "ok", f"{named}, {reach}")
+
+
+def _processes() -> Finding:
+    """Look for nodes of this user whose launcher is gone."""
+    alive, orphans = 0, list[int]()
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdecimal():
+            continue
+        try:
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            mine = entry.stat().st_uid == os.geteuid()
+        except (OSError, ValueError, IndexError):  # it has just ended
+            continue
+        if mine and any(node.encode() in words for node in NODES):
+            alive += 1
+            orphans += [int(entry.name)] if parent == 1 else []
+    if orphans:
+        numbers = " ".join(map(str, sorted(orphans)))
+        text = f"nodes run whose launcher has ended: {numbers}"
+        return Finding("processes", "problem", text, f"kill {numbers}")
+    return Finding("processes", "ok", f"{alive} nodes run, none left behind")
+
+
+def _shared_memory() -> Finding:
+    count = sum(1 for _ in left_over())
+    if count:
+        text = f"{count} segments of killed processes in /dev/shm"
+        return Finding("shared memory", "note", text, "the next network removes them")
+    return Finding("shared memory", "ok", "nothing left behind")
+
+
+def _priority() -> Finding:
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError as error:
+        text = f"no real-time priority ({error.strerror}): `--clock realtime` may be late"
+        return Finding("priority", "note", text, "`ulimit -r` must be > 0")
+    try:
+        late = sorted(_late_wake_ups())
+    finally:
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    half, worst = late[len(late) // 2] * 1e6, late[-1] * 1e6
+    text = f"real-time priority may be had; {len(late)} wake-ups after 1 ms came {half:.0f} us late"
+    text += f" in the median, {worst:.0f} us at worst"
+    if late[-1] < WAKE_UP:
+        return Finding("priority", "ok", text)
+    return Finding("priority", "note", text, "servo periods below that will be lost")
+
+
+def _late_wake_ups() -> list[float]:
+    """Return by how much wake-ups at the end of periods of 1 ms were late [s]."""
+    late, due = [], time.monotonic()
+    for _ in range(WAKE_UPS):
+        due = max(due, time.monotonic()) + WAKE_UP
+        time.sleep(max(0.0, due - time.monotonic()))
+        late.append(time.monotonic() - due)
+    return late

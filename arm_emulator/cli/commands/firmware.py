@@ -2,14 +2,39 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import pty
+import socket
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.analysis.stability import explain
+from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.run import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
+from arm_emulator.cli.output import output
+from arm_emulator.doors.microcontroller.board import Board, load_board
+from arm_emulator.doors.microcontroller.elf_image import ElfImage
+from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.recorder import Recorder
+from arm_emulator.runs.table_run import TableRun, off_target
+from arm_emulator.runs.target_table import load_target_table
+
+_WHERE = ("stdout", "pty", "none")
 
 
 @command()
@@ -33,16 +58,99 @@ def firmware(
         gdb: port on 127.0.0.1 at which to wait for gdb.
         uart: a serial line of the board: stdout, pty or none (default: the first to stdout).
     """
-    from arm_emulator.cli.firmware import run
-
     kept.check("firmware")
-    return run(
-        board,
-        firmware,
-        scene,
-        targets=targets,
-        seconds=seconds,
-        gdb=gdb,
-        uarts=uart or (),
-        kept=kept,
-    )
+    machine = load_scene(find_scene(scene))
+    warn_of_scene(machine)
+    wiring = load_board(board, machine.joint_names)
+    table = None if targets is None else load_target_table(targets, machine.joint_names)
+    if seconds is None:
+        seconds = (table.seconds if table else None) or 10.0
+    ticks = ticks_of(seconds, machine)
+    if gdb is not None and not 0 < gdb < 65536:
+        raise Refusal("firmware", "--gdb", "be a port from 1 to 65535", gdb)
+    with contextlib.ExitStack() as open_:
+        lines = open_.enter_context(_lines(wiring, uart or ()))
+        chip = Microcontroller(wiring, ElfImage(firmware), machine, lines)
+        one = TableRun(machine, table, chip)
+        open_.enter_context(Recorder(one.session.plant, kept, waits=True, stays=True))
+        with ctrl_c_ends_at_once():
+            if gdb is not None:
+                _wait_for_gdb(chip, gdb, firmware)
+            started = time.perf_counter()
+            try:
+                one.advance(ticks)
+            except (Diverged, FirmwareEnd) as fault:
+                print(explain(fault), file=sys.stderr)
+                output.facts({"scene": machine.name, "failed": explain(fault)})
+                return 1
+        wall = time.perf_counter() - started
+        off = off_target(one.session, table, ticks) if table else None
+        report(one.session, ticks, wall, off)
+        figures = chip.figures
+        awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
+        each = figures.instructions / ticks
+        output.facts({
+            "failed": None, "instructions_per_period": each, "awake": awake,
+            "faults": figures.faults, "resets": figures.resets,
+            "first_fault": chip.fault if figures.faults else None,
+        })  # fmt: skip
+        happened = {"faults": figures.faults, "resets": figures.resets}
+        more = "".join(f", {count} {what}" for what, count in happened.items() if count)
+        print(
+            f"microcontroller   {each:.0f} instructions per servo period, {awake:.1%} awake{more}"
+        )
+        if figures.faults:
+            print(f"first fault       {chip.fault}")
+        return 0
+
+
+def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
+    with socket.socket() as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise Refusal("firmware", f"port {port}", "be free", error.strerror) from None
+        listening.listen(1)
+        print(f"waiting for gdb: gdb-multiarch {elf} -ex 'target remote :{port}'", file=sys.stderr)
+        chip.debug(listening)
+
+
+@contextlib.contextmanager
+def _lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
+    """Yield file descriptors to write to and read from for serial lines, by their names."""
+    names = [uart.name for uart in board.uarts]
+    wanted = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
+    for text in reported:
+        name, _, where = text.partition("=")
+        if not where and len(names) == 1:
+            name, where = names[0], name
+        if name not in names:
+            valid = ", ".join(names) or "none: the board has no uart"
+            raise Refusal("firmware", "--uart", "name a serial line of the board", text, valid)
+        if where not in _WHERE:
+            valid = ", ".join(f"{name}={one}" for one in _WHERE)
+            raise Refusal("firmware", "--uart", "state where the line goes", text, valid)
+        wanted[name] = where
+    sys.stdout.flush()
+    with contextlib.ExitStack() as open_:
+        lines = {}
+        for name, where in wanted.items():
+            if where == "stdout":
+                lines[name] = (1, -1)
+            elif where == "pty":
+                lines[name] = (open_.enter_context(_pty(name)),) * 2
+        yield lines
+
+
+@contextlib.contextmanager
+def _pty(name: str) -> Iterator[int]:
+    ours, theirs = pty.openpty()
+    try:
+        tty.setraw(theirs, termios.TCSANOW)
+        os.set_blocking(ours, False)
+        print(f"{name}: {os.ttyname(theirs)}", file=sys.stderr)
+        yield ours
+    finally:
+        os.close(ours)
+        os.close(theirs)

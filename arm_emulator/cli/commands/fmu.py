@@ -7,8 +7,12 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.doors.fmu.export import TARGET, export
+from arm_emulator.machine.scene import load_scene
 
 
 @command()
@@ -31,7 +35,17 @@ def fmu(
         fmi: version, 3.0 or 2.0.
         windows: add a binary for 64-bit Windows (by mingw).
     """
-    from arm_emulator.cli.fmu import write_fmu
-
     names = None if varied is None else [one for one in varied.split(",") if one]
-    return write_fmu(scene, out, names, target, fmi, windows)
+    machine = load_scene(scene, {} if names is None else {"varied": names})
+    warn_of_scene(machine)
+    export(machine, out, target or TARGET, fmi, windows)
+    parameters = f", {len(machine.varied)} parameters" if machine.varied else ""
+    output.line(
+        f"{out}: FMI {fmi}.0 co-simulation, {len(machine.joints)} joints{parameters}; "
+        f"a servo period of {machine.servo_period:g} s"
+    )
+    output.facts({
+        "file": out, "fmi": f"{fmi}.0", "joints": machine.joint_names,
+        "parameters": machine.varied, "period": machine.servo_period,
+    })  # fmt: skip
+    return 0

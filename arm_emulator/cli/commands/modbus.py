@@ -7,9 +7,21 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.kept import NOTHING
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Keep, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.doors.fieldbus.converter import Converter, blocks
+from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
+from arm_emulator.doors.fieldbus.modbus_pty import RealTimeService, serial_port, serve
+from arm_emulator.doors.fieldbus.modbus_rtu import LARGEST_STATION
+from arm_emulator.doors.fieldbus.serial_line import LineErrors, check_baud
+from arm_emulator.machine.loop_clock import real_time_session
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.runs.recorder import Recorder
 
 
 @command(until_stopped=True)
@@ -40,20 +52,53 @@ def modbus(
         link: symbolic link to the port.
         registers: print the table of registers, and end.
     """
-    from arm_emulator.cli.modbus import modbus as serve
-    from arm_emulator.cli.modbus import print_registers
-
     kept.check("modbus")
     if registers:
-        return print_registers(scene)
-    return serve(
-        scene,
-        clock=clock,
-        baud=baud,
-        station=station,
-        error_rate=error_rate,
-        seed=seed,
-        watchdog=watchdog,
-        link=link,
-        kept=kept,
-    )
+        return _registers(scene)
+    check_baud("modbus", baud)
+    if not 1 <= station <= LARGEST_STATION:
+        raise Refusal("modbus", "station", f"be 1 to {LARGEST_STATION}", station)
+    errors = LineErrors(error_rate, seed)
+    machine = load_scene(scene)
+    warn_of_scene(machine)
+    if clock == "realtime":
+        session = real_time_session(machine, "first_answer")
+    else:
+        session = Session(machine, "lockstep", "first_answer")
+    try:
+        converter = Converter(session, watchdog)
+        waits = clock != "realtime"
+        with serial_port(baud, link) as port, Recorder(session.plant, kept, waits):
+            at = f"{port.path}{f' ({link})' if link else ''}"
+            output.facts({
+                "scene": machine.name, "port": port.path, "link": link, "station": station,
+                "baud": baud, "clock": clock,
+            })  # fmt: skip
+            print(f"modbus: scene {machine.name} ({len(machine.joints)} joints), station {station}")
+            print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)
+            if clock == "realtime":
+                RealTimeService(port, converter, station, baud, errors).serve()
+            else:
+                line = ModbusLine(converter, station, clock, baud, errors)
+                serve(port, line, converter, baud)
+    finally:
+        session.close()
+    return 0
+
+
+def _registers(scene: str) -> int:
+    """Print the table of registers of a scene.
+
+    Raises:
+        Refusal: the scene is refused.
+    """
+    table = blocks(load_scene(scene))
+    for one in table:
+        last = one.address + one.count - 1
+        where = f"{one.address}" if one.count == 1 else f"{one.address} to {last}"
+        access = "rw" if one.writable else "r"
+        per = f" [{one.per} per joint]" if one.per else ""
+        text = f"{where:<16} {access:<3} {one.kind:<8} {one.name}{per}, {one.unit}"
+        output.line(text.rstrip(", "))
+    output.facts({"registers": table})
+    return 0

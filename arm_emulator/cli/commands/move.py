@@ -2,21 +2,48 @@
 
 from __future__ import annotations
 
+import math
+import random
+from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
+from builtin_interfaces.msg import Duration
 from cyclopts import Parameter
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import GetParameters
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json
+from arm_emulator.cli.output import output
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+from arm_emulator.ros.network_guest import STATES, NetworkGuest, guest
+from arm_emulator.ros.node_shell import (
+    COMMAND_QOS,
+    DESCRIPTION_QOS,
+    EVENT_QOS,
+    NANOSECONDS,
+    STATE_SUB_QOS,
+    nanoseconds_of,
+    stamp,
+)
+from arm_emulator_msgs.msg import MotionStatus
 
-Triple = tuple[float, float, float]
+PATIENCE = 5.0  # s, wall, to discover a running network
+AHEAD = NANOSECONDS // 4  # of logical time: the target arrives before its stamp
+UNDER_WAY = ("accepted", "moving")
 
 
 @command(of_ros=True)
 def move(
     *,
-    to: Annotated[Triple | None, Parameter(metavar="X Y Z")] = None,
-    by: Annotated[Triple | None, Parameter(metavar="X Y Z")] = None,
+    to: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
+    by: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
     quaternion: Annotated[
         tuple[float, float, float, float] | None, Parameter(metavar="X Y Z W")
     ] = None,
@@ -24,7 +51,6 @@ def move(
     seconds: Annotated[float, Parameter(metavar="S")] = 2.0,
     timeout: Annotated[float, Parameter(metavar="S")] = 60.0,
     namespace: str = "",
-    json: Json = False,
 ) -> int:
     """Send a target over ROS, and print its states: accepted, moving, reached.
 
@@ -40,15 +66,153 @@ def move(
         timeout: wall time to wait for the end.
         namespace: of the network, such as /cell1.
     """
-    from arm_emulator.cli.move import move as send
+    given = [name for name, one in (("--to", to), ("--by", by), ("--joints", joints)) if one]
+    if len(given) != 1:
+        valid = "--to X Y Z, --by X Y Z, or --joints NAME=ANGLE ..."
+        got = " and ".join(given) or "none"
+        raise Refusal("move", "the target", "be one", got, valid)
+    if not (math.isfinite(seconds) and seconds > 0.0):
+        raise Refusal("move", "--seconds", "be > 0 and finite", seconds)
+    angles = _angles(joints or ())
+    with guest("move", namespace) as node:
+        node.listen("joint_states", JointState, STATE_SUB_QOS)
+        node.listen("robot_description", String, DESCRIPTION_QOS)
+        if not node.spin_until(lambda: "joint_states" in node.newest, PATIENCE):
+            raise _no_network("joint_states be published")
+        if joints:
+            kind, topic = MotionStatus.KIND_JOINT_TRAJECTORY, "joint_trajectory"
+            publisher = node.create_publisher(JointTrajectory, topic, COMMAND_QOS)
+            message = _trajectory(node.newest["joint_states"], angles, seconds)
+        else:
+            kind, topic = MotionStatus.KIND_TOOL_TARGET, "tool_target"
+            publisher = node.create_publisher(PoseStamped, topic, COMMAND_QOS)
+            message = _tool_target(node, to, by, quaternion)
+        return _watch(node, publisher, message, kind, timeout)
 
-    return send(
-        to=to,
-        by=by,
-        quaternion=quaternion,
-        joints=joints,
-        seconds=seconds,
-        timeout=timeout,
-        namespace=namespace,
-        json=json,
+
+def _watch(
+    node: NetworkGuest,
+    publisher: Publisher,
+    message: PoseStamped | JointTrajectory,
+    kind: int,
+    timeout: float,
+) -> int:
+    heard: list[MotionStatus] = []
+    node.create_subscription(MotionStatus, "motion/status", heard.append, EVENT_QOS)
+    if not node.spin_until(lambda: node.is_heard(publisher, "motion/status"), PATIENCE):
+        raise _no_network(f"a motion controller take {publisher.topic_name}")
+    now = nanoseconds_of(node.newest["joint_states"].header.stamp)
+    # The stamp distinguishes it from the targets of others.
+    ours = now + AHEAD + random.randrange(1, 1000)
+    message.header.stamp = stamp(ours)
+    publisher.publish(message)
+    states: list[str] = []
+    last: MotionStatus | None = None
+
+    def ended() -> bool:
+        nonlocal last
+        while heard:
+            one = heard.pop(0)
+            state = STATES.get(one.state, f"state {one.state}")
+            if one.kind != kind or nanoseconds_of(one.stamp) != ours or state in states:
+                continue
+            states.append(state)
+            last = one
+            output.line(f"{state}{_left(one)}{f': {one.reason}' if one.reason else ''}")
+        return bool(states) and states[-1] not in UNDER_WAY
+
+    if not node.spin_until(ended, timeout):
+        output.line(f"no end within {timeout:g} s of wall time: {states[-1:] or 'no answer'}")
+    outcome = states[-1] if states else "no answer"
+    output.facts(
+        {
+            "states": states,
+            "outcome": outcome,
+            "reason": last.reason if last else "",
+            "distance": last.distance if last else math.nan,
+            "angle": last.angle if last else math.nan,
+        }
     )
+    return 0 if outcome == "reached" else 1
+
+
+def _left(status: MotionStatus) -> str:
+    if status.state not in (MotionStatus.STATE_REACHED, MotionStatus.STATE_UNREACHABLE):
+        return ""
+    parts = [(status.distance * 1e3, "mm"), (status.angle, "rad")]
+    left = ", ".join(f"{value:.3g} {unit}" for value, unit in parts if math.isfinite(value))
+    return f", {left} left" if left else ""
+
+
+def _angles(given: Sequence[str]) -> dict[str, float]:
+    angles = dict[str, float]()
+    for one in given:
+        name, sign, text = one.partition("=")
+        try:
+            angles[name] = float(text)
+        except ValueError:
+            sign = ""
+        if not (sign and name and math.isfinite(angles[name])):
+            raise Refusal("move", "--joints", "be NAME=ANGLE, in rad or m", one)
+    return angles
+
+
+def _trajectory(now: JointState, angles: dict[str, float], seconds: float) -> JointTrajectory:
+    """Return a trajectory of one point: the given joints, and the others at their positions."""
+    known = dict(zip(now.name, now.position, strict=True))
+    for name in angles:
+        if name not in known:
+            raise Refusal("move", "--joints", "name joints", name, ", ".join(known))
+    goal = {**known, **angles}
+    whole, rest = divmod(round(seconds * NANOSECONDS), NANOSECONDS)
+    point = JointTrajectoryPoint(
+        positions=list(goal.values()), time_from_start=Duration(sec=whole, nanosec=rest)
+    )
+    return JointTrajectory(joint_names=list(goal), points=[point])
+
+
+def _tool_target(
+    node: NetworkGuest,
+    to: Sequence[float] | None,
+    by: Sequence[float] | None,
+    quaternion: Sequence[float] | None,
+) -> PoseStamped:
+    """Return the pose; missing values are those of the measured tool."""
+    message = PoseStamped()
+    if to is None or quaternion is None:
+        R_WT, p_WT = _tool_now(node)
+        turn = Pose(p_WT, R_WT).quaternion() if quaternion is None else quaternion
+        where = p_WT + np.array(by) if by is not None else to
+    else:
+        turn, where = quaternion, to
+    assert where is not None
+    p, o = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z = map(float, where)
+    o.x, o.y, o.z, o.w = map(float, turn)
+    return message
+
+
+def _tool_now(node: NetworkGuest) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation and position of the motion controller's tool, from the measured angles."""
+    asked = node.create_client(GetParameters, "motion_controller/get_parameters")
+    answers: list[GetParameters.Response] = []
+
+    def ready() -> bool:
+        return "robot_description" in node.newest and asked.service_is_ready()
+
+    if not node.spin_until(ready, PATIENCE):
+        raise _no_network("robot_description and a motion controller be present")
+    future = asked.call_async(GetParameters.Request(names=["tool"]))
+    future.add_done_callback(lambda done: answers.append(done.result()))
+    if not node.spin_until(lambda: bool(answers), PATIENCE):
+        raise _no_network("the motion controller answer")
+    now = node.newest["joint_states"]
+    tool = answers[0].values[0].string_value
+    kinematics = Kinematics(node.newest["robot_description"].data, list(now.name), tool)
+    return kinematics.forward(np.array(now.position))
+
+
+def _no_network(rule: str) -> Refusal:
+    what, _, rest = rule.partition(" ")
+    valid = "start it (`arm_emulator up`) in the same ROS_DOMAIN_ID and namespace"
+    return Refusal("move", f"in the network, {what}", rest, f"nothing in {PATIENCE:g} s", valid)

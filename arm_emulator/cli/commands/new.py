@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,9 @@ from cyclopts import Parameter
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
+from arm_emulator.cli.output import output
+from arm_emulator.design.new_scene import NewScene, scene_name, write_new
+from arm_emulator.design.robot_file import robot_text
 
 
 @command()
@@ -37,14 +41,66 @@ def new(
         out: folder of the scene's files (default: the robot's name, here).
         force: overwrite existing files.
     """
-    from arm_emulator.cli.new import new as make
-
     given = dict[str, str]()
     for one in arguments:
         name, sign, value = one.partition(":=")
         if not sign or not name:
             raise Refusal("new", "argument", "be NAME:=VALUE", one)
         given[name] = value
-    return make(
+    written = write_new(
         robot, out, tool, joints, given, payload=payload, density=density, motor=motor, force=force
     )
+    _report(written)
+    return 0
+
+
+def _report(written: NewScene) -> None:
+    choice, report = written.choice, output.line
+    report(f"moves    {', '.join(choice.joints)}")
+    for guess in choice.guesses:
+        report(f"chosen   {guess}")
+    for name, held in choice.held.items():
+        report(f"held     {name} at {held.position:g}: {held.reason}")
+    guesses, sources = dict[str, dict[str, float]](), dict[str, None]()
+    for drive in written.drives:
+        for what, value in (("torque", drive.peak_torque), ("speed", drive.speed)):
+            how, _, source = drive.notes[what].partition(", ")
+            if how == "guess":
+                guesses.setdefault(drive.joint.name, {})[what] = value
+                report(f"guessed  {drive.joint.name}: {what} {value:.3g}: {source}")
+            elif how == "published":
+                sources[source] = None
+    for source in sources:
+        report(f"taken    torques and speeds that are published: {source}")
+    report("guessed  all motors, gears, friction, encoders: rules are in the scene's heading")
+    for one in written.assumed:
+        report(f"assumed  body of {one.link}: {one.how}")
+    for overload in written.overloads:
+        report(f"weak     {overload}")
+    report(f"written  {written.file}, and servo/, motion/, demo/ beside it")
+    report(f"now try  python -m arm_emulator demo {written.file}")
+    output.facts({
+        "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
+        "held": choice.held, "guessed": guesses, "sources": list(sources),
+        "assumed": written.assumed, "weak": [str(one) for one in written.overloads],
+    })  # fmt: skip
+
+
+def scene_of_robot(robot: Path, out: Path) -> Path:
+    """Return the scene of a robot below `out`: one made from this description, or a new one.
+
+    Its folder is named after the robot, and the path and content of its description, so that
+    another robot's file of the same name, or an older version, is not mistaken for it.
+
+    Raises:
+        Refusal: see `write_new`.
+    """
+    description = f"{robot.resolve().parent}\n{robot_text(robot, {})}"
+    digest = hashlib.sha256(description.encode(errors="surrogateescape")).hexdigest()[:8]
+    folder = out / f"{scene_name(robot)}_{digest}"
+    file = folder / f"{scene_name(robot)}.yaml"
+    if file.exists():
+        output.line(f"taken    {file}, which was there (remove {folder} to begin anew)")
+        return file
+    _report(write_new(robot, folder))
+    return file

@@ -6,6 +6,9 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
+from arm_emulator.cli.output import output
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_writer import repair as mend
 
 
 @command()
@@ -15,13 +18,11 @@ def repair(bag: Path, /) -> int:
     Args:
         bag: folder of the bag.
     """
-    from arm_emulator.ros.bag import Bag
-    from arm_emulator.ros.bag_writer import repair as mend
-
     try:
         mended = mend(bag)
     except OSError as error:
         raise Refusal("repair", str(bag), "be writable", error.strerror) from None
     count = sum(topic.count for topic in Bag(bag).topics.values())
-    print(f"{bag}: {count} messages, {'mended' if mended else 'was whole already'}")
+    output.facts({"bag": bag, "messages": count, "mended": mended})
+    output.line(f"{bag}: {count} messages, {'mended' if mended else 'was whole already'}")
     return 0

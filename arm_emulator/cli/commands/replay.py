@@ -2,10 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
+import time
+from collections.abc import Collection
 from pathlib import Path
 
+import rclpy
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Topics
+from arm_emulator.cli.output import output
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import NANOSECONDS
+from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
+from arm_emulator.ros.message_types import message_class
+
+DEPTH = (
+    1000  # messages kept for a listener that is slow; discovery does not report the recorded depth
+)
+ACKNOWLEDGE = Duration(seconds=5)  # patience with listeners at the end
+NAP = 0.05  # s, wall: Ctrl-C and new listeners are noticed this often
 
 
 @command(until_stopped=True, of_ros=True)
@@ -17,6 +40,106 @@ def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool
         rate: recorded seconds per second.
         wait: begin when every topic has a subscriber.
     """
-    from arm_emulator.cli.replay import replay as publish
+    if not (math.isfinite(rate) and rate > 0.0):
+        raise Refusal("replay", "rate", "be > 0 and finite", rate)
+    recorded = Bag(bag)
+    names = _chosen(recorded, topics)
+    ctrl_c = CtrlC()
+    rclpy.init()
+    ctrl_c.leave_to_rclpy()
+    node = rclpy.create_node("replayer", enable_rosout=False, start_parameter_services=False)
+    count, started = 0, time.monotonic()
+    try:
+        with until_shut_down():
+            publishers = {
+                name: node.create_publisher(
+                    message_class(recorded.topics[name].type),
+                    name,
+                    offer(recorded.topics[name].offered),
+                )
+                for name in names
+            }
+            if wait:
+                _wait_for_listeners(publishers)
+            count = _publish(recorded, publishers, rate)
+            for publisher in publishers.values():
+                publisher.wait_for_all_acked(ACKNOWLEDGE)
+    finally:
+        _end(node)
+    cut = "" if recorded.complete else "; its recorder did not end it"
+    wall = time.monotonic() - started
+    output.line(f"{bag}: {count} messages on {len(names)} topics in {wall:.1f} s{cut}")
+    output.facts({
+        "bag": bag, "messages": count, "topics": names, "seconds": wall, "whole": recorded.complete,
+    })  # fmt: skip
+    return 0
 
-    return publish(bag, topics, rate, wait)
+
+def offer(recorded: Collection[QoSProfile]) -> QoSProfile:
+    """Return the QoS to publish with: as recorded, and where publishers differed, the most.
+
+    A reliable publisher serves best-effort listeners too, and a latching one volatile listeners.
+    """
+    profile = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST)
+    if any(one.reliability == ReliabilityPolicy.BEST_EFFORT for one in recorded) and not any(
+        one.reliability == ReliabilityPolicy.RELIABLE for one in recorded
+    ):
+        profile.reliability = ReliabilityPolicy.BEST_EFFORT
+    if any(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in recorded):
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    first = next(iter(recorded), None)
+    if first is not None and len({str(one) for one in recorded}) == 1:
+        profile.deadline, profile.lifespan = first.deadline, first.lifespan
+        profile.liveliness = first.liveliness
+        profile.liveliness_lease_duration = first.liveliness_lease_duration
+    return profile
+
+
+def _chosen(bag: Bag, topics: Collection[str] | None) -> list[str]:
+    if topics is None:
+        return [name for name, topic in bag.topics.items() if topic.count]
+    names = [name if name.startswith("/") else f"/{name}" for name in topics]
+    for name in names:
+        if name not in bag.topics:
+            known = ", ".join(sorted(bag.topics)) or "none"
+            raise Refusal(str(bag.path), "--topics", "be in the bag", name, known)
+    return names
+
+
+def _wait_for_listeners(publishers: dict[str, Publisher]) -> None:
+    for name, publisher in publishers.items():
+        reported = False
+        while publisher.get_subscription_count() == 0:
+            _go_on()
+            if not reported:
+                print(f"waiting for a listener on {name}", flush=True)
+                reported = True
+            time.sleep(NAP)
+
+
+def _publish(bag: Bag, publishers: dict[str, Publisher], rate: float) -> int:
+    """Publish everything and return the number of messages."""
+    count, origin = 0, None
+    begin = time.monotonic_ns()
+    for message in bag.messages(publishers):
+        if origin is None:
+            origin = message.received
+        due = begin + (message.received - origin) / rate
+        while (left := (due - time.monotonic_ns()) / NANOSECONDS) > 0.0:
+            _go_on()
+            time.sleep(min(left, NAP))
+        _go_on()
+        publishers[message.topic].publish(message.data)
+        count += 1
+    return count
+
+
+def _go_on() -> None:
+    if not rclpy.ok():
+        raise ExternalShutdownException
+
+
+def _end(node: Node) -> None:
+    with contextlib.suppress(RuntimeError):  # a signal's own shutdown may come in between
+        node.destroy_node()
+        rclpy.try_shutdown()

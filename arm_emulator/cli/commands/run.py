@@ -2,15 +2,44 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 from cyclopts import Parameter
 
-from arm_emulator.base.kept import NOTHING
+from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.analysis.servo_loop import warn_of_loops
+from arm_emulator.analysis.stability import explain
+from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import given
+from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json, Keep, SceneName, Seconds, TargetFile
+from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
+from arm_emulator.cli.output import output
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import END_OF_TIME, Session
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.guarded import guarded
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.runs.recorder import Recorder
+from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.runs.timeline import Timeline
 
 
 @command()
@@ -22,8 +51,8 @@ def run(
     displacement: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
     targets: TargetFile = None,
     servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
+    page: Annotated[int | None, Parameter(metavar="PORT")] = None,
     kept: Keep = NOTHING,
-    json: Json = False,
 ) -> int:
     """Run machine, servo and motion controller in one process, in lock-step.
 
@@ -31,16 +60,171 @@ def run(
         displacement: displacement of the tool from its start (m, in the world; default: none).
         targets: joint targets instead of the motion controller: CSV with t and the joints' names.
         servo: control code in C instead of our servo; with --targets.
+        page: serve a page with the run at this port afterwards (0: any that is free), until Ctrl-C.
     """
     kept.check("run")
     if targets is not None:
         if displacement is not None:
             raise Refusal("run", "--displacement", "stand without --targets", "both")
-        from arm_emulator.cli.run import run_table
-
-        return run_table(scene, seconds, targets, servo, kept, json=json)
+        if page is not None:
+            raise Refusal("run", "--page", "stand without --targets", "both")
+        return _run_table(scene, seconds, targets, servo, kept)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
-    from arm_emulator.cli.run import run as work
+    one = load_offline_run(scene)
+    session, kinematics = one.session, one.controller.kinematics
+    machine = session.scene
+    warn_of_loops(machine, one.drives.servo.config)
+    ticks = ticks_of(10.0 if seconds is None else seconds, machine)
+    R_WT, p_WT = kinematics.forward(machine.start)
+    # Through the quaternion, as in a message, for the same rounding.
+    orientation = Pose(p_WT, R_WT).quaternion()
+    target = Pose.from_quaternion(
+        p_WT + np.array(displacement or (0.0, 0.0, 0.0)), orientation, "run: displacement"
+    )
+    line = Timeline(one) if page is not None else None
+    if displacement is not None:
+        aim = partial(_aim, target=target)
+        aim(one) if line is None else line.change("target", aim)
+    with Recorder(session.plant, kept, waits=True, stays=True):
+        started = time.perf_counter()
+        try:
+            (line or one).advance(ticks)
+        except Diverged as fault:
+            return _diverged(fault, session)
+        wall = time.perf_counter() - started
+        report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+    if line is not None and page is not None:
+        _serve(line, page)
+    return 0
 
-    return work(scene, 10.0 if seconds is None else seconds, displacement, kept, json=json)
+
+def _aim(run: OfflineRun, target: Pose) -> None:
+    run.instructor.add(0, target)
+
+
+def _serve(line: Timeline[OfflineRun], port: int) -> None:
+    """Serve a page with a run until Ctrl-C."""
+    # viser need not be installed for a run.
+    from arm_emulator.page.run_page import RunPage
+    from arm_emulator.page.subject import Subject
+    from arm_emulator.page.what_if import WhatIf
+
+    session = line.run.session
+    terms = TorqueTerms(session.scene)
+
+    def explained() -> tuple[TermsNow, list[str]]:
+        return terms.of(session.plant.save(), session.measured.applied), []
+
+    page = RunPage(Subject.of(line, line.newest), explained, port)
+    WhatIf(page, line)
+    output.line(page.url)
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()
+    page.close()
+
+
+def _run_table(
+    scene: str, seconds: float | None, table: Path, library: Path | None, kept: Kept
+) -> int:
+    """Run for some logical time, or for that of the table, and print the outcome."""
+
+    def work(progress: CData | None = None) -> tuple[int, dict[str, object], list[str]]:
+        one, targets = load_table_run(scene, table, library, progress)
+        if library is None:
+            warn_of_loops(one.session.scene, load_gains(find_scene(scene)).servo)
+        else:
+            warn_of_scene(one.session.scene)
+        with contextlib.closing(one):
+            return _report_table(one, targets, seconds, kept), output.collected, given
+
+    if library is None:
+        return work()[0]
+    code, collected, given[:] = guarded(library.name, work)  # of another process
+    output.facts(collected)
+    return code
+
+
+def _report_table(one: TableRun, targets: TargetTable, seconds: float | None, kept: Kept) -> int:
+    session = one.session
+    ticks = ticks_of((targets.seconds or 10.0) if seconds is None else seconds, session.scene)
+    with Recorder(session.plant, kept, waits=True, stays=True):
+        started = time.perf_counter()
+        try:
+            with ctrl_c_ends_at_once():
+                one.advance(ticks)
+        except Diverged as fault:
+            return _diverged(fault, session)
+        wall = time.perf_counter() - started
+        report(session, ticks, wall, off_target(session, targets, ticks))
+    return 0
+
+
+@contextlib.contextmanager
+def ctrl_c_ends_at_once() -> Iterator[None]:
+    """In this block Ctrl-C needs no Python: hanging control code ends, and gdb gets it."""
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def ticks_of(seconds: float, scene: Scene) -> int:
+    """Return a time as a number of servo periods.
+
+    Raises:
+        Refusal: less than one, or beyond the range of logical time.
+    """
+    period, latest = scene.servo_period, END_OF_TIME / 1e9
+    if not (math.isfinite(seconds) and round(seconds / period) >= 1):
+        rule = f"be at least the servo period, {period:g} s"
+        raise Refusal("run", "seconds", rule, f"{seconds:g}")
+    if seconds >= latest:
+        raise Refusal("run", "seconds", f"be less than {latest:g} s", f"{seconds:g}")
+    return round(seconds / period)
+
+
+def _diverged(fault: Diverged, session: Session) -> int:
+    """Print that a machine has diverged, and return the exit code."""
+    text = explain(fault)
+    print(text, file=sys.stderr)
+    output.facts({"scene": session.scene.name, "diverged": text})
+    return 1
+
+
+def report(
+    session: Session,
+    ticks: int,
+    wall: float,
+    off: npt.NDArray[np.float64] | None,
+) -> None:
+    """Print the outcome of a run.
+
+    Args:
+        session: the machine.
+        ticks: servo periods of the run.
+        wall: their wall time [s].
+        off: target minus tool, in the world (3,) [m]; None: no target.
+    """
+    scene, logical, energy = session.scene, session.logical_ns / 1e9, session.plant.energy
+    output.line(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
+    output.line(
+        f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
+    )
+    if off is not None:
+        x, y, z = off * 1e3
+        output.line(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
+    output.line(f"energy            {energy:.6g} J")
+    output.facts(
+        {
+            "scene": scene.name,
+            "logical_time": logical,
+            "wall_time": wall,
+            "ticks": ticks,
+            "tool_off": off,
+            "energy": energy,
+            "q": dict(zip(scene.joint_names, session.state.q, strict=True)),
+            "diverged": None,
+        }
+    )

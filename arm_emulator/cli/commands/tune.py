@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
 
+from arm_emulator.base.config_files import check_own, find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json, SceneName
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.design.gain_text import write_gains
+from arm_emulator.design.tuned import (
+    Range,
+    Tuned,
+    compute,
+    examine,
+    link_inertias,
+    predicted_swing,
+    with_and_without,
+)
+from arm_emulator.machine.scene import Scene
+from arm_emulator.runs.gains import check_joints
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 
 @command()
@@ -19,7 +39,6 @@ def tune(
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     write: bool = False,
-    json: Json = False,
 ) -> int:
     """Compute gains for a scene, and compare them with the present ones.
 
@@ -28,6 +47,146 @@ def tune(
         payload: mass at the tool, instead of the scene's.
         write: write the gains into the servo's file.
     """
-    from arm_emulator.cli.tune import tune as compute
+    console = output.console()
+    file = find_scene(scene)
+    servo_file = find_beside(file, "servo")
+    if write:
+        check_own("tune", servo_file)
+    machine, without = with_and_without(file, payload)
+    servo = load_servo_config(servo_file)
+    _check(machine, servo)
+    inertias = link_inertias([machine] if without is None else [machine, without])
+    with console.status("computing gains"):
+        computed = compute(machine, servo, inertias)
+        pair = {
+            "present": examine(machine, without, servo),
+            "computed": examine(machine, without, computed),
+        }
+    _print(console, machine, inertias, pair)
+    picture = None
+    if out is not None:
+        from arm_emulator.design.tune_picture import draw  # slow import
 
-    return compute(scene, out, payload, write=write, json=json)
+        out.mkdir(parents=True, exist_ok=True)
+        picture = out / f"tune_{machine.name}.png"
+        draw(machine, pair, picture)
+        console.print(f"drawn: {picture}")
+    if write:
+        write_gains(servo_file, computed)
+        console.print(f"written: {servo_file}")
+    joints = _facts(machine, inertias, pair)
+    written = servo_file if write else None
+    output.facts({"scene": machine.name, "joints": joints, "picture": picture, "written": written})
+    return 0
+
+
+def _facts(
+    scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
+) -> dict[str, dict[str, object]]:
+    """Return the values of the tables by joint, in SI units."""
+    facts: dict[str, dict[str, object]] = {
+        name: {"inertia": inertia}
+        for name, inertia in zip(scene.joint_names, inertias, strict=True)
+    }
+    for label, tuned in pair.items():
+        swings = predicted_swing(scene, tuned.servo, inertias)
+        for j, name in enumerate(scene.joint_names):
+            loop = tuned.loops.joints[j]
+            facts[name][label] = {
+                "position_gain": loop.position_gain,
+                "velocity_gain": loop.velocity_gain,
+                "integral_time": loop.integral_time,
+                "observer_bandwidth": loop.observer_bandwidth,
+                "margins": tuned.margins[j],
+                "margins_without_payload": None if tuned.bare is None else tuned.bare[j],
+                "step": tuned.steps[j],
+                "off_on_the_way": tuned.run.worst[j],
+                "count": loop.count_angle,
+                "swing_predicted": swings[j],
+                "swing": tuned.run.swing[j],
+            }
+    return facts
+
+
+def _check(scene: Scene, servo: ServoConfig) -> None:
+    check_joints(scene, servo)
+    for joint in scene.joints:
+        if joint.motor is None:
+            raise Refusal(scene.where, f"joints.{joint.name}", "have a motor to be tuned", "none")
+
+
+def _print(
+    console: Console, scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
+) -> None:
+    table = _table("gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad",
+                   "integral, s", "observer, rad/s")  # fmt: skip
+    for j, name in enumerate(scene.joint_names):
+        for label, tuned in pair.items():
+            one = tuned.loops.joints[j]
+            table.add_row(
+                *_first(name, label),
+                f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else "",
+                f"{one.position_gain:.3g}",
+                f"{one.velocity_gain:.3g}",
+                f"{one.integral_time:.3g}",
+                f"{one.observer_bandwidth:.3g}",
+            )
+    console.print(table)
+    table = _table("margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
+                   "without payload: gain", "phase, deg")  # fmt: skip
+    for j, name in enumerate(scene.joint_names):
+        for label, tuned in pair.items():
+            m = tuned.margins[j]
+            bare = "-", "-"
+            if tuned.bare is not None:
+                b = tuned.bare[j]
+                bare = f"{b.gain_up:.2f}", f"{math.degrees(b.phase):.0f}"
+            table.add_row(
+                *_first(name, label),
+                f"{m.gain_up:.2f}",
+                f"{math.degrees(m.phase):.0f}",
+                f"{m.delay:.1f}",
+                f"{m.sensitivity:.2f}",
+                *bare,
+            )
+    console.print(table)
+    table = _table("step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
+                   "off on the way, mrad (mm)")  # fmt: skip
+    for j, name in enumerate(scene.joint_names):
+        for label, tuned in pair.items():
+            step = tuned.steps[j]
+            table.add_row(
+                *_first(name, label),
+                f"{1e3 * step.rise:.0f}",
+                f"{100.0 * step.overshoot:.0f} %",
+                f"{1e3 * step.settling:.0f}",
+                f"{1e3 * tuned.run.worst[j]:.3f}",
+            )
+    console.print(table)
+    table = _table("at rest", "a count, mrad (mm)", "swing predicted, counts",
+                   "of the machine, counts")  # fmt: skip
+    for label, tuned in pair.items():
+        swings = predicted_swing(scene, tuned.servo, inertias)
+        for j, name in enumerate(scene.joint_names):
+            count = tuned.loops.joints[j].count_angle
+            table.add_row(
+                name,
+                label,
+                f"{1e3 * count:.3g}",
+                f"{swings[j] / count:.2f}",
+                f"{tuned.run.swing[j] / count:.2f}",
+            )
+    console.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, title=title, title_justify="left")
+    table.add_column("joint")
+    table.add_column("gains")
+    for name in columns:
+        table.add_column(name, justify="right")
+    return table
+
+
+def _first(name: str, label: str) -> tuple[str, str]:
+    return (name if label == "present" else ""), label

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.ctrl_c import CtrlC
 
 
 @command(until_stopped=True, of_ros=True)
@@ -36,16 +43,51 @@ def up(
         use_sim_time: the nodes' own clocks follow the emulator's.
         params_file: ROS parameter file that overrides all other parameters.
     """
-    from arm_emulator.cli.up import up as bring_up
+    output.facts({"scene": scene, "clock": clock, "record": record, "ended": None})
+    streams: dict[str, object] = {"rerun_port": rerun_port}
+    if rerun_file:
+        streams["rerun_file"] = rerun_file
+    if record is not None:
+        if record.exists():
+            raise Refusal("up", f"folder {record}", "be new", "one that exists")
+        streams["record"] = record.resolve()
+    CtrlC()
+    with contextlib.suppress(KeyboardInterrupt):
+        if params_file is None:  # which may change the servo's gains
+            _check_loops(find_scene(scene))
+        network = Bringup(
+            scene,
+            clock=clock,
+            start=start,
+            emulator=streams,
+            namespace=namespace,
+            use_sim_time=use_sim_time,
+            params_file=params_file,
+        )
+        with contextlib.suppress(KeyboardInterrupt), network:
+            while True:
+                ended = network.ended()
+                if ended is not None:
+                    name, code = ended
+                    output.facts({"ended": name})
+                    print(f"{name} ended with exit code {code}; ending the others")
+                    return code if code >= 0 else 128 - code
+                time.sleep(0.1)
+        if record is not None:
+            return max(0, network.stop().get("emulator", 0))  # 1: its record is not complete
+    return 0
 
-    return bring_up(
-        scene,
-        clock,
-        start,
-        rerun_port,
-        rerun_file,
-        record=record,
-        namespace=namespace,
-        use_sim_time=use_sim_time,
-        params_file=params_file,
-    )
+
+def _check_loops(file: Path) -> None:
+    """Refuse servos that are unstable on the machine, or warn of them."""
+    from arm_emulator.analysis.servo_loop import warn_of_loops
+    from arm_emulator.machine.scene import load_scene
+    from arm_emulator.runs.gains import check_fit, load_gains, warn_of_gravity
+
+    try:
+        scene, gains = load_scene(file), load_gains(file)
+    except Refusal:
+        return  # the node that reads the file reports
+    check_fit(scene, gains.servo, gains.motion)
+    warn_of_loops(scene, gains.servo)
+    warn_of_gravity(scene, gains.motion)

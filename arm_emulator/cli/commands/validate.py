@@ -7,8 +7,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Json
+from arm_emulator.cli.output import output
+
+MACHINES = ("manutec_r3", "kuka_kr300")
 
 
 @command()
@@ -17,7 +20,6 @@ def validate(
     /,
     *runs: Path,
     out: Annotated[Path, Parameter(metavar="FOLDER")] = Path("out"),
-    json: Json = False,
 ) -> int:
     """Compare the emulation of a real machine with measurements or with independent solutions.
 
@@ -26,6 +28,19 @@ def validate(
         runs: of kuka_kr300: further records (default: those shipped).
         out: folder of the pictures.
     """
-    from arm_emulator.cli.validate import validate as compare
+    if machine not in MACHINES:
+        raise Refusal("validate", "machine", "be known", machine, ", ".join(MACHINES))
+    if machine == "manutec_r3":
+        if runs:
+            raise Refusal(
+                "validate", "records", "be absent: it is compared with published results", runs[0]
+            )
+        from arm_emulator.validation.manutec_table import WIDTH, validate_manutec
 
-    return compare(machine, runs, out, json=json)
+        facts = validate_manutec(out, output.console(WIDTH))
+    else:
+        from arm_emulator.validation.kuka_table import WIDTH, validate_kuka
+
+        facts = validate_kuka(runs, out, output.console(WIDTH))
+    output.facts({"machine": machine, **facts})
+    return 0 if facts["good"] else 1

@@ -149,8 +149,8 @@ typedef struct arm_joint_command {
 
 typedef struct arm_command {
   uint32_t size;
-  uint32_t reserved;
-  int64_t tick; /* that it answers, repeated in the measurement; -1: none */
+  uint32_t came; /* 1: what the drives received in an earlier run; faults of lines leave it */
+  int64_t tick;  /* that it answers, repeated in the measurement; -1: none */
   const arm_joint_command* joint;
   /* Inputs of motors beside `value`: arm_description.inputs rows, an entry per joint each;
    * null: 0. Since version 2, then the voltage along the rotor's flux. */

@@ -7,6 +7,7 @@
 #include <cstddef>
 
 #include "arm.h"
+#include "boundary/lines.hpp"
 #include "machine/machine.hpp"
 #include "mechanics/sensors.hpp"
 
@@ -76,6 +77,7 @@ struct arm_machine {
     number(one.steps_per_period);
     whole.for_each_number(number);
     one.sensors.for_each_number(number);
+    one.lines.for_each_number(number);
     number(one.answered);
     for (double& value : one.applied) number(value);
     number(one.powered);
@@ -148,6 +150,9 @@ struct arm_machine {
     return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
   }
 
+  // Whether something measures at every tick.
+  static constexpr bool looks = arm::Sensors<Scene>::present || arm::Lines<Scene>::present;
+
   // Take `steps` steps by calls of advance(count); sensors measure at every tick.
   template <class Advance>
   void go(std::int64_t steps, Advance&& advance) {
@@ -157,7 +162,7 @@ struct arm_machine {
   }
   template <class Advance>
   void take_steps(std::int64_t steps, Advance& advance) {
-    if constexpr (!Sensors::present) {
+    if constexpr (!looks) {
       advance(steps);
     } else {
       while (steps > 0 && machine.faulty_joint() < 0) {
@@ -176,7 +181,7 @@ struct arm_machine {
   }
   // The same for rows of commands; q after each goes to `q`.
   void follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
-    if (!Sensors::present && powered) {
+    if (!looks && powered) {
       machine.follow(command, rows, steps, q);
     } else {
       for (; rows > 0; --rows, command += N, q += N) {
@@ -188,10 +193,17 @@ struct arm_machine {
   // To be called after steps, at the next tick at the latest. A diverged machine is back at an
   // earlier state.
   void look() {
-    if (machine.faulty_joint() < 0)
-      sensors.look(machine, tick());
-    else
-      sensors.begin(machine, tick(), false);
+    if (machine.faulty_joint() >= 0) return begin_to_look(false);
+    sensors.look(machine, tick());
+    if constexpr (Lines::present)
+      if (tick() != lines.newest())
+        measure_all([&](arm_measurement& all) { lines.measure(machine, tick(), all); });
+  }
+  // Measure as if the machine had always rested where it is; `anew`: with nothing from before.
+  void begin_to_look(bool anew) {
+    sensors.begin(machine, tick(), anew);
+    if constexpr (Lines::present)
+      measure_all([&](arm_measurement& all) { lines.begin(tick(), all); });
   }
 
   // ARM_OK if a drive takes each of these; of `further` only that of a drive that is enabled
@@ -212,9 +224,20 @@ struct arm_machine {
     }
     return ARM_OK;
   }
-  // Hold them for the period that begins, in `applied` what the motors get.
-  void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
-    put_commands(joint, further, tick);
+  // Hold them for the period that begins, in `applied` what the motors get. `came`: they are those
+  // that the drives received.
+  void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick,
+                     bool came = false) {
+    if constexpr (Lines::present) {
+      arm_joint_command received[N];
+      double rows[Scene::inputs * N + 1] = {};
+      for (int j = 0; j < N; ++j) received[j] = joint[j];
+      for (int k = 0; further && k < Scene::inputs * N; ++k) rows[k] = further[k];
+      lines.command(machine, this->tick(), came, received, rows);
+      put_commands(received, rows, tick);
+    } else {
+      put_commands(joint, further, tick);
+    }
     machine.bound(applied);
   }
   // The same, except for their bounds.
@@ -253,12 +276,42 @@ struct arm_machine {
     measure(out, motors);
   }
   void measure(arm_measurement* out, const Motors& motors) const {
+    measure_here(out, motors);
+    if constexpr (Lines::present) {
+      arm_measurement all = *out;
+      if (!has(out, offsetof(arm_measurement, readings)))
+        all.sensors = nullptr, all.current_d = nullptr;
+      if (!has(out, offsetof(arm_measurement, further))) all.readings = nullptr;
+      lines.put(all);
+    }
+  }
+  // Measure everything on this side of the lines, for use(measurement).
+  template <class Use>
+  void measure_all(Use&& use) const {
+    arm_joint_measurement joint[N];
+    arm_joint_sensors own[N] = {};
+    double current_d[N] = {}, readings[Scene::readings * N + 1], further[Scene::inputs * N + 1];
+    arm_measurement all = {};
+    all.size = sizeof all;
+    all.joint = joint, all.sensors = own, all.current_d = current_d;
+    all.readings = readings, all.further = further;
+    Motors motors;
+    motors.steps = machine.steps();
+    machine.report(motors.current, motors.angle, motors.speed);
+    measure_here(&all, motors);
+    use(all);
+  }
+  // Counts of an ideal encoder at motor j.
+  static std::int64_t counts(int j, double angle) {
+    const double counts = __builtin_floor(angle * Scene::device[j].counts_per_rad);
+    return static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
+  }
+  void measure_here(arm_measurement* out, const Motors& motors) const {
     [[maybe_unused]] bool hot[N] = {};
     if constexpr (Machine::heats) machine.too_hot(hot);
     for (int j = 0; j < N; ++j) {
       arm_joint_measurement& joint = out->joint[j];
-      const double counts = __builtin_floor(motors.angle[j] * Scene::device[j].counts_per_rad);
-      joint.encoder = static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
+      joint.encoder = counts(j, motors.angle[j]);
       joint.current = motors.current[j];
       joint.applied = applied[j];
       joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
@@ -337,8 +390,10 @@ struct arm_machine {
   }
 
   using Sensors = arm::Sensors<Scene>;
+  using Lines = arm::Lines<Scene>;
   Machine machine;
   [[no_unique_address]] Sensors sensors;
+  [[no_unique_address]] Lines lines;
   double step;
   std::int64_t steps_per_period;
   std::int64_t answered = -1;  // tick that the newest command answered

@@ -91,7 +91,7 @@ ARM_ONCE arm_machine* arm_new(const arm_options* options) {
   arm_machine* machine = new arm_machine(*options);
   const double zero[arm_machine::N] = {};
   machine->machine.reset(zero, zero);
-  machine->sensors.begin(machine->machine, 0, true);
+  machine->begin_to_look(true);
   return machine;
 }
 void arm_delete(arm_machine* machine) { delete machine; }
@@ -102,9 +102,9 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
   machine->forget_external_wrenches();
   machine->machine.put_brakes(!machine->powered);
   machine->machine.reset(q, v);
-  machine->sensors.begin(machine->machine, 0, true);
   machine->answered = -1;
   for (double& one : machine->applied) one = 0.0;
+  machine->begin_to_look(true);
   return ARM_OK;
 }
 
@@ -123,7 +123,7 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
     return ARM_REFUSED;
   const double* further = command->size >= sizeof *command ? command->further : nullptr;
   if (machine->check_commands(command->joint, further)) return ARM_REFUSED;
-  machine->take_commands(command->joint, further, command->tick);
+  machine->take_commands(command->joint, further, command->tick, command->came != 0);
   machine->go(machine->steps_per_period,
               [&](std::int64_t steps) { machine->machine.advance(machine->applied, steps); });
   machine->measure(out);
@@ -299,7 +299,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   });
   if (result != ARM_OK) return result;
   machine->machine.put(x, false);
-  machine->sensors.begin(machine->machine, machine->tick(), false);
+  machine->begin_to_look(false);
   return ARM_OK;
 }
 

@@ -24,14 +24,14 @@ class ControlledGroup {
   bool follow(std::int64_t periods, double* links) {
     bool glides = false, sound = true;
     for (; periods > 0 && sound; --periods) {
-      if (!glides) glides = may_glide();
+      if (!glides) glides = control_.step_rows && fleet_.may_glide(g_, control_.joint);
       if (glides)
         sound = glide(*fleet_.group[g_], links, glides);
       else
         sound = walk(links);
       if (links) links += std::int64_t{fleet_.arms} * N;
     }
-    if (glides) note();
+    if (glides) fleet_.note(g_, given_, -1);
     return sound;
   }
 
@@ -42,51 +42,29 @@ class ControlledGroup {
     std::uint8_t powered[lanes] = {};
   };
 
-  // Whether the lanes know all that a period needs.
-  bool may_glide() const {
-    bool may = arm_fleet::in_lanes && control_.step_rows;
-    for (int k = first_; k < end_ && may; ++k) {
-      const arm_machine& arm = *fleet_.machine[k];
-      const arm_joint_command* joint = control_.joint + k * N;
-      may = fleet_.is_abreast(k) && arm.powered && !fleet_.lent[k] &&
-            arm.check_commands(joint, nullptr) == ARM_OK;
-      for (int j = 0; j < N; ++j) may = may && joint[j].enable;
-      for (int b = 0; b < Scene::brakes; ++b)
-        may = may && arm.closes_brake(b, joint, nullptr) == arm.machine.wants_brake(b) &&
-              !arm.machine.wants_brake(b) && !arm.machine.brake_closed(b);
-    }
-    return may;
-  }
-
   // A period in lanes. `glides`: whether all arms are still there after it.
   template <class Group>
   bool glide([[maybe_unused]] Group& group, [[maybe_unused]] double* links, bool& glides) {
     if constexpr (requires { group.is_abreast(0); }) {
-      group.measure(rows_.encoder, rows_.current, rows_.applied);
+      double angle[N * lanes], speed[N * lanes];
+      group.report(rows_.current, angle, speed);
+      group.applied(rows_.applied);
+      for (int k = 0; k < N * lanes; ++k)
+        rows_.encoder[k] = arm_machine::counts(k / lanes, angle[k]);
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();
-      double given[lanes * N] = {};
       for (int j = 0; j < N; ++j)
-        for (int l = 0; l < end_ - first_; ++l) given[l * N + j] = rows_.value[j * lanes + l];
-      if (!all_finite(given)) return false;
-      group.follow(given, 0, 1, fleet_.machine[first_]->steps_per_period,
-                   links ? links + first_ * N : nullptr);
-      for (int k = first_; k < end_; ++k) glides = glides && fleet_.is_abreast(k);
-      if (glides) return true;
-      note();
-      for (int k = first_; k < end_; ++k) {
-        if (fleet_.is_abreast(k)) continue;
-        double (&applied)[N] = fleet_.machine[k]->applied;
-        for (int j = 0; j < N; ++j) applied[j] = given[(k - first_) * N + j];
-        fleet_.machine[k]->machine.bound(applied);
-      }
+        for (int l = 0; l < end_ - first_; ++l) given_[l * N + j] = rows_.value[j * lanes + l];
+      if (!all_finite(given_)) return false;
+      glides = fleet_.glide(g_, given_, 1, links ? links + first_ * N : nullptr);
+      if (!glides) fleet_.note(g_, given_, -1);
     }
     return true;
   }
   bool all_finite(const double* given) const {
-    double sum = 0.0;
-    for (int k = 0; k < N * lanes; ++k) sum += given[k] - given[k];
-    if (arm::is_finite(sum)) return true;
+    bool finite = true;
+    for (int k = 0; k < N * lanes; ++k) finite &= arm::is_finite(given[k]);
+    if (finite) return true;
     for (int k = first_; k < end_; ++k)
       if (fleet_.machine[k]->check_finite(given + (k - first_) * N, "value")) {
         fleet_.refused = k;
@@ -94,15 +72,6 @@ class ControlledGroup {
       }
     return true;
   }
-  // Put down in the machines what their lanes were commanded.
-  void note() {
-    for (int k = first_; k < end_; ++k)
-      fleet_.if_in_lane(k, [&](const auto& group, int l) {
-        fleet_.machine[k]->answered = -1;
-        for (int j = 0; j < N; ++j) fleet_.machine[k]->applied[j] = group.applied(l, j);
-      });
-  }
-
   // A period arm by arm.
   bool walk(double* links) {
     for (int k = first_; k < end_; ++k) fleet_.measure(k, measured_);
@@ -151,4 +120,5 @@ class ControlledGroup {
   const arm_fleet_control& control_;
   const arm_fleet_measurement& measured_;
   Rows rows_;
+  double given_[lanes * N] = {};
 };

@@ -19,7 +19,9 @@ struct arm_fleet {
 
   // Whether lanes have all data of measurements and commands; other data is read from the machine.
   static constexpr bool in_lanes =
-      lanes > 1 && !arm_machine::Sensors::present && !Machine::heats && Scene::inputs == 0;
+      lanes > 1 && !arm_machine::looks && !Machine::heats && Scene::inputs == 0;
+  static constexpr bool has_current_d =
+      arm::any_drive<Scene>([](const auto& drive) { return drive.has_current_d; });
 
   arm_fleet(const arm_options& options, int count)
       : arms(count), machine(new arm_machine*[count]), lent(new std::int32_t[count]()) {
@@ -28,17 +30,20 @@ struct arm_fleet {
     for (int k = 0; k < arms; ++k) sound = sound && machine[k];
     if (!sound) return;
     group = new Group*[groups()];
+    free_since = new std::int64_t[groups()];
     for (int k = 0; k < groups(); ++k) {
       Machine* members[lanes];
       int of_group = 0;
       for (; of_group < lanes && k * lanes + of_group < arms; ++of_group)
         members[of_group] = &machine[k * lanes + of_group]->machine;
       group[k] = new Group(options.step, members, of_group);
+      free_since[k] = -1;
     }
   }
   ~arm_fleet() {
     for (int k = 0; group && k < groups(); ++k) delete group[k];
     delete[] group;
+    delete[] free_since;
     for (int k = 0; k < arms; ++k) arm_delete(machine[k]);
     delete[] machine;
     delete[] lent;
@@ -68,7 +73,7 @@ struct arm_fleet {
   }
   void follow_given(int g, const double* command, std::int64_t stride, std::int64_t rows,
                     std::int64_t steps, double* q) {
-    if constexpr (!arm_machine::Sensors::present) {
+    if constexpr (!arm_machine::looks) {
       group[g]->follow(command, stride, rows, steps, q);
     } else {
       const int first = g * lanes, end = end_of(g);
@@ -104,6 +109,62 @@ struct arm_fleet {
         for (int j = 0; j < N; ++j) machine[k]->applied[j] = lanes.applied(l, j);
       });
     settle_lent(g);
+  }
+
+  // Whether the lanes of a group know all that periods under these commands need.
+  bool may_glide(int g, const arm_joint_command* joint) {
+    for (int k = g * lanes * N; k < end_of(g) * N; ++k)
+      if (!joint[k].enable || joint[k].enable & ARM_CLOSE_BRAKE ||
+          joint[k].mode != arm::kModes.at[k % N])
+        return false;
+    return is_free(*group[g], g);
+  }
+  // Whether all of its arms are in their lanes, with power and open brakes.
+  template <class G>
+  bool is_free([[maybe_unused]] const G& own, [[maybe_unused]] int g) {
+    if constexpr (in_lanes) {
+      if (free_since[g] == own.departures()) return true;
+      for (int k = g * lanes; k < end_of(g); ++k) {
+        if (!own.is_abreast(k % lanes) || !machine[k]->powered || lent[k]) return false;
+        for (int b = 0; b < Scene::brakes; ++b)
+          if (machine[k]->machine.wants_brake(b) || machine[k]->machine.brake_closed(b))
+            return false;
+      }
+      free_since[g] = own.departures();
+      return true;
+    }
+    return false;
+  }
+  // Periods in lanes, of a group that may; the positions then go to `q` if it is not null. Whether
+  // all arms are still there after them. `note` is due before the machines are read.
+  bool glide(int g, const double* given, std::int64_t periods, double* q) {
+    group[g]->follow(given, 0, periods, machine[g * lanes]->steps_per_period, q);
+    bool still = true;
+    for (int k = g * lanes; k < end_of(g); ++k) still = still && is_abreast(k);
+    return still;
+  }
+  // Put down in the machines what their lanes were commanded in answer to a tick.
+  void note(int g, const double* given, std::int64_t tick) {
+    for (int k = g * lanes; k < end_of(g); ++k) {
+      machine[k]->answered = tick;
+      double (&applied)[N] = machine[k]->applied;
+      const auto from_lane = [&](const auto& group, int l) {
+        for (int j = 0; j < N; ++j) applied[j] = group.applied(l, j);
+      };
+      if (if_in_lane(k, from_lane)) continue;
+      for (int j = 0; j < N; ++j) applied[j] = given[(k - g * lanes) * N + j];
+      machine[k]->machine.bound(applied);
+    }
+  }
+  // Periods under held commands.
+  void hold(int g, const arm_joint_command* joint, const double* further, std::int64_t tick,
+            std::int64_t periods) {
+    for (; periods > 0 && !may_glide(g, joint); --periods) exchange(g, joint, further, tick);
+    if (periods == 0) return;
+    double given[lanes * N];
+    for (int k = g * lanes * N; k < end_of(g) * N; ++k) given[k - g * lanes * N] = joint[k].value;
+    glide(g, given, periods, nullptr);
+    note(g, given, tick);
   }
   void take_commands(int k, const arm_joint_command* joint, const double* further,
                      std::int64_t tick) {
@@ -196,6 +257,68 @@ struct arm_fleet {
     measure(k, &measurement);
     for (int j = 0; j < N; ++j) out.encoder[k * N + j] = joint[j].encoder;
   }
+  // Measurements and true states of a group; either may be null.
+  void show(int g, const arm_fleet_measurement* measurement, const arm_fleet_truth* truth) const {
+    if (show_in_lanes(*group[g], g, measurement, truth)) return;
+    for (int k = g * lanes; k < end_of(g); ++k) {
+      if (measurement) measure(k, *measurement);
+      if (truth) get_truth(k, *truth);
+    }
+  }
+  // The same without the machines; false if more is requested than lanes have.
+  template <class G>
+  bool show_in_lanes([[maybe_unused]] const G& own, int g, const arm_fleet_measurement* measurement,
+                     const arm_fleet_truth* truth) const {
+    if constexpr (in_lanes) {
+      bool all = !(truth && (truth->energy || truth->gear_torque || truth->encoder)) &&
+                 !(measurement && measurement->current_d && has_current_d);
+      for (int k = g * lanes; k < end_of(g); ++k) all = all && own.is_abreast(k % lanes);
+      if (!all) return false;
+      alignas(64) double current[N * lanes], angle[N * lanes], speed[N * lanes], rows[2][N * lanes];
+      own.report(current, angle, speed);
+      if (measurement) {
+        own.applied(rows[0]);
+        put_measurement(own, g, *measurement, current, angle, rows[0]);
+      }
+      if (!truth) return true;
+      own.links(rows[0], rows[1]);
+      put_rows(g, current, truth->current);
+      put_rows(g, angle, truth->motor_angle);
+      put_rows(g, speed, truth->motor_speed);
+      put_rows(g, rows[0], truth->q);
+      put_rows(g, rows[1], truth->v);
+      for (int k = g * lanes; k < end_of(g); ++k) {
+        if (truth->fault) truth->fault[k] = -1;
+        if (truth->time)
+          truth->time[k] = static_cast<double>(own.steps_taken(k % lanes)) * machine[k]->step;
+      }
+      return true;
+    }
+    return false;
+  }
+  void put_measurement(const auto& own, int g, const arm_fleet_measurement& out,
+                       const double* current, const double* angle, const double* applied) const {
+    const int first = g * lanes;
+    for (int k = first; k < end_of(g); ++k) {
+      for (int j = 0; out.joint && j < N; ++j) {
+        const int at = j * lanes + k - first;
+        arm_joint_measurement& joint = out.joint[k * N + j];
+        joint = {arm_machine::counts(j, angle[at]), current[at], applied[at], 0, 0};
+      }
+      for (int b = 0; out.joint && b < Scene::brakes; ++b)
+        out.joint[k * N + Scene::braked[b]].brake = machine[k]->machine.brake_closed(b);
+      for (int j = 0; out.sensors && j < N; ++j) out.sensors[k * N + j] = {};
+      for (int j = 0; out.current_d && j < N; ++j) out.current_d[k * N + j] = 0.0;
+      if (out.powered) out.powered[k] = machine[k]->powered != 0;
+      if (out.tick) out.tick[k] = own.steps_taken(k - first) / machine[k]->steps_per_period;
+      if (out.answered) out.answered[k] = machine[k]->answered;
+    }
+  }
+  // Rows of lanes to a row of all arms, if it is not null.
+  void put_rows(int g, const double* rows, double* to) const {
+    for (int k = g * lanes; to && k < end_of(g); ++k)
+      for (int j = 0; j < N; ++j) to[k * N + j] = rows[j * lanes + k % lanes];
+  }
   // Fill in what a lane has without its machine; false if more is requested.
   bool truth_in_lanes(int k, arm_truth& out) const {
     return !out.energy && !out.gear_torque && if_in_lane(k, [&](const auto& lanes, int l) {
@@ -230,6 +353,25 @@ struct arm_fleet {
       if (!mask || mask[k]) settle(k), act(machine[k], k);
   }
 
+  // The further inputs of commands, null if they have no such rows.
+  static const double* further_of(const arm_command& command) {
+    return command.size >= sizeof command ? command.further : nullptr;
+  }
+  // Whether the drives of these arms take these commands.
+  bool takes(std::int32_t first, std::int32_t count, const arm_command* command) const {
+    if (!command || command->size < offsetof(arm_command, further) || !command->joint) return false;
+    const double* further = further_of(*command);
+    for (std::int32_t k = first; k < first + count; ++k)
+      if (machine[k]->check_commands(command->joint + k * N,
+                                     row_of(further, k * Scene::inputs * N)))
+        return false;
+    return true;
+  }
+  int result_of(std::int32_t first, std::int32_t count) const {
+    for (std::int32_t k = first; k < first + count; ++k)
+      if (machine[k]->result() != ARM_OK) return ARM_DIVERGED;
+    return ARM_OK;
+  }
   // Whether there are so many arms from the first of a group on.
   bool has(std::int32_t first, std::int32_t count) const {
     return first >= 0 && first % lanes == 0 && count >= 0 && first <= arms && count <= arms - first;
@@ -240,6 +382,7 @@ struct arm_fleet {
   arm_machine** machine;
   std::int32_t* lent;  // users of a single arm; while > 0 it leaves its lane after every call
   Group** group = nullptr;
+  std::int64_t* free_since = nullptr;  // departures from a group's lanes when it was found free
   bool sound = true;
   mutable std::atomic<std::int32_t> refused = -1;
 };

@@ -134,22 +134,7 @@ int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out) {
 
 int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
                        const arm_command* command) {
-  constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
-  if (!fleet || !command || command->size < offsetof(arm_command, further) || !command->joint ||
-      !fleet->has(first, arms))
-    return ARM_REFUSED;
-  const double* further = command->size >= sizeof *command ? command->further : nullptr;
-  const std::int32_t end = first + arms;
-  const auto of = [&](std::int32_t k) {
-    return further ? further + k * Scene::inputs * N : nullptr;
-  };
-  for (std::int32_t k = first; k < end; ++k)
-    if (fleet->machine[k]->check_commands(command->joint + k * N, of(k))) return ARM_REFUSED;
-  for (std::int32_t k = first; k < end; k += lanes)
-    fleet->exchange(k / lanes, command->joint, further, command->tick);
-  for (std::int32_t k = first; k < end; ++k)
-    if (fleet->machine[k]->result() != ARM_OK) return ARM_DIVERGED;
-  return ARM_OK;
+  return arm_fleet_step(fleet, first, arms, command, 1, nullptr, nullptr);
 }
 
 int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
@@ -159,15 +144,17 @@ int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
       (measurement && measurement->size < sizeof *measurement) ||
       (truth && truth->size < sizeof *truth))
     return ARM_REFUSED;
-  int result = ARM_OK;
-  for (; periods > 0 && result != ARM_REFUSED; --periods)
-    result = arm_fleet_exchange(fleet, first, arms, command);
-  if (result == ARM_REFUSED) return result;
-  for (std::int32_t k = first; k < first + arms; ++k) {
-    if (measurement) fleet->measure(k, *measurement);
-    if (truth) fleet->get_truth(k, *truth);
+  constexpr int lanes = arm_fleet::lanes;
+  const double* further = nullptr;
+  if (periods > 0) {
+    if (!fleet->takes(first, arms, command)) return ARM_REFUSED;
+    further = fleet->further_of(*command);
   }
-  return result;
+  for (std::int32_t k = first; k < first + arms; k += lanes) {
+    if (periods > 0) fleet->hold(k / lanes, command->joint, further, command->tick, periods);
+    fleet->show(k / lanes, measurement, truth);
+  }
+  return fleet->result_of(first, arms);
 }
 
 int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
@@ -183,12 +170,9 @@ int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
   for (std::int32_t k = first; k < first + arms; k += lanes)
     if (!ControlledGroup(*fleet, k / lanes, *control, *measurement).follow(periods, links))
       result = ARM_REFUSED;
-  for (std::int32_t k = first; k < first + arms; ++k) {
-    fleet->measure(k, *measurement);
-    if (truth) fleet->get_truth(k, *truth);
-    if (result == ARM_OK) result = fleet->machine[k]->result();
-  }
-  return result;
+  for (std::int32_t k = first; k < first + arms; k += lanes)
+    fleet->show(k / lanes, measurement, truth);
+  return result == ARM_OK ? fleet->result_of(first, arms) : result;
 }
 
 int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {

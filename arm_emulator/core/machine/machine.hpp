@@ -11,9 +11,7 @@
 #include "mechanics/energy_flow.hpp"
 #include "mechanics/external_work.hpp"
 #include "numerics/finite.hpp"
-#include "schemes/linearly_implicit.hpp"
 #include "schemes/located.hpp"
-#include "schemes/paper_scheme.hpp"
 
 namespace arm {
 
@@ -23,7 +21,7 @@ class Machine {
   static constexpr int N = S::N;
 
   static constexpr bool locates = kLocates<S>;
-  using Method = typename MethodOf<S, S::scheme, double>::type;
+  using Method = MethodOf<S, double>;
   using Stepper = std::conditional_t<locates, Located<S>, Method>;
 
   using Threads = typename S::template Threads<Stepper>;
@@ -212,7 +210,7 @@ class Machine {
       auto at = input_of(drive, j, x_, 0.0);
       for (int r = 0; r < S::inputs; ++r)
         if (const int k = S::input[r].of[j]; k >= 0)
-          drive.put_further(k, at, rows[r * N + j], S::supply_voltage);
+          drive.put_further(k, at, rows[r * N + j], numbers_.supply());
       put_states(drive, j, 0, at, x_);
     });
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
@@ -333,7 +331,7 @@ class Machine {
   // new numbers, since the jump is not a motion.
   void change(auto&& set) {
     typename Threads::Memory past = threads_.memory();
-    if constexpr (S::scheme == Scheme::extrapolated) {
+    if constexpr (S::Scheme::extrapolates) {
       auto& kept = scheme_of(past);
       double before[N], after[N];
       torques_for(kept.a, before);

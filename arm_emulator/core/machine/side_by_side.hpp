@@ -30,23 +30,25 @@ class SideBySide {
   // state. The state is in the lanes until `settle`.
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
-    take_numbers();
+    if (!together_) take_numbers();
     const double* commands[width];
     double* positions[width];
     std::int64_t began[width];
     for (int lane = 0; lane < width; ++lane) {
       commands[lane] = command + (lane < used_ ? lane : 0) * N;
       positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
-      if (lane < used_) began[lane] = steps_taken(lane);
+      if (q && lane < used_) began[lane] = steps_taken(lane);
     }
     Course course(commands, positions, stride, steps);
     for (std::int64_t left = rows * steps; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
-      for (int lane = 0; lane < used_; ++lane)
+      const bool still = together_ && brakes_rest_;
+      for (int lane = 0; lane < used_ && !still; ++lane)
         if (const std::int64_t due = steps_to_brakes(lane); due < count)
           count = static_cast<int>(due);
       section(course, count);
       left -= count;
+      if (still) continue;
       bool changed = false;
       for (int lane = 0; lane < used_; ++lane)
         if (steps_to_brakes(lane) <= 0) {
@@ -76,6 +78,10 @@ class SideBySide {
   }
   bool is_abreast(int lane) const { return abreast_[lane]; }
 
+  // Times that machines have left their lanes. Between two of these, no number and no brake of a
+  // machine in its lane changes.
+  std::int64_t departures() const { return departures_; }
+
   // Of a machine that is in its lane: steps since the reset, commands of the newest step, what
   // Machine::report reports, and the links.
   std::int64_t steps_taken(int lane) const {
@@ -90,42 +96,45 @@ class SideBySide {
       speed[j] = drive.motor_speed(here);
     });
   }
-  // Counts and currents of all lanes, and the newest commands, each in rows of lanes.
-  void measure(std::int64_t* counts, double* current, double* applied) const {
-    const auto put = [&](int j, int lane, double angle, double motor_current) {
-      const double count = __builtin_floor(angle * S::device[j].counts_per_rad);
-      counts[j * width + lane] = static_cast<std::int64_t>(clamp(count, 0x1p62));
-      current[j * width + lane] = motor_current;
+  // The same of all lanes, in rows of lanes.
+  void report(double* current, double* angle, double* speed) const {
+    const auto put = [&](int j, int lane, double of_current, double of_angle, double of_speed) {
+      const int at = j * width + lane;
+      current[at] = of_current, angle[at] = of_angle, speed[at] = of_speed;
     };
     if constexpr (Numbers<S, X>::varied)
       for (int lane = 0; lane < width; ++lane)
         numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
           const auto here = input_in_lane(drive, j, at_.x, X{}, lane);
-          put(j, lane, drive.motor_angle(here), drive.current(here));
+          put(j, lane, drive.current(here), drive.motor_angle(here), drive.motor_speed(here));
         });
     else
       numbers_.for_each_drive([&](const auto& drive, int j) {
         const auto here = input_of(drive, j, at_.x, X{});
-        const X angle = drive.motor_angle(here), motor_current = drive.current(here);
-        for (int lane = 0; lane < width; ++lane) put(j, lane, angle[lane], motor_current[lane]);
+        const X i = drive.current(here), theta = drive.motor_angle(here);
+        const X omega = drive.motor_speed(here);
+        for (int lane = 0; lane < width; ++lane) put(j, lane, i[lane], theta[lane], omega[lane]);
       });
-    for (int j = 0; j < N; ++j)
-      for (int lane = 0; lane < width; ++lane) applied[j * width + lane] = at_.u[j][lane];
   }
+  void applied(double* rows) const { put_rows(at_.u, rows); }
+  void links(double* q, double* v) const { put_rows(at_.x.q, q), put_rows(at_.x.v, v); }
   void links(int lane, double* q, double* v) const {
     for (int j = 0; j < N; ++j) q[j] = at_.x.q[j][lane], v[j] = at_.x.v[j][lane];
   }
 
  private:
   using X = Lanes<width>;
-  using Method =
-      typename std::conditional_t<kStepsApart<S>, std::type_identity<SmoothTogether<S, X, Machine>>,
-                                  MethodOf<S, S::scheme, X>>::type;
+  using Method = std::conditional_t<kStepsApart<S>, SmoothTogether<S, X, Machine>, MethodOf<S, X>>;
   using Threads = OneThread<S, Method, X>;
   using Course = arm::Course<S, X, Method::row>;
   using Balance = EnergyBalance<S>;
   using Whole = typename Machine::Whole;
   using Instant = typename Machine::Instant;
+
+  static void put_rows(const X* from, double* to) {
+    for (int j = 0; j < N; ++j)
+      for (int lane = 0; lane < width; ++lane) to[j * width + lane] = from[j][lane];
+  }
 
   static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
@@ -171,6 +180,7 @@ class SideBySide {
   // Copy all sound machines into their lanes; other lanes repeat one of these. False without a
   // sound machine.
   bool line_up() {
+    if (together_) return true;
     typename Threads::Memory past = threads_.memory();
     int sound = -1;
     bool all = true;
@@ -195,6 +205,10 @@ class SideBySide {
         if (lane >= used_ || !abreast_[lane]) put(lane, one, at_, past);
     }
     threads_.restore(past);
+    together_ = all && used_ == width;
+    brakes_rest_ = true;
+    for (int lane = 0; lane < used_; ++lane)
+      brakes_rest_ = brakes_rest_ && whole_[lane].brakes.next() == Brakes<S>::never;
     return true;
   }
 
@@ -202,7 +216,8 @@ class SideBySide {
   void leave(int lane) {
     if (kept_[lane]) take(lane, checked_[newest_].at, checked_[newest_].past, whole_[lane].checked);
     machine_[lane]->restore(whole_[lane]);
-    abreast_[lane] = kept_[lane] = false;
+    abreast_[lane] = kept_[lane] = together_ = false;
+    ++departures_;
   }
 
   void section(Course& course, int count) {
@@ -343,7 +358,10 @@ class SideBySide {
   Threads threads_;
   Abreast at_;
   bool abreast_[width] = {};  // whether the state is in the lane; else in the machine
-  Whole whole_[width];        // of machines in lanes; `now` is that of the time when they came
+  bool together_ = false;     // all lanes are in use, and as `line_up` left them
+  bool brakes_rest_ = false;  // none of their brakes is about to change
+  std::int64_t departures_ = 0;
+  Whole whole_[width];  // of machines in lanes; `now` is that of the time when they came
   // Where lanes were found sound last: `kept_`, or in `whole_`.
   Moment checked_[2] = {};
   int newest_ = 0;

@@ -144,6 +144,18 @@ class Coulomb {
     for (int j = 0; j < N; ++j) held_[j] = x[j];
   }
 
+  // Whether `decide` finds these modes again at the state of the newest `hold_in` with them, of
+  // which v are the speeds. The state alone decides, not the commands.
+  bool confirms(const Modes& modes, const X* v) {
+    begin(v);
+    Mask<X> same = X{} == X{};
+    for (int j = 0; j < N; ++j) {
+      same &= (direction_[j] == modes.direction[j]) & ~(locked_[j] ^ modes.locked[j]);
+      same &= ~where(locked_[j], magnitude(held_[j]) > Ds(j));
+    }
+    return all(same);
+  }
+
   // Remaining capacity of the lock of joint j, below 0 if it does not hold [N m].
   ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held_[j]); }
 

@@ -129,6 +129,48 @@ struct Drive {
     return r;
   }
 
+  // The torques that `rates` sums up, each in the direction of its shaft.
+  struct Torques {
+    double motor, gear_on_rotor, rotor_friction;  // on a rotor behind an elastic gear
+    double gear, viscous;                         // on the link
+    double extra[sizeof...(Extras) + 1];          // on either, see `on_the_rotor`
+  };
+  static constexpr int extra_count = sizeof...(Extras);
+  constexpr Torques torques(const Input<double>& x, unsigned held) const {
+    Torques on = {};
+    on.viscous = -friction.Dv * x.v;
+    double shaft = 0.0;
+    if constexpr (driven) on.motor = shaft = motor.torque(x.z, motor_angle(x));
+    int which = 0;
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      on.extra[which] = torque_of<state, mode>(extra, x, held);
+      if (Extra::place == Place::rotor) shaft += on.extra[which];
+      ++which;
+    });
+    if constexpr (elastic) {
+      on.gear = gear_on_link(x, held);
+      on.gear_on_rotor = -on_rotor(x, on.gear);
+      if constexpr (Rotor::modes > 0)
+        on.rotor_friction = is_held(held, of_rotor)
+                                ? -(shaft + on.gear_on_rotor)
+                                : -rotor.against(x.z[wm], -on.gear_on_rotor, x.offset[of_rotor]);
+    } else if constexpr (driven) {
+      if constexpr (Rotor::modes > 0) on.rotor_friction = -rotor.law.Dv * motor_speed(x);
+      on.gear = (shaft + on.rotor_friction) / gear.Ng;
+    }
+    return on;
+  }
+  // Whether each extra acts on the rotor.
+  static constexpr bool on_the_rotor(int which) {
+    const bool rotors[] = {Extras::place == Place::rotor..., false};
+    return rotors[which];
+  }
+
+  // Whether row k of `rest` may differ from 0; g is row `states`.
+  static constexpr bool bends(int k) {
+    if (driven && k < Motor::states) return !std::is_same_v<LinearOf<Motor>, Motor>;
+    return !is_linear && !(elastic && k == tm);
+  }
   // Difference between `rates` and those of the linear drive.
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {

@@ -10,7 +10,7 @@ namespace arm {
 
 struct Energy {
   double stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
-  double potential;  // J, of the links in the field S::gravity, and of extras
+  double potential;  // J, of the links in the field of gravity, and of extras
   double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj, for the bound on dry friction
 
   double total() const { return stored + potential; }

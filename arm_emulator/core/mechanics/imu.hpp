@@ -55,11 +55,12 @@ struct LinkMotion {
 // The motions of all links at (q, v) with joint accelerations a; the recursion is that of
 // Links::inverse_dynamics.
 template <class S>
-void link_motions(const double* q, const double* v, const double* a, LinkMotion* motions) {
+void link_motions(const Numbers<S>& n, const double* q, const double* v, const double* a,
+                  LinkMotion* motions) {
   using L = Links<S>;
   typename L::Kinematics k;
   L::kinematics(q, k);
-  LinkMotion m = {{}, {}, -S::gravity};
+  LinkMotion m = {{}, {}, -n.gravity()};
   for (int i = 0; i < S::N; ++i) {
     const auto& link = k.link[i];
     const Vec3<double> at_joint = m.force_at(link.p);

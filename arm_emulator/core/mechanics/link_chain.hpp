@@ -102,7 +102,7 @@ struct LinkChain {
     for (int i = N - 1; i >= 0; --i) tau[i] = pass_down(k, i, wrench);
   }
 
-  // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with
+  // Kinetic energy is v^T M v / 2; this is the potential energy in the field of gravity, zero with
   // every centre of mass at the world's origin.
   static X potential_energy(const Numbers& n, const Kinematics& k) {
     Vec3<X> carried_h;
@@ -111,7 +111,7 @@ struct LinkChain {
       m += n.body(i).m;
       carried_h = k.link[i].to_parent(carried_h + n.body(i).h) + m * k.link[i].p;
     }
-    return -dot(S::gravity, carried_h + n.fixed().h);
+    return -dot(n.gravity(), carried_h + n.fixed().h);
   }
 
  private:
@@ -121,7 +121,7 @@ struct LinkChain {
     BaseAxes base;
     Vec3<X> omega, alpha;  // of the parent link, in its frame
     // Of the parent's origin; an upward acceleration represents gravity.
-    Vec3<X> acc = Vec3<X>{} - S::gravity;
+    Vec3<X> acc = Vec3<X>{} - n.gravity();
     for_each<N>([&](auto i) __attribute__((always_inline)) {
       const Placement<X>& link = k.link[i];
       const X a_i = a ? a[i] : X{};

@@ -71,16 +71,25 @@ class Modes {
     });
   }
 
+  // Conditions under which the modes hold: a joint goes on in its direction, its drive and its lock
+  // hold.
+  static constexpr int conditions = 3 * N;
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
-  // quantities with different units; only its sign counts.)
-  double margin(const State<S>& x, const double* u, LinksMemo<S>& memo) const {
+  // quantities with different units; only its sign counts.) `each` gets that of each condition; 1
+  // where there is no such condition, or the lock of a joint while others already fail.
+  double margin(const State<S>& x, const double* u, LinksMemo<S>& memo,
+                double* each = nullptr) const {
     double least = 1.0;
-    const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
+    for (int k = 0; each && k < conditions; ++k) each[k] = 1.0;
+    const auto at_most = [&](int k, double margin) {
+      least = margin < least ? margin : least;
+      if (each) each[k] = margin;
+    };
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (Friction::present && friction.direction[j] != 0.0)
-        at_most(x.v[j] * friction.direction[j]);
+        at_most(j, x.v[j] * friction.direction[j]);
       if constexpr (Drive::modes > 0)
-        at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
+        at_most(N + j, drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (least < 0.0 || !Friction::present || !friction.lock()) return least;
     const Dynamics& links = memo.at(*n_, x);
@@ -90,7 +99,7 @@ class Modes {
     coulomb.take(x, x, u, of_drives());
     coulomb.hold_in(friction, [&] { return loaded(links); }, a);
     for (int j = 0; j < N; ++j)
-      if (friction.locked[j]) at_most(coulomb.spare(j));
+      if (friction.locked[j]) at_most(2 * N + j, coulomb.spare(j));
     return least;
   }
 

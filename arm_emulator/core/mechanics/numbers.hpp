@@ -10,6 +10,12 @@
 
 namespace arm {
 
+// Whether gravity and the voltage of the supply are data of each machine.
+template <class S>
+inline constexpr bool kFieldVaries = requires(const double* p) { S::field(p); };
+template <class S>
+inline constexpr bool kSupplyVaries = requires(const double* p) { S::supply(p); };
+
 // All numbers that follow from the varied ones.
 template <class S>
 struct Sheet {
@@ -17,11 +23,15 @@ struct Sheet {
   BaseParameters<S::L> base;
   double carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
   double Dc[S::N] = {}, Ds[S::N] = {};
+  Vec3<double> gravity = S::gravity;
+  double supply = S::supply_voltage;
 
   constexpr explicit Sheet(const double* p) : drives(S::drives(p)), base(S::links(p).at) {
     [&]<int... j>(std::integer_sequence<int, j...>) {
       (set(j, std::get<j>(drives)), ...);
     }(std::make_integer_sequence<int, S::N>{});
+    if constexpr (kFieldVaries<S>) gravity = S::field(p);
+    if constexpr (kSupplyVaries<S>) supply = S::supply(p);
   }
 
  private:
@@ -93,6 +103,7 @@ struct Constants {
 
 template <class S, class X = double>
 class Numbers;
+struct Nothing {};
 
 // Those of one machine.
 template <class S>
@@ -144,6 +155,20 @@ class Numbers<S, double> {
     return outside_.on[i];
   }
   void set_external_wrench(int i, const ExternalWrench<double>& wrench) { outside_.on[i] = wrench; }
+
+  // In the base's frame [m/s2].
+  ARM_INLINE constexpr const Vec3<double>& gravity() const {
+    if constexpr (kFieldVaries<S>)
+      return sheet_.gravity;
+    else
+      return S::gravity;
+  }
+  ARM_INLINE constexpr double supply() const {
+    if constexpr (kSupplyVaries<S>)
+      return sheet_.supply;
+    else
+      return S::supply_voltage;
+  }
 
   ARM_INLINE constexpr double carried(int j) const { return now().carried[j]; }
   ARM_INLINE constexpr double Dc(int j) const { return now().Dc[j]; }
@@ -203,6 +228,11 @@ class Numbers {
         set_lane(rotor_[j], lane, one.carried(j));
         set_lane(coulomb_[j], lane, one.Dc(j)), set_lane(breakaway_[j], lane, one.Ds(j));
       }
+      if constexpr (kFieldVaries<S>) {
+        const Vec3<double>& g = one.gravity();
+        set_lane(field_.x, lane, g.x), set_lane(field_.y, lane, g.y), set_lane(field_.z, lane, g.z);
+      }
+      if constexpr (kSupplyVaries<S>) set_lane(supply_, lane, one.supply());
     }
   }
 
@@ -248,6 +278,20 @@ class Numbers {
     return outside_.on[i];
   }
 
+  ARM_INLINE constexpr decltype(auto) gravity() const {
+    if constexpr (kFieldVaries<S>)
+      return (field_);
+    else
+      return (S::gravity);
+  }
+  ARM_INLINE constexpr auto supply() const {
+    if constexpr (kSupplyVaries<S>)
+      return supply_;
+    else
+      return S::supply_voltage;
+  }
+  double supply_of(int lane) const { return of_[lane]->supply(); }
+
   ARM_INLINE constexpr Number carried(int j) const { return number(rotor_, j, &Sheet<S>::carried); }
   ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb_, j, &Sheet<S>::Dc); }
   ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway_, j, &Sheet<S>::Ds); }
@@ -266,6 +310,8 @@ class Numbers {
   Mask<X> open_ = {};
   Body<Number> bodies_[varied ? S::L : 1] = {};
   Row rotor_ = {}, coulomb_ = {}, breakaway_ = {};
+  [[no_unique_address]] std::conditional_t<kFieldVaries<S>, Vec3<X>, Nothing> field_ = {};
+  [[no_unique_address]] std::conditional_t<kSupplyVaries<S>, X, Nothing> supply_ = {};
   ExternalWrenches<S, X> outside_;
 };
 

@@ -9,8 +9,6 @@
 
 namespace arm {
 
-// Each has its MethodOf, in the file that has its steps.
-enum class Scheme { paper, implicit, rosenbrock, extrapolated };
 // Data exchanged by two threads: see two_threads.hpp.
 enum class Exchange { lag, predict };
 // Instants at which modes of joints change: at the ends of steps, or within them (located.hpp).
@@ -44,6 +42,18 @@ struct Link {
   Vec3<double> p;  // m, origin in the parent's frame (at q = 0 of a prismatic joint)
   Body<double> body;
 };
+
+// A field g as seen from a base that is turned by an angle [rad], at most 1, about a unit vector.
+constexpr Vec3<double> turned(const Vec3<double>& g, const Vec3<double>& axis, double angle) {
+  double sin = 1.0, cos = 1.0;
+  for (int k = 17; k > 0; k -= 2) {  // Horner's scheme of both series
+    sin = 1.0 - sin * angle * angle / ((k + 1) * (k + 2));
+    cos = 1.0 - cos * angle * angle / (k * (k + 1));
+  }
+  sin *= angle;
+  const Vec3<double> across = cross(axis, g);
+  return dot(axis, g) * axis + cos * (g + (-dot(axis, g)) * axis) + (-sin) * across;
+}
 
 template <int L>
 struct LinkRow {
@@ -88,11 +98,6 @@ constexpr JointKind kind_of(int j) {
   else
     return kLinks<S>.at[j].kind;
 }
-
-// MethodOf<S, scheme, X>::type takes the steps of a scheme, of numbers X. A scheme without one does
-// not compile.
-template <class S, Scheme scheme, class X>
-struct MethodOf;
 
 // body(drive, j) for the drive of every joint of a scene, to learn its structure; its numbers are
 // in numbers.hpp.

@@ -89,6 +89,7 @@ class Sensors<S> {
   // if `anew`.
   template <class Machine>
   void begin(const Machine& machine, std::int64_t tick, bool anew) {
+    if (anew) drifted_ = {};
     see(machine, tick, false,
         [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
           memory.begin(e, theta, n, tick, anew);
@@ -132,6 +133,9 @@ class Sensors<S> {
       link_disc_[j].for_each_number(number);
     }
     for (Readings& one : line_) one.for_each_number(number);
+    for (auto& row : drifted_.analog)
+      for (double& one : row) number(one);
+    for (int k = 0; k < 6 * M; ++k) number(drifted_.imu[k]);
   }
 
  private:
@@ -157,12 +161,14 @@ class Sensors<S> {
                                      Turn&& turn) {
     double values[S::parameters + 1] = {};
     for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
-    const auto suite = S::sensors(values);
+    auto suite = S::sensors(values);
     const auto noises = [&](int who) { return Noise::of(suite.seed, who); };
     double current[N], angle[N], speed[N];
     machine.report(current, angle, speed);
     const Glance<Machine> glance = {machine, current, angle, speed};
     const auto& x = machine.state();
+    // Since the tick before, in which the machine has gone on.
+    const double period = looks_back ? machine.time() / static_cast<double>(tick) : 0.0;
     newest_ = tick;
     Readings& now = line_[place(0)];
     const Readings& before = line_[place(kLength > 1 ? 1 : 0)];
@@ -181,7 +187,8 @@ class Sensors<S> {
       std::tuple_element_t<k, Rows>::Quantity::of(glance, truth);
       for (int j = 0; j < N; ++j)
         if (row.reads(j)) {
-          const AnalogSensor& sensor = std::get<k>(suite.analog).at[j];
+          AnalogSensor& sensor = std::get<k>(suite.analog).at[j];
+          drift(sensor, drifted_.analog[k][j], period);
           const Noise draws = noises(row.first + row.stride * j);
           now.analog[k][j] = looks_back && is_held(sensor.held, draws, tick)
                                  ? before.analog[k][j]
@@ -192,9 +199,12 @@ class Sensors<S> {
       double a[N];
       machine.accelerations(a);
       LinkMotion motions[N];
-      link_motions<S>(x.q, x.v, a, motions);
+      link_motions(machine.numbers_now(), x.q, x.v, a, motions);
       for (int m = 0; m < M; ++m) {
-        const Imu& imu = suite.imu[m];
+        Imu& imu = suite.imu[m];
+        for (int k = 0; k < 6; ++k)
+          drift(k < 3 ? imu.accelerometer[k] : imu.gyroscope[k - 3], drifted_.imu[6 * m + k],
+                period);
         const LinkMotion& motion = motions[imu.link];
         const auto of_channel = [&](int k) { return noises(-2 - 6 * m - k); };
         const ImuReading held = before.imu[m];
@@ -209,7 +219,16 @@ class Sensors<S> {
     }
   }
 
+  static void drift(AnalogSensor& sensor, double& drifted, double period) {
+    drifted += sensor.drift * period;
+    sensor.offset += drifted;
+  }
+  struct Drifted {
+    double analog[K][N] = {}, imu[6 * M + 1] = {};
+  };
+
   std::int64_t newest_ = 0;  // tick of the newest readings
+  Drifted drifted_;          // of analog sensors since the reset
   EncoderMemory motor_disc_[N], link_disc_[N];
   Readings line_[kLength];  // of the newest ticks, each at its tick modulo their number
 };

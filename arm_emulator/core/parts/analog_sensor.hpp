@@ -1,8 +1,10 @@
 // A sensor of one quantity x with amplifier and converter: a current, a torque, an axis of an
 // inertial measurement unit.
 //
-//   y = (1 + gain_error) x + offset + noise n, limited to +-range, rounded to a multiple of
-//   `resolution`
+//   y = (1 + gain_error) x + offset + drift t + noise n, limited to +-range, rounded to a multiple
+//   of `resolution`
+//
+// A drift that ends leaves its offset; a reset removes it.
 #pragma once
 
 #include "numerics/noise.hpp"
@@ -16,8 +18,9 @@ struct AnalogSensor {
   double range = 0.0;       // 0: none
   double resolution = 0.0;  // 0: none
   double held = 0.0;        // probability that a look gives the reading before
-  double offset = 0.0;
-  int delay = 0;  // servo periods
+  double drift = 0.0;       // per s
+  double offset = 0.0;      // with what has drifted
+  int delay = 0;            // servo periods
 
   double read(double x, const Noise& noises, std::int64_t number) const {
     if (!present) return x;

@@ -45,6 +45,7 @@ struct Encoder {
   double noise = 0.0;   // rad, standard deviation
   double missed = 0.0;  // probability of each edge to be missed, or of a word not to come
   double held = 0.0;    // probability that a look gives the reading before
+  double flips = 0.0;   // that a bit of a reading is wrong
 
   // Counts after which a word begins anew; 0: never.
   constexpr std::int64_t wrap() const {
@@ -95,7 +96,11 @@ struct EncoderMemory {
     } else {
       turn(e, c, noises);
     }
-    if (!is_held(e.held, noises, number)) read(e);
+    if (is_held(e.held, noises, number)) return;
+    read(e);
+    const Noise flips = {mixed(noises.key + 2)};
+    if (e.flips > 0.0 && flips.uniform(2 * number) <= e.flips)
+      flip(e, flips.uniform(2 * number + 1));
   }
 
  private:
@@ -108,6 +113,12 @@ struct EncoderMemory {
     const bool absolute = e.kind == EncoderKind::absolute;
     now.counts =
         absolute ? static_cast<std::int64_t>(static_cast<std::uint64_t>(disc) & word) : disc - lost;
+  }
+
+  // Turn one bit of the reading over: of a word any, of a counter one of the last 16.
+  void flip(const Encoder& e, double draw) {
+    const int bits = e.kind == EncoderKind::absolute ? e.bits : 16;
+    now.counts ^= std::int64_t{1} << static_cast<int>(bits * draw - 1e-9);
   }
 
   // Count the edges up to c. The newest index pulse on the way falls on a multiple of a turn.

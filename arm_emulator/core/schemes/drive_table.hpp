@@ -32,15 +32,15 @@ struct StepInput {
 };
 
 // One joint's part of a step of size h: each row per unit of each input.
-template <int K, int M, int R, class X = double>
+template <int K, int M, int R>
 struct DriveTable {
   using In = StepInput<K, M, R>;
   static constexpr int kRows = K > 0 ? K : 1;
-  X rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
-  X rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
-  X dz[kRows][In::count];               // what the step adds to z
-  X diagonal;                           // s b
-  X k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
+  double rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
+  double rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
+  double dz[kRows][In::count];               // what the step adds to z
+  double diagonal;                           // s b
+  double k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
 };
 
 inline constexpr double kSqrt2 = 1.4142135623730951;
@@ -48,35 +48,51 @@ inline constexpr double kSqrt2 = 1.4142135623730951;
 // gamma of the scheme with so many stages: implicit Euler's, and ROS2's.
 constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
-// The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp). It is
-// recomputed for each trial of an event's time (located.hpp), so it is not compiled for size.
-template <int R, int K, int M, class X>
-ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& drive, double h,
-                                                int stages) {
-  using In = StepInput<K, M, R>;
-  constexpr int n = LinearDrive<K, M, X>::kRows;
-  const double s = gamma_of(stages) * h;
-  X E[n][n] = {}, e[n] = {};
-  drive.inverse(s, E);
-  for (int r = 0; r < K; ++r)
-    for (int c = 0; c < K; ++c) e[r] += s * E[r][c] * (drive.F[c][In::v] + s * drive.F[c][In::q]);
-  X b = -(s * drive.G[In::q] + drive.G[In::v]);
-  for (int k = 0; k < K; ++k) b -= drive.G[k] * e[k];
+// A stage of a linearly implicit scheme for one joint, or several side by side: the rates of z go
+// into the link's row.
+template <int K, int M, class X = double>
+struct Elimination {
+  using Drive = LinearDrive<K, M, X>;
+  static constexpr int n = Drive::kRows;
+  double s;
+  X E[n][n], e[n], b;
 
-  DriveTable<K, M, R, X> table = {};
-  table.diagonal = s * b;
-  // A stage after elimination of z: rhs of the link's row, then k_z from k_v.
+  ARM_INLINE static Elimination of(const Drive& drive, double s) {
+    Elimination one = {};
+    one.s = s;
+    drive.inverse(s, one.E);
+    for (int r = 0; r < K; ++r)
+      for (int c = 0; c < K; ++c)
+        one.e[r] += s * one.E[r][c] * (drive.F[c][K + 1] + s * drive.F[c][K]);
+    one.b = -(s * drive.G[K] + drive.G[K + 1]);
+    for (int k = 0; k < K; ++k) one.b -= drive.G[k] * one.e[k];
+    return one;
+  }
+  // The rates of z without that of v, and the link's row.
   struct Stage {
     X z[n], rhs;
   };
-  const auto eliminate = [&](const X(&r_z)[n], double r_q, const X& r_v) {
-    Stage stage = {{}, r_v + s * drive.G[In::q] * r_q};
+  ARM_INLINE Stage stage(const Drive& drive, const X (&r_z)[n], const auto& r_q,
+                         const X& r_v) const {
+    Stage stage = {{}, r_v + s * drive.G[K] * r_q};
     for (int r = 0; r < K; ++r) {
-      for (int c = 0; c < K; ++c) stage.z[r] += E[r][c] * (r_z[c] + s * drive.F[c][In::q] * r_q);
+      for (int c = 0; c < K; ++c) stage.z[r] += E[r][c] * (r_z[c] + s * drive.F[c][K] * r_q);
       stage.rhs += s * drive.G[r] * stage.z[r];
     }
     return stage;
-  };
+  }
+};
+
+// The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp).
+template <int R, int K, int M>
+ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, double h, int stages) {
+  using In = StepInput<K, M, R>;
+  using X = double;
+  constexpr int n = LinearDrive<K, M>::kRows;
+  const auto whole = Elimination<K, M>::of(drive, gamma_of(stages) * h);
+  const auto& [s, E, e, b] = whole;
+  DriveTable<K, M, R> table = {};
+  table.diagonal = s * b;
   for (int input = 0; input < In::count; ++input) {
     double x[In::count] = {};
     x[input] = 1.0;
@@ -89,7 +105,7 @@ ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& driv
       for (int k = 0; k < K; ++k) f[k] += x[In::rest + k];
       g += x[In::rest + K];
     }
-    const Stage one = eliminate(f, x[In::v], g);
+    const auto one = whole.stage(drive, f, x[In::v], g);
     X k_z[n] = {};
     for (int k = 0; k < K; ++k) k_z[k] = one.z[k] + e[k] * x[In::k1];
     table.rhs_1[input] = one.rhs;
@@ -106,7 +122,7 @@ ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& driv
       for (int k = 0; k < K; ++k) r_z[k] += x[In::change + k];
       r_v += x[In::change + K];
     }
-    const Stage two = eliminate(r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
+    const auto two = whole.stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
     table.rhs_2[input] = two.rhs;
     for (int k = 0; k < K; ++k)
       table.dz[k][input] = h * (gamma_of(2) * k_z[k] + 0.5 * (two.z[k] + e[k] * x[In::k2]));
@@ -117,8 +133,8 @@ ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& driv
 struct MakeImplicit {
   double h;
   int stages;
-  template <int R, int K, int M, class X>
-  auto operator()(const LinearDrive<K, M, X>& drive) const {
+  template <int R, int K, int M>
+  auto operator()(const LinearDrive<K, M>& drive) const {
     return implicit_table<R>(drive, h, stages);
   }
 };

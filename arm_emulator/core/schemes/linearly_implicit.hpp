@@ -34,27 +34,29 @@
 #include "mechanics/usual.hpp"
 #include "numerics/finite.hpp"
 #include "schemes/drive_tables.hpp"
+#include "schemes/scheme.hpp"
+#include "schemes/trial_drives.hpp"
 
 namespace arm {
 
-template <class S, class X = double>
+// `Tables` gives the drives' parts of a step.
+template <class S, class X = double, class Tables = DriveTables<S, X, MakeImplicit>>
 class LinearlyImplicit {
  public:
   static constexpr int N = S::N, K = most_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
-  using Tables = DriveTables<S, X, MakeImplicit>;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
+  // Takes steps of any length in modes that are known (located.hpp).
+  using Part = LinearlyImplicit<S, X, TrialDrives<S>>;
 
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
       : h_(step), n_(numbers), tables_(numbers, {step, stages}), coulomb_(numbers) {}
-  // For steps in modes that are known.
-  LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers, const Modes<S>& modes)
-      : h_(step), n_(numbers), tables_(numbers, {step, stages}, modes.drive), coulomb_(numbers) {}
-
-  // The same for steps of another length.
-  void retime(double step) {
+  // For steps of another length in these modes, by `step_in`.
+  void retime(double step, const Modes<S>& modes) {
     h_ = step;
+    if constexpr (Tables::modal)
+      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
     tables_.retime({step, stages});
   }
 
@@ -158,9 +160,9 @@ class LinearlyImplicit {
 
  private:
   using Inputs = typename Tables::Inputs;
-  static constexpr bool extrapolates = S::scheme == Scheme::extrapolated;
+  static constexpr bool extrapolates = S::Scheme::extrapolates;
   static constexpr bool locates = kLocates<S>;
-  static constexpr int stages = S::scheme == Scheme::implicit ? 1 : 2;
+  static constexpr int stages = S::Scheme::stages;
   static constexpr double gamma = gamma_of(stages);
 
   using Numbers = Row<N, X>;
@@ -177,9 +179,9 @@ class LinearlyImplicit {
 
   // The torques of the drives in the links' first stage go to `k1.torque`.
   ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
-                              Accelerations& k1) const {
+                              Accelerations& k1) {
     if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
-    Tables::template answer<In::k1>(tables_.rhs_1, in).store(k1.torque);
+    tables_.first(in).store(k1.torque);
   }
 
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
@@ -194,7 +196,7 @@ class LinearlyImplicit {
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
     if constexpr (extrapolates) past_ = k1;
-    if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
+    if constexpr (stages == 2 && !extrapolates) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates)
       if (given_.past == Past::unknown) evaluate_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
@@ -203,10 +205,10 @@ class LinearlyImplicit {
 
   // x with the drives after the first stage, the links at rest: the torque of a command that has
   // jumped acts there, and load friction must follow it.
-  ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) const {
+  ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) {
     State<S, X> pulled = x;
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z = Tables::template answer<In::k1>(tables_.k_z[k], in);
+      Numbers z = tables_.rates_at_rest(k, in);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
         z.at[g] = in[k].at[g] + gamma * h_ * z.at[g];
       });
@@ -234,9 +236,9 @@ class LinearlyImplicit {
     coulomb_.solve(links.M.at, x.v, k1.a);
   }
 
-  ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) const {
+  ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) {
     alignas(64) X k2[row];
-    Tables::template answer<In::k2>(tables_.rhs_2, in).store(k2);
+    tables_.second(in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb_.force(j));
     });
@@ -246,7 +248,7 @@ class LinearlyImplicit {
 
   // The drives' part of d: how their rest, and friction of the links that varies, change from x to
   // x + h k1.
-  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) const {
+  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) {
     State<S, X> y;
     Numbers number;
     const auto store = [&](auto&& of_group, X(&to)[row]) __attribute__((always_inline)) {
@@ -255,7 +257,7 @@ class LinearlyImplicit {
       number.store(to);
     };
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      const Numbers rate = Tables::template answer<In::change>(tables_.k_z[k], in);
+      const Numbers rate = tables_.rates(k, in);
       store([&](auto g) { return in[k].at[g] + h_ * rate.at[g]; }, y.z[k]);
     });
     store(
@@ -267,6 +269,7 @@ class LinearlyImplicit {
     if constexpr (Coulomb<S, X>::varies) coulomb_.add_change(y, u, tables_.modes(), change);
     const auto rest = tables_.rest_at(y, u);
     for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
+      if (!Tables::matters(In::rest + r)) return;
       const Numbers there = Numbers::gather(rest.at[r]);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
         in[In::change + r].at[g] = there.at[g] - in[In::rest + r].at[g];
@@ -319,10 +322,9 @@ class LinearlyImplicit {
     coulomb_.stop_at_reversal(x.v);
   }
 
-  ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) const {
+  ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) {
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z =
-          Tables::template answer<(stages == 2 ? In::count : In::change)>(tables_.dz[k], in);
+      Numbers z = tables_.template added<stages>(k, in);
       for_each<Numbers::groups>([&](auto g)
                                     __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
@@ -441,12 +443,6 @@ class LinearlyImplicit {
   };
   struct Nothing {};
   [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given_;
-};
-
-template <class S, Scheme scheme, class X>
-  requires(scheme != Scheme::paper)
-struct MethodOf<S, scheme, X> {
-  using type = LinearlyImplicit<S, X>;
 };
 
 }  // namespace arm

@@ -14,22 +14,25 @@
 
 #include "mechanics/energy_flow.hpp"
 #include "mechanics/modes.hpp"
-#include "schemes/linearly_implicit.hpp"
+#include "schemes/scheme.hpp"
 
 namespace arm {
 
 template <class S>
 class Located {
  public:
-  using Method = LinearlyImplicit<S>;
+  using Method = MethodOf<S, double>;
+  using Part = typename Method::Part;
   using Dynamics = typename Links<S>::Dynamics;
   using Memory = typename Method::Memory;
   static constexpr int N = S::N, row = Method::row;
 
-  Located(double step, const Numbers<S>& numbers) : h_(step), n_(numbers), whole_(step, numbers) {}
+  Located(double step, const Numbers<S>& numbers)
+      : h_(step), n_(numbers), whole_(step, numbers), part_(step, numbers) {}
   void renew() {
     memo_.forget();
     whole_.renew();
+    part_.renew();
   }
   void reset(const State<S>& x) {
     memo_.forget();
@@ -78,8 +81,8 @@ class Located {
     const State<S> start = x;
     double left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
-      Method part(left, n_, modes);
       if (events == kMostEvents) {
+        Method part(left, n_);
         y = x;
         Nobody nobody;
         part.reset(y);
@@ -89,10 +92,14 @@ class Located {
         x = y;
         break;
       }
-      y = x;
-      part.step_in(modes, y, u, links, Past::unknown);
-      double t = left;
-      if (modes.margin(y, u, memo_) < 0.0) t = first_event(x, y, u, modes, links, left, part);
+      bool fails = true;  // of the whole step that is known
+      if (events > 0) {
+        y = x;
+        part_.retime(left, modes);
+        part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
+        fails = modes.margin(y, u, memo_) < 0.0;
+      }
+      const double t = fails ? first_event(x, y, u, modes, links, left) : left;
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, t);
       x = y;
@@ -107,13 +114,11 @@ class Located {
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
   double first_event(const State<S>& x, State<S>& y, const double (&u)[row], const Modes<S>& modes,
-                     const Dynamics& links, double left, Method& part) {
-    struct Trial {
-      double t, margin;
-      bool holds() const { return !(margin < 0.0); }
-    };
-    Trial last = {0.0, modes.margin(x, u, memo_)}, other = {left, modes.margin(y, u, memo_)};
-    double share = last.margin > 0.0 ? last.margin / (last.margin - other.margin) : 0.5;
+                     const Dynamics& links, double left) {
+    Trial last, other;
+    last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
+    const int begins = other.first_after(last);
+    double share = begins < 0 ? 0.5 : last.share(other, begins);
     for (int trial = 0; trial < kMostTrials; ++trial) {
       const double width = other.t - last.t;  // of either sign
       const double least = 0.5 * kInstant * h_ / magnitude(width);
@@ -121,26 +126,52 @@ class Located {
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
       const double t = last.t + share * width;
       State<S> end = x;
-      part.retime(t);
-      part.step_in(modes, end, u, links, Past::unknown);
-      const Trial now = {t, modes.margin(end, u, memo_)};
+      part_.retime(t, modes);
+      part_.step_in(modes.friction, end, u, links, Part::Past::unknown);
+      Trial now;
+      now.take(t, modes, end, u, memo_);
       if (!now.holds()) y = end;
       Trial before = last;
       if (now.holds() != last.holds()) before = other, other = last;
       last = now;
-      share = next_share(last, other, before);
+      const int first = last.holds() ? other.first_after(last) : last.first_after(other);
+      share = first < 0 ? 0.5 : next_share(last, other, before, first);
     }
     return last.holds() ? other.t : last.t;
   }
-  // Next trial for the zero of the margin between `last` and `other`, of which one holds.
-  static double next_share(const auto& last, const auto& other, const auto& before) {
+  // An end of a step, and how far it is from each condition of the modes.
+  struct Trial {
+    double t, margin, each[Modes<S>::conditions];
+
+    void take(double length, const Modes<S>& modes, const State<S>& end, const double (&u)[row],
+              LinksMemo<S>& memo) {
+      t = length;
+      margin = modes.margin(end, u, memo, each);
+    }
+    bool holds() const { return !(margin < 0.0); }
+    // Of the way to `end`, the share to the zero of a condition on a straight line.
+    double share(const Trial& end, int condition) const {
+      return each[condition] / (each[condition] - end.each[condition]);
+    }
+    // The condition that fails first between a trial that holds and this one, on straight lines; -1
+    // if that cannot be known.
+    int first_after(const Trial& sound) const {
+      int first = -1;
+      for (int k = 0; k < Modes<S>::conditions; ++k)
+        if (each[k] < 0.0 && sound.each[k] > 0.0 &&
+            (first < 0 || sound.share(*this, k) < sound.share(*this, first)))
+          first = k;
+      return first;
+    }
+  };
+  // Next trial for the zero of a condition between `last` and `other`, of which one holds.
+  static double next_share(const Trial& last, const Trial& other, const Trial& before, int k) {
+    const double at = last.each[k], there = other.each[k], past = before.each[k];
     const double xi = (last.t - other.t) / (before.t - other.t);
-    const double phi = (last.margin - other.margin) / (before.margin - other.margin);
+    const double phi = (at - there) / (past - there);
     if (!(phi * phi < xi && (1.0 - phi) * (1.0 - phi) < 1.0 - xi)) return 0.5;
-    return last.margin / (other.margin - last.margin) * before.margin /
-               (other.margin - before.margin) +
-           (before.t - last.t) / (other.t - last.t) * last.margin / (before.margin - last.margin) *
-               other.margin / (before.margin - other.margin);
+    return at / (there - at) * past / (there - past) +
+           (before.t - last.t) / (other.t - last.t) * at / (past - at) * there / (past - there);
   }
 
   // Replaces the exchange with the thread of the links.
@@ -152,6 +183,7 @@ class Located {
   double h_;
   const Numbers<S>& n_;
   Method whole_;
+  Part part_;  // of a step
   LinksMemo<S> memo_;
   EnergyMeter<S>* meter_ = nullptr;
 };

@@ -10,6 +10,7 @@
 #include "mechanics/links_memo.hpp"
 #include "mechanics/modes.hpp"
 #include "mechanics/usual.hpp"
+#include "schemes/scheme.hpp"
 
 namespace arm {
 
@@ -20,7 +21,7 @@ inline constexpr bool kStepsApart = most_modes<S>() > 0 || S::brakes > 0 || kLoc
 template <class S, class X, class Machine>
 class SmoothTogether {
  public:
-  using Method = typename MethodOf<S, S::scheme, X>::type;
+  using Method = MethodOf<S, X>;
   using Memory = typename Method::Memory;
   using Dynamics = typename Links<S, X>::Dynamics;
   static constexpr int N = S::N, width = kWidth<X>, row = Method::row;
@@ -38,7 +39,10 @@ class SmoothTogether {
     method_.renew(lane);
   }
   // The torques on the links have changed.
-  void forget_links() { memo_.forget(); }
+  void forget_links() {
+    memo_.forget();
+    confirmed_.are = false;
+  }
   void reset(const State<S, X>& x) { method_.reset(x); }
   Memory memory() const { return method_.memory(); }
   void restore(const Memory& memory) { method_.restore(memory); }
@@ -95,6 +99,7 @@ class SmoothTogether {
 
   typename Friction::Modes friction_at(const State<S, X>& x, const X (&u)[row],
                                        const Dynamics& links) {
+    if (confirmed_.are && same(confirmed_.at, x)) return confirmed_.modes;
     X rhs[N];
     torques(x, u, links, rhs);
     coulomb_.take(x, x, u, usual_modes);
@@ -103,6 +108,7 @@ class SmoothTogether {
   }
   Mask<X> friction_holds(const typename Friction::Modes& modes, const State<S, X>& y,
                          const X (&u)[row]) {
+    confirmed_.are = false;
     Mask<X> hold = X{} == X{};
     for (int j = 0; j < N; ++j) hold &= y.v[j] * modes.direction[j] >= 0.0;
     if (!modes.lock()) return hold;
@@ -112,7 +118,17 @@ class SmoothTogether {
     coulomb_.take(y, y, u, usual_modes);
     coulomb_.hold_in(modes, [&] { return loaded(links); }, rhs);
     for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
+    confirmed_.are = coulomb_.confirms(modes, y.v);
+    if (confirmed_.are) confirmed_.at = y, confirmed_.modes = modes;
     return hold;
+  }
+  static bool same(const State<S, X>& a, const State<S, X>& b) {
+    Mask<X> same = X{} == X{};
+    for (int j = 0; j < N; ++j) {
+      same &= (a.q[j] == b.q[j]) & (a.v[j] == b.v[j]);
+      for (int k = 0; k < State<S, X>::K; ++k) same &= a.z[k][j] == b.z[k][j];
+    }
+    return all(same);
   }
 
   // M with the rotors that the links carry.
@@ -182,6 +198,13 @@ class SmoothTogether {
   Method method_;
   Friction coulomb_;
   LinksMemo<S, X> memo_;
+  // Modes at the end of a step, which are those at the start of the next.
+  struct Confirmed {
+    State<S, X> at;
+    typename Friction::Modes modes = {};
+    bool are = false;
+  };
+  Confirmed confirmed_;
   Machine* machine_[width] = {};
   Mask<X> there_ = {};
 };

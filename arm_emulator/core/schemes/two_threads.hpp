@@ -197,9 +197,7 @@ class TwoThreads {
     asked_.store(k + 1, std::memory_order_release);
   }
 
-  // The paper's links move on with the speed at a step's beginning, implicit ones with that at its
-  // end.
-  static constexpr double end_of_step = S::scheme == Scheme::paper ? 0.0 : 1.0;
+  static constexpr double end_of_step = S::Scheme::end_of_step;
 
   struct alignas(64) Sample : Place {
     ARM_INLINE void fetch() const { prefetch(this->q, this->v + N); }

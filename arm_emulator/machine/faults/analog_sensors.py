@@ -14,7 +14,12 @@ def _kinds(sensor: type[Part], offset: str) -> tuple[Fault, ...]:
     section, unit = sensor.section, sensor.numbers()["noise"].unit
 
     def kind(
-        name: str, text: str, key: str, magnitude: Number, expression: str = RISES, **more: float
+        name: str,
+        text: str,
+        key: str,
+        magnitude: Number,
+        expression: str = RISES,
+        absent: float | None = None,
     ) -> Fault:
         return Fault(
             name=f"{section}_{name}",
@@ -22,12 +27,14 @@ def _kinds(sensor: type[Part], offset: str) -> tuple[Fault, ...]:
             text=f"{section.replace('_', ' ')}: {text}",
             sets={f"{section}.{key}": expression},
             magnitude=magnitude,
-            **more,
+            absent=absent,
         )
 
     return (
         kind("offset", "the amplifier's zero moves", offset,
              rise(unit, 0.5, LARGEST_ERROR, signed=True), absent=0.0),
+        kind("drifts", "the amplifier's zero drifts", "drift",
+             rise(f"{unit}/s", 0.5, LARGEST_ERROR, signed=True), absent=0.0),
         kind("gain", "the amplifier's gain is off", "gain_error",
              rise("1", 0.1, 1.0, signed=True), absent=0.0),
         kind("stuck", STUCK, "held", share(), HOLDS, absent=0.0),

@@ -19,6 +19,7 @@ def _kinds(section: str, what: str) -> tuple[Fault, ...]:
         kind("misses_edges", "edges, or words of an absolute encoder, are missed", "missed",
              share(0.1, 0.5), "{x} + {m} * (1.0 - 2.0 * {x})"),
         kind("stuck", STUCK, "held", share(), HOLDS),
+        kind("flips_bits", "a bit of a reading is wrong", "flips", share(0.1), HOLDS),
         kind("noisy", "the shield is broken", "noise", rise("rad", 1e-3, 1.0)),
         kind("off_centre", "the disc has lost its centre", "eccentricity", rise("rad", 0.01, 1.0)),
         kind("ripples", "the sine and cosine signals differ", "ripple", rise("rad", 1e-3, 1.0)),

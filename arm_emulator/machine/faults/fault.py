@@ -22,6 +22,7 @@ class Fault:
         magnitude: unit and range; its default is the magnitude that shows the fault well.
         absent: what a number is that could be there and that the scene leaves out; None: such a
             number cannot be changed.
+        needs: a place that must be there; none: any of `sets`.
     """
 
     name: str
@@ -30,6 +31,12 @@ class Fault:
     sets: Mapping[str, str]
     magnitude: Number
     absent: float | None = None
+    needs: str = ""
+
+    @property
+    def changes_commands(self) -> bool:
+        """Whether motors get other commands than were sent, within their limits."""
+        return any(place.startswith(("line.", "supply.")) for place in self.sets)
 
     @property
     def sections(self) -> set[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.faults.fault import GROWS, Fault, falling, rise, rising, share
+from arm_emulator.machine.faults.fault import GROWS, RISES, Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(
@@ -22,6 +22,13 @@ FAULTS = (
         text="a wire of the winding breaks: its resistance is 1e4 times as large",
         sets={"motor.resistance": "{x} * (1.0 + 1e4 * {m})"},
         magnitude=share(),
+    ),
+    Fault(
+        name="phase_lost",
+        text="one of three phases carries no current, with the star point connected",
+        sets={"motor.flux": "{x} * (1.0 - {m} / 3.0)", "motor.phase_lost": RISES},
+        magnitude=share(),
+        needs="motor.phase_lost",
     ),
     Fault(
         name="turns_short",

@@ -56,7 +56,7 @@ def faults_of(
                     value = kind.absent
                 if value is not None:
                     changes.append(Change(of + place, value, expression))
-            if changes:
+            if changes and of + kind.needs in {of, *numbers}:
                 name = f"{owner}.{kind.name}" if owner else kind.name
                 number = replace(kind.magnitude, name=f"faults.{name}", text=kind.text)
                 found[name] = SceneFault(kind, Varied(number, 0.0), tuple(changes))

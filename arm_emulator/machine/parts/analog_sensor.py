@@ -19,7 +19,7 @@ LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Part):
-    """(1 + gain_error) x + noise, limited and rounded. What is None is absent."""
+    """(1 + gain_error) x + drift t + noise, limited and rounded. What is None is absent."""
 
     header = "analog_sensor.hpp"
     cxx = "AnalogSensor"
@@ -30,12 +30,18 @@ class Converter(Part):
     range: float | None = number("range", "", above=0.0, default=None)
     resolution: float | None = number("resolution", "", above=0.0, default=None)
     held: float | None = number("held", "1", at_least=0.0, at_most=1.0, default=None)
+    drift: float | None = number(
+        "drift", "/s", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR, default=None
+    )
 
     @classmethod
     def numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key; without a unit they are in that of the quantity."""
-        declared = super().numbers().items()
-        return {key: dataclasses.replace(one, unit=one.unit or cls.unit) for key, one in declared}
+        units = {"": cls.unit, "/s": f"{cls.unit}/s"}
+        return {
+            key: dataclasses.replace(one, unit=units.get(one.unit, one.unit))
+            for key, one in super().numbers().items()
+        }
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         return [("present", "true"), *super().members(joint, places)]

@@ -11,7 +11,7 @@ import numpy as np
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
 from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.motor import Circuit, Motor, Rating
 from arm_emulator.machine.parts.part import number
@@ -79,11 +79,12 @@ class CurrentLoop(Decorator):
         assert self.proportional_gain is not None, "see check"
         return self.proportional_gain / (2.0 * math.pi * _circuit(motor).inductance)
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++, set up for the motor's winding."""
-        known = ", ".join(map(cxx_literals.number, motor.data_sheet(supply_voltage)))
+        *known, most = map(cxx_literals.number, motor.data_sheet(supply.voltage))
+        most = f"{most} * {supply.share}" if supply.share else most
         kind = f"arm::{self.loop}<{inner.type}>"
-        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{known}}}}}")
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{', '.join([*known, most])}}}}}")
 
 
 def _circuit(motor: Motor) -> Circuit:

@@ -18,6 +18,13 @@ class CxxMotor(NamedTuple):
     value: str
 
 
+class Supply(NamedTuple):
+    """Voltage of the drives' supply [V], and in C++ the share that is left of it, if any."""
+
+    voltage: float
+    share: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Decorator(Part):
     """A part around a motor.
@@ -44,14 +51,14 @@ class Decorator(Part):
     def check_motor(self, motor: Motor, joint: Section) -> None:
         """Refuse a motor with which it is incompatible."""
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++.
 
         Args:
             motor: the bare motor.
             inner: the motor with the decorators of lower layers.
             own: this part in C++.
-            supply_voltage: of the drive [V].
+            supply: of the drive.
         """
         raise NotImplementedError
 

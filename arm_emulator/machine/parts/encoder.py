@@ -74,6 +74,7 @@ class Encoder(Part):
     noise: float | None = number("noise", "rad", at_least=0.0, at_most=1.0, default=None)
     missed: float | None = number("missed", "1", at_least=0.0, at_most=0.5, default=None)
     held: float | None = number("held", "1", at_least=0.0, at_most=1.0, default=None)
+    flips: float | None = number("flips", "1", at_least=0.0, at_most=1.0, default=None)
 
     @classmethod
     def read(cls, section: Section, turn: float = 2.0 * math.pi) -> Self:
@@ -140,6 +141,8 @@ class Encoder(Part):
             return "misses edges, which sum up"
         if self.held:
             return "loses readings"
+        if self.flips:
+            return "has wrong bits"
         count, ratio = self.turn / self.counts_per_turn, abs(at.ratio)
         if self.wrap and abs(at.start) > 0.5 * count * self.wrap:
             return "does not know how often the motor has turned"

@@ -8,7 +8,6 @@ from typing import TypeVar
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop
-from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.found import kinds_below, kinds_of, last_kinds
@@ -20,10 +19,7 @@ from arm_emulator.machine.parts.part import Part
 KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 
 # The first is meant where a scene gives no `motor.kind`.
-MOTORS: tuple[type[Motor], ...] = (
-    DcMotor,
-    *(one for one in kinds_of(Motor) if one is not DcMotor),
-)
+MOTORS = tuple(sorted(kinds_of(Motor), key=lambda one: not one.is_default))
 
 
 def _by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
@@ -63,7 +59,7 @@ PARTS: tuple[type[Part], ...] = (
 def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
-    return kinds[section.choice("kind", tuple(kinds), default=DcMotor.kind)].read(section)
+    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
@@ -82,6 +78,16 @@ def read_gear(section: Section) -> Gear:
                 rule = "come with a stiffness (a rigid gear has none)"
                 raise section.refusal(key, rule, "alone")
     return gear
+
+
+def gear_of(**numbers: float) -> Gear:
+    """Return the gear that has these numbers."""
+    return next(one for one in GEARS if set(one.named_by) <= set(numbers))(**numbers)
+
+
+def link_friction_of(**numbers: float) -> LinkFriction:
+    """Return the friction of a link that has these numbers."""
+    return next(one for one in LINK_FRICTIONS if set(one.named_by) <= set(numbers))(**numbers)
 
 
 def read_friction(section: Section, kinds: Sequence[type[Friction]]) -> Friction:

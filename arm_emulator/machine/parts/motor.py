@@ -68,6 +68,7 @@ class Motor(Part):
     section = "motor"
     shaft = "rotor"
     kind: ClassVar[str]  # `motor.kind` in the scene
+    is_default: ClassVar[bool] = False  # whether it is meant where a scene gives no kind
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from arm_emulator.base.section import Section
-from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
@@ -87,7 +86,7 @@ def measured_kinds(joints: Iterable[JointSensors]) -> tuple[type[AnalogSensor], 
 
 
 def suite(
-    seed: int,
+    seed: str,
     joints: Mapping[str, JointSensors],
     imus: Sequence[Imu],
     places: Mapping[str, str],
@@ -95,7 +94,7 @@ def suite(
     """Return the function that makes the sensors of a scene.
 
     Args:
-        seed: of the noise.
+        seed: of the noise, in C++.
         joints: by name, base to tool.
         imus: inertial measurement units.
         places: where the values of varied numbers stand, by their name.
@@ -104,7 +103,7 @@ def suite(
     quantities = "".join(f", arm::{kind.quantity}" for kind in kinds)
     lines = [
         f"arm::SensorSuite<N, {len(imus)}{quantities}> all;",
-        f"all.seed = {places.get('seed') or cxx_literals.number(seed)};",
+        f"all.seed = {seed};",
     ]
     for k, kind in enumerate(kinds):
         first, stride = kind.draws()

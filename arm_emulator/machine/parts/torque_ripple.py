@@ -7,7 +7,7 @@ from typing import Any
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -50,7 +50,7 @@ class TorqueRipple(Decorator):
             rule = "come with an inductance: the current would follow each wave at once"
             raise joint.refusal(self.section, rule, "none")
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:  # noqa: D102
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         if not self.waves:
             return inner
         kind = f"arm::{self.cxx}<{inner.type}, {len(self.waves)}>"

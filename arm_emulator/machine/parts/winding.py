@@ -8,7 +8,7 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import number
@@ -72,6 +72,6 @@ class Winding(Decorator):
             rule = "come with an inductance: the current would follow the temperature at once"
             raise joint.refusal(self.section, rule, "none")
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:  # noqa: D102
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         kind = f"arm::HeatedMotor<{inner.type}>"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {own}}}")

@@ -4,71 +4,12 @@
 #error "the servo looks whether its numbers are finite: compile without -ffast-math"
 #endif
 
-/* Code that every joint runs in every period is inlined: calls cost as much. */
-#ifdef __GNUC__
-#define SERVO_INLINE static inline __attribute__((always_inline))
-#else
-#define SERVO_INLINE static inline
-#endif
-
-/* ------------------------------------------------------------------------ numbers of a joint
- *
- * They are one arm's, or lanes of several. `mask ? a : b` decides for each lane, with numbers of
- * the same type on both sides; masks of one arm are 0 or 1. */
-
-#ifdef SERVO_LANES
-typedef servo_count servo_mask;
-
-SERVO_INLINE servo_real real_of(servo_count counts) {
-  return __builtin_convertvector(counts, servo_real);
-}
-SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask & bit; }
-SERVO_INLINE int any(servo_mask mask) {
-  int64_t found = 0;
-  for (int lane = 0; lane < SERVO_LANES; ++lane) found |= mask[lane];
-  return found != 0;
-}
-#else
-typedef int servo_mask;
-
-SERVO_INLINE servo_real real_of(servo_count counts) { return (servo_real)counts; }
-SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask ? bit : 0; }
-SERVO_INLINE int any(servo_mask mask) { return mask; }
-#endif
-
-SERVO_INLINE servo_real all_of(servo_scalar value) {
-  const servo_real zero = {0};
-  return zero + value;
-}
+#include "joint_number.h"
+#include "servo_load.h"
+#include "servo_target.h"
 
 /* The largest angle that a joint may be asked for [rad]. */
 static const servo_scalar FARTHEST = (servo_scalar)1e6;
-static const servo_scalar HALF = (servo_scalar)0.5;
-/* Of loads: slower changes are the integral's [s]. */
-static const servo_scalar SLOW = (servo_scalar)0.5;
-/* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
- * changes in the observed load, for so long [s]. */
-static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
-/* Announced torques that are right within such a factor stay as they are. */
-static const servo_scalar RIGHT = (servo_scalar)1.1;
-/* The load on a soft gear follows its torques late: no factor counts before so long a motion [s].
- */
-static const servo_scalar SETTLED = (servo_scalar)0.1;
-/* Observers that take less of a difference of angles in a period see loads too late to learn. */
-static const servo_scalar SWIFT = (servo_scalar)0.5;
-/* For so long of a motion evidence counts [s]. */
-static const servo_scalar KEPT = 2;
-
-SERVO_INLINE servo_real bound(servo_real value, servo_real least, servo_real most) {
-  const servo_real below = value > most ? most : value;
-  return value < least ? least : below;
-}
-
-SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {
-  return bound(value, -limit, limit);
-}
-
-SERVO_INLINE servo_mask is_finite(servo_real value) { return value - value == 0; }
 
 SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_real speed,
                                servo_real voltage, servo_real load) {
@@ -94,7 +35,10 @@ SERVO_INLINE void start(const servo_joint* joint, servo_state* state, servo_mask
 /* Begin anew where numbers are no longer finite. */
 SERVO_INLINE void begin_anew(const servo_joint* joint, servo_state* state, servo_mask where) {
   const servo_real zero = {0};
+  if (!any(where)) return;
   start(joint, state, where, is_finite(state->current) ? state->current : zero);
+  forget_load(&state->learned, where);
+  drop_unsound_target(state, where);
 }
 
 /* Return the counts of an absolute encoder that are next to those before; next to 0 first. So a
@@ -161,65 +105,17 @@ SERVO_INLINE void expect_load(const servo_joint* joint, servo_state* state,
   state->load += joint->ratio * state->tau_rate * past->changed;
 }
 
-SERVO_INLINE void unlearn(servo_state* state, servo_mask where) {
-  const servo_real zero = {0};
-  state->scale = where ? all_of(1) : state->scale;
-  state->tau_mean = where ? zero : state->tau_mean;
-  state->load_mean = where ? zero : state->load_mean;
-  state->evidence = where ? zero : state->evidence;
-  state->product = where ? zero : state->product;
-  state->watched = where ? zero : state->watched;
-}
-
 /* Learn how much of the torque that was announced to the motor comes. */
 SERVO_INLINE void learn(const servo_joint* joint, servo_state* state, const servo_past* past) {
-  const servo_real tau = joint->ratio * (state->tau + past->ahead * state->tau_rate);
-  /* All that is at rest is the integral's. */
-  const servo_mask moves =
-      past->learns & (joint->theta_gain > SWIFT) & (state->tau_rate != 0) & (state->stood == 0);
-  const servo_mask rests = past->learns & (moves == 0);
-  state->tau_mean = rests ? tau : state->tau_mean;
-  state->load_mean = rests ? state->load : state->load_mean;
-  if (!any(moves)) return;
-  const servo_real count = joint->load_gain * joint->count_angle;
-  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * count * count;
-  const servo_real share = past->passed < SLOW ? past->passed / SLOW : all_of(1);
-  const servo_real tau_mean = state->tau_mean + share * (tau - state->tau_mean);
-  const servo_real load_mean = state->load_mean + share * (state->load - state->load_mean);
-  const servo_real fast = tau - tau_mean;
-  const servo_real kept = past->passed < KEPT ? 1 - past->passed / KEPT : all_of(0);
-  const servo_real evidence = kept * state->evidence + past->passed * fast * fast;
-  const servo_real product =
-      kept * state->product + past->passed * fast * (state->load - load_mean);
-  const servo_real learned = (doubt + product) / (doubt + evidence);
-  const servo_mask sound = moves & is_finite(learned);
-  const servo_real watched = kept * state->watched + past->passed;
-  const servo_mask right = ((learned * RIGHT > 1) & (learned < RIGHT)) | (watched < SETTLED);
-  const servo_real scale =
-      right ? all_of(1) : bound(learned, all_of(SERVO_LEAST), all_of(SERVO_MOST));
-  state->tau_mean = moves ? tau_mean : state->tau_mean;
-  state->load_mean = moves ? load_mean : state->load_mean;
-  state->evidence = moves ? evidence : state->evidence;
-  state->product = moves ? product : state->product;
-  state->watched = moves ? watched : state->watched;
-  state->integral =
-      sound ? state->integral - (scale - state->scale) * tau_mean / joint->torque_constant
-            : state->integral;
-  state->scale = sound ? scale : state->scale;
-  unlearn(state, moves & (sound == 0));
-}
-
-/* Take a target; `since`: seconds since the one before, if that was followed until now. */
-SERVO_INLINE void take_target(servo_state* state, servo_mask where, servo_real q, servo_real v,
-                              servo_real tau, servo_real since) {
-  const servo_real zero = {0}, a = (v - state->v_target) / since,
-                   tau_rate = (tau - state->tau) / since;
-  state->stood &= ~flag_of(where, 1);
-  state->q_target = where ? q : state->q_target;
-  state->v_target = where ? v : state->v_target;
-  state->tau = where ? tau : state->tau;
-  state->a_target = where ? (since > 0 ? a : zero) : state->a_target;
-  state->tau_rate = where ? (since > 0 ? tau_rate : zero) : state->tau_rate;
+  const servo_seen seen = {
+      past->learns,
+      past->learns & (joint->theta_gain > SWIFT) & (state->tau_rate != 0) & (state->stood == 0),
+      past->passed,
+      tau_at(state, past->ahead),
+      joint->motor_turns * state->load,
+      joint->motor_turns * joint->load_gain * joint->count_angle,
+  };
+  state->integral += joint->current_per_tau * learn_load(&state->learned, &seen);
 }
 
 SERVO_INLINE void wish_within(const servo_joint* joint, servo_wish* wish) {
@@ -336,16 +232,15 @@ typedef struct servo_turn {
 /* Follow the newest target, or hold. Returns where it began anew. */
 SERVO_INLINE servo_mask pursue(const servo_joint* joint, servo_state* state, const servo_turn* turn,
                                servo_real* command) {
-  const servo_real zero = {0}, a = state->a_target;
+  const servo_real zero = {0}, middle = turn->ahead - HALF * turn->period;
   const servo_mask braked = state->braked != 0, moves = turn->follows & (state->braked == 0);
-  const servo_real begins = state->v_target - HALF * a * turn->period;
-  const servo_real q = state->q_target + (begins + HALF * a * turn->ahead) * turn->ahead;
-  const servo_real announced = state->scale * state->tau, tau = announced + joint->rotor * a;
+  const servo_way way = way_at(state, turn->ahead, turn->period);
+  const servo_real load = expected_load(&state->learned, tau_at(state, middle));
   state->stood |= flag_of(braked, 1);
   state->q_hold = (turn->latches | braked) ? state->theta_measured * joint->ratio : state->q_hold;
-  return control(joint, state, moves ? clip(q, all_of(FARTHEST)) : state->q_hold,
-                 moves ? begins + a * turn->ahead : zero,
-                 moves ? tau : (turn->follows ? announced : zero), command);
+  return control(joint, state, moves ? clip(way.q, all_of(FARTHEST)) : state->q_hold,
+                 moves ? way.v : zero,
+                 moves ? load + joint->rotor * way.a : (turn->follows ? load : zero), command);
 }
 
 #ifndef SERVO_LANES
@@ -360,9 +255,9 @@ void servo_joint_reset(servo_state* state) {
   state->current = state->integral = 0;
   state->voltage = state->unknown_voltage = 0;
   state->q_target = state->v_target = state->tau = 0;
-  state->a_target = state->tau_rate = 0;
+  state->a_target = state->jerk_target = state->tau_rate = 0;
   state->q_hold = 0;
-  unlearn(state, 1);
+  forget_load(&state->learned, 1);
 }
 
 void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,

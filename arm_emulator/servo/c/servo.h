@@ -21,10 +21,10 @@
  * The announced torque of a target is multiplied by a factor that the servo learns: how much the
  * observed load changes per announced change, by least squares, from SERVO_LEAST to SERVO_MOST. So
  * links that are 30 % heavier than the motion controller believes do not wait for the integral.
- * What stays the same, or changes within more than half a second, is left to the integral: a factor
- * that is learned in motion changes nothing at rest. Little evidence beside the resolution of the
- * encoder leaves the factor near 1, and so does less than 0.1 s of motion: the load on a soft gear
- * follows its torques late.
+ * It multiplies what has changed since the joint rested; what lasts for some 1.5 s goes over into
+ * the integral, without a change of their sum (servo_load.h). Little evidence beside the
+ * resolution of the encoder leaves the factor near 1, and so does less than 0.05 s of motion: the
+ * load on a soft gear follows its torques late.
  *
  * Every stage is limited (speed, current, supply voltage), and the integral follows the current
  * that the limits have left over (automatic reset), so that it cannot wind up.
@@ -106,6 +106,19 @@ typedef struct servo_joint {
   servo_real theta_gain, omega_gain, load_gain; /* of the observer */
 } servo_joint;
 
+/* Range of the factor that is learned for announced torques. */
+#define SERVO_LEAST ((servo_scalar)0.5)
+#define SERVO_MOST ((servo_scalar)2.0)
+
+/* Relation of a link's load to the torques that are announced for it, N m at the link. */
+typedef struct servo_learned {
+  servo_real excess;              /* 0.3: loads change by 1.3 times what was announced */
+  servo_real tau_base;            /* announced torque whose load is the integral's */
+  servo_real tau_mean, load_mean; /* of torque and load over the last motion */
+  servo_real evidence, product;   /* integrals of tau^2, tau load without them */
+  servo_real watched;             /* s of motion that they cover */
+} servo_learned;
+
 /* State of a joint, and its newest request. */
 typedef struct servo_state {
   servo_count counts; /* that have been turned, of an absolute encoder */
@@ -117,17 +130,10 @@ typedef struct servo_state {
   servo_real current, integral;                  /* A */
   servo_real voltage, unknown_voltage;           /* V */
   servo_real q_target, v_target, tau;            /* newest target */
-  servo_real a_target, tau_rate;                 /* how it changes, by the one before */
+  servo_real a_target, jerk_target, tau_rate;    /* its rates of change, by those before */
   servo_real q_hold;                             /* where it is held without one */
-  servo_real scale;                              /* of announced torques, as learned */
-  servo_real tau_mean, load_mean;                /* slow parts of torque and load, N m, motor */
-  servo_real evidence, product;                  /* integrals of tau^2, tau load without them */
-  servo_real watched;                            /* s of motion that they cover */
+  servo_learned learned;
 } servo_state;
-
-/* Range of the factor that is learned for announced torques. */
-#define SERVO_LEAST ((servo_scalar)0.5)
-#define SERVO_MOST ((servo_scalar)2.0)
 
 /* Request to a joint for one period, beyond a target: a drive that is commanded
  * in speeds or currents, or has limits of its own. */
@@ -215,14 +221,17 @@ void servo_brakes(servo* arm, const int64_t* closed);
  *
  * A target goes on with its speed until the next one comes, for a motion period T at most, so that
  * the angles asked for are no stairs: q + v T is where they are when it ends. Speeds and torques
- * are the means over the period. Where targets come every period, the difference of their speeds
- * gives an acceleration a, and with it the way in between, s = t - t_target:
+ * are the means over the period. Where targets come every period, the differences of their speeds
+ * give acceleration a and jerk j when it begins, and with them the way in between, s = t -
+ * t_target:
  *
- *   q + (v - a T / 2) s + a s^2 / 2
+ *   q + v0 s + a s^2 / 2 + j s^3 / 6,   v0 = v - a T / 2 - j T^2 / 6
  *
- * The rotors' part of the torque is added here, rotor a, and the observer takes the load to change
- * as the torques do: it lags a load that grows. From torques that change between targets the servo
- * learns by which factor the load follows them.
+ * A smooth motion of the targets stays smooth: steps of acceleration or torque in every motion
+ * period would make a gear ring that resonates at its rate. The torque goes on by its rate
+ * likewise. The rotors' part of it is added here, rotor (a + j s), and the observer takes the load
+ * to change as the torques do: it lags a load that grows. From torques that change between targets
+ * the servo learns by which factor the load follows them.
  */
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
 /* Commands for the period that begins with the newest measurement: follow the newest target, hold

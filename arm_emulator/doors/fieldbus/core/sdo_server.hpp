@@ -45,6 +45,7 @@ class SdoServer {
 
   // Answer a request of 8 bytes at least. `room`: bytes of a reply at most, 8 at least.
   void answer(std::span<const std::uint8_t> request, std::size_t room, std::vector<Bytes>& out) {
+    if (std::holds_alternative<std::monostate>(transfer_)) at_ = {};  // a segment names none
     const std::uint32_t abort = serve(request, room, out);
     if (abort == abort_code::none) return;
     Bytes reply = head(kAbort, at_);

@@ -1,0 +1,99 @@
+"""The torques on every link and every rotor at an instant, term by term, as the core computes them.
+
+The terms sum up to 0, inertia included: they are the equations of motion that were solved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from arm_emulator.base.by_value import ByValue
+from arm_emulator.build.c_header import NULL, Header, pointer
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.compiler import library_with
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
+
+HEADER = Header(BOUNDARY / "torque_terms.h", (BOUNDARY,))
+_SOURCE = '#include "boundary/torque_terms.hpp"\n'
+
+# Rows of arm_torque_terms before those of extras.
+_OF_LINK = (
+    "inertia",
+    "Coriolis and centrifugal",
+    "gravity",
+    "external wrench",
+    "gear",
+    "viscous friction",
+    "dry friction",
+    "rotor behind a rigid gear",
+)
+_OF_ROTOR = ("inertia", "motor", "gear", "friction")
+
+
+@dataclass(frozen=True, eq=False)
+class TermsNow(ByValue):
+    """Torques by the names of their terms, (N,) each; NaN: the joint has no such part.
+
+    Attributes:
+        link: on the links [N m, N at prismatic joints].
+        rotor: on the rotors behind elastic gears, where a rotor turns with its link those of motor
+            and friction alone [N m].
+    """
+
+    link: dict[str, Array]
+    rotor: dict[str, Array]
+
+
+class TorqueTerms:
+    """Computes the torques of machines of a scene; compiles a library at its first use.
+
+    Args:
+        scene: the scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    @cached_property
+    def _plant(self) -> Plant:
+        return Plant(self._scene, core=library_with(self._scene, "torque-terms", _SOURCE, HEADER))
+
+    def of(self, saved: bytes, command: Array) -> TermsNow:
+        """Return the torques of a machine under commands that begin now.
+
+        Args:
+            saved: the machine, by `Plant.save`.
+            command: (N,) [V, N m or A].
+
+        Raises:
+            Refusal: see `Plant.restore`.
+        """
+        plant, scene = self._plant, self._scene
+        plant.restore(saved)
+        N = len(scene.joints)
+        out = np.zeros((plant.core.arm_torque_terms(plant.machine, NULL, NULL), N))
+        given = np.ascontiguousarray(command, np.float64)
+        plant.core.arm_torque_terms(plant.machine, pointer(given), pointer(out))
+        k, n = len(_OF_LINK), len(_OF_LINK) + len(_OF_ROTOR)
+        link, rotor = (
+            dict(zip(_OF_LINK, out, strict=False)),
+            dict(zip(_OF_ROTOR, out[k:], strict=False)),
+        )
+        extras = (len(out) - n) // 2
+        for e in range(extras):
+            for j, joint in enumerate(scene.joints):
+                if e < len(joint.extras):
+                    side = rotor if out[n + extras + e, j] else link
+                    section = type(joint.extras[e]).section.replace("_", " ")
+                    side.setdefault(section, np.full(N, np.nan))[j] = out[n + e, j]
+        return TermsNow(_there(link), _there(rotor))
+
+
+def _there(terms: dict[str, Array]) -> dict[str, Array]:
+    """Return the terms that at least one joint has."""
+    return {name: torque for name, torque in terms.items() if not np.isnan(torque).all()}

@@ -1,0 +1,193 @@
+"""One moment of a recorded run: commands, limits, energy flow, and torques term by term."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
+from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.repetition import KINDS
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.energy_flow import EnergyFlow
+from arm_emulator.machine.measured import Measured
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import PlantState
+from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.ros.message_types import message_class
+
+AT_LIMIT = 1.0 - 1e-9  # share of the largest command from which a drive is at its limit
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A moment of a run: the start of a servo period.
+
+    Attributes:
+        tick: of the run.
+        t: logical time [s].
+        state: the true state.
+        measured: readings of the sensors.
+        commanded: by the motor command that answers this tick (N,); None: the bag has none.
+        applied: what the motors get from now on (N,) [V, N m or A]; None: the record ends here.
+        powered: whether the drives have power.
+        q_target: newest joint targets (N,) [rad or m]; None: the bag has none before this moment.
+        orders: newest report on targets, paths and trajectories, as text; empty: none.
+        active: limits, modes and events that act now, a sentence each.
+        flow: powers that joints get and dissipate [W]; None: the scene has no `energy_flow`.
+        terms: torques on links and rotors.
+    """
+
+    tick: int
+    t: float
+    state: PlantState
+    measured: Measured
+    commanded: Array | None
+    applied: Array | None
+    powered: bool
+    q_target: Array | None
+    orders: str
+    active: list[str]
+    flow: EnergyFlow | None
+    terms: TermsNow
+
+
+def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanation:
+    """Return what acts on a machine at the tick at which it is.
+
+    Raises:
+        Refusal: there is no compiler, or a message cannot be read.
+    """
+    scene, session, tick = machine.scene, machine.session, machine.tick
+    here = machine.ticks[tick]
+    following = machine.ticks[tick + 1] if tick < machine.last else None
+    applied = None if following is None else following.applied[0]
+    powered = session.powered if following is None else following.powered
+    acts = np.zeros(len(scene.joints)) if applied is None else applied
+    saved = session.plant.save()
+    terms = TorqueTerms(scene).of(saved, acts)
+    ends = following.published if following is not None else here.published + 1
+    commanded, q_target, orders = _newest(topics, scene, tick, here.published, ends)
+    active = [
+        *_changes(machine, tick),
+        *_limits(scene, session.plant, session.measured, acts, commanded),
+        *_modes(scene, session.state, terms),
+    ]
+    return Explanation(
+        tick=tick,
+        t=tick * scene.servo_period,
+        state=session.state,
+        measured=session.measured,
+        commanded=commanded,
+        applied=applied,
+        powered=powered,
+        q_target=q_target,
+        orders=orders,
+        active=active,
+        flow=session.plant.powers(acts) if scene.energy_flow else None,
+        terms=terms,
+    )
+
+
+def _newest(
+    topics: RecordedTopics, scene: Scene, tick: int, published: int, ends: int
+) -> tuple[Array | None, Array | None, str]:
+    """Return the command of a tick, and the newest targets and report before its end."""
+    bag, names = topics.bag, scene.joint_names
+    wanted = {
+        name: name.rsplit("/", 1)[-1]
+        for name in bag.topics
+        if name.endswith(("/motor_commands", "/joint_targets", "/motion/status"))
+    }
+    commanded: Array | None = None
+    q_target: Array | None = None
+    orders = ""
+    for one in bag.as_published(wanted):
+        if one.published > ends:
+            break
+        kind = bag.topics[one.topic].type
+        try:
+            message = deserialize_message(one.data, message_class(kind))
+        except RuntimeError as error:
+            rule = "be readable"
+            raise Refusal(str(bag.path), f"messages on {one.topic}", rule, error) from None
+        match wanted[one.topic]:
+            case "motor_commands" if message.tick == tick and one.published >= published:
+                commanded = _arranged(message.joint_names, message.command, names, commanded)
+            case "joint_targets":
+                q_target = _arranged(message.name, message.position, names, q_target)
+            case "status" if kind.endswith("/MotionStatus"):
+                orders = _report(message)
+    return commanded, q_target, orders
+
+
+def _arranged(
+    given: list[str], values: Any, names: tuple[str, ...], before: Array | None
+) -> Array | None:
+    """Return values in the scene's order of joints; what was before if joints are missing."""
+    if sorted(given) != sorted(names) or len(values) != len(names):
+        return before
+    return np.array([values[list(given).index(name)] for name in names], np.float64)
+
+
+def _report(message: Any) -> str:
+    try:
+        what = f"{Kind(message.kind).name} {message.number} {State(message.state).name}"
+    except ValueError:
+        return ""
+    text = what.lower().replace("_", " ")
+    return f"{text}: {message.reason}" if message.reason else text
+
+
+def _changes(machine: RecordedMachine, tick: int) -> Iterator[str]:
+    """Yield the changes by hand here, and the last one before."""
+    for one in machine.changes.get(tick, ()):
+        yield f"changed by hand at this tick: {KINDS.get(one.kind, one.kind)}"
+    before = max((at for at in machine.changes if at < tick), default=None)
+    if before is not None:
+        kind = machine.changes[before][-1].kind
+        t = before * machine.scene.servo_period
+        yield f"changed by hand last at tick {before} ({t:g} s): {KINDS.get(kind, kind)}"
+
+
+def _limits(
+    scene: Scene, plant: Plant, measured: Measured, applied: Array, commanded: Array | None
+) -> Iterator[str]:
+    """Yield what limits the motors now."""
+    if not plant.powered:
+        yield "the drives have no power"
+    largest = scene.largest_commands
+    closed, faults = getattr(measured, "brake_closed", None), getattr(measured, "faults", None)
+    for j, (name, joint) in enumerate(zip(scene.joint_names, scene.joints, strict=True)):
+        if commanded is not None and commanded[j] != applied[j] and plant.powered:
+            yield (
+                f"{name}: commanded {commanded[j]:g} {joint.unit}, the motor gets {applied[j]:g}"
+            )
+        elif abs(applied[j]) >= AT_LIMIT * largest[j]:
+            yield f"{name}: at the largest command, {largest[j]:g} {joint.unit}"
+        if closed is not None and joint.brake is not None and closed[j]:
+            yield f"{name}: the brake is closed"
+        if faults is not None and faults[j]:
+            yield f"{name}: the drive reports faults, bits 0x{int(faults[j]):x}"
+    for one in scene.faults:
+        value = plant.parameters[one.varied.name]
+        if value != 0.0:
+            yield f"fault {one.varied.name.removeprefix('faults.')}: {value:g}"
+
+
+def _modes(scene: Scene, state: PlantState, terms: TermsNow) -> Iterator[str]:
+    """Yield joints that stick, and those in their end stops."""
+    dry = terms.link.get("dry friction")
+    stops = terms.link.get("end stops")
+    for j, name in enumerate(scene.joint_names):
+        if dry is not None and state.v[j] == 0.0 and dry[j] != 0.0:
+            yield f"{name}: sticks, its friction holds {-dry[j]:.4g}"
+        if stops is not None and np.isfinite(stops[j]) and stops[j] != 0.0:
+            yield f"{name}: in its end stop, which pushes with {stops[j]:.4g}"

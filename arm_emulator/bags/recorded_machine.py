@@ -1,0 +1,139 @@
+"""The machine of a recorded run, driven again tick by tick."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.bags.recorded_ticks import Change, RecordedTick, recorded_ticks
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.measured import rows_of
+from arm_emulator.machine.parts.output import FURTHER
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.bag import Bag
+
+
+class Tick(NamedTuple):
+    """One servo period of a recorded run."""
+
+    applied: NDArray[np.float64]
+    """Commands that the motors got in the period that ended here, with further ones (1 + I, N)."""
+    powered: bool
+    """Whether the drives had power in it."""
+    published: int
+    """Wall time of its motor state [ns]."""
+
+
+def applied_rows(scene: Scene, one: RecordedTick) -> NDArray[np.float64]:
+    """Return the commands of the period before a tick, with further inputs (1 + I, N)."""
+    rows = [one.values["applied"]]
+    rows += [one.values[name] for name in rows_of(scene)[FURTHER] if name in one.values]
+    return np.array(rows)
+
+
+class RecordedMachine:
+    """The machine of a run in a bag; a `Run` of `Timeline`.
+
+    Attributes:
+        scene: the machine.
+        session: it, at `tick`.
+        ticks: of the run, from 0 on.
+        changes: those made by hand, by the tick at which they were made.
+        path: of the bag.
+
+    Args:
+        topics: the bag.
+        scene: the machine that it is of.
+        run: number of the run, from 1 on; -1: the last one. A run begins at tick 0.
+
+    Raises:
+        Refusal: no such run, other joints, or ticks that are missing.
+    """
+
+    def __init__(self, topics: RecordedTopics, scene: Scene, run: int = -1) -> None:
+        self.scene = scene
+        self.path = topics.bag.path
+        self._where = str(self.path)
+        self.ticks: list[Tick] = []
+        self.changes: dict[int, list[Change]] = {}
+        self._read(topics, run)
+        self.session = Session(scene, "lockstep", "first_answer")
+        self._change()
+
+    @classmethod
+    def of(cls, path: Path, scene: Scene, run: int = -1) -> RecordedMachine:
+        """Return the machine of a run of a bag."""
+        return cls(RecordedTopics(Bag(path)), scene, run)
+
+    @property
+    def tick(self) -> int:
+        """Servo periods since the start."""
+        return self.session.tick
+
+    @property
+    def last(self) -> int:
+        """The last tick of the record."""
+        return len(self.ticks) - 1
+
+    def advance(self, ticks: int) -> None:
+        """Advance by so many servo periods of the record.
+
+        Raises:
+            Refusal: it ends before.
+        """
+        check_count(self._where, "ticks", ticks, 0, self.last - self.tick)
+        session = self.session
+        for one in self.ticks[self.tick + 1 : self.tick + 1 + ticks]:
+            session.powered = one.powered
+            session.advance_under(one.applied, came=True)
+            if session.fault is not None:
+                raise session.fault
+            self._change()
+
+    def save(self) -> Any:
+        """Return the session as it is now."""
+        return _Saved(self.session.save())
+
+    def restore(self, saved: Any) -> None:
+        """Go on from what `save` has returned."""
+        self.session.return_to(saved.session)
+
+    def _change(self) -> None:
+        made = self.changes.get(self.session.tick)
+        if made:
+            self.session.restore(made[-1].saved)
+
+    def _read(self, topics: RecordedTopics, run: int) -> None:
+        """Read ticks and changes of a run."""
+        count = 0
+        for one in recorded_ticks(topics, self.scene.joint_names):
+            count = one.run
+            if run not in (-1, one.run):
+                continue
+            if one.tick == 0:
+                self.ticks, self.changes = [], {}
+            if one.tick != len(self.ticks):
+                rule, got = f"report tick {len(self.ticks)}", f"tick {one.tick} next"
+                raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
+            powered = bool(one.values["powered"][0])
+            self.ticks.append(Tick(applied_rows(self.scene, one), powered, one.published))
+            if made := [*one.before, *one.changes]:
+                self.changes[one.tick] = made
+        if not count:
+            rule = "hold a run from tick 0 on"
+            raise Refusal(self._where, "the bag", rule, "none", "record, then call emulator/reset")
+        if run != -1:
+            check_count(self._where, "run", run, 1, count)
+
+
+class _Saved(NamedTuple):
+    session: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.session["machine"])

@@ -1,0 +1,289 @@
+"""Requirements as text: signal temporal logic over signals by name.
+
+From loose to tight: ``implies`` (``->``), ``or``, ``and``, ``until[a, b]``, then ``not``,
+``always[a, b]`` and ``eventually[a, b]``, then comparisons of arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from arm_emulator.base.refusal import Refusal
+
+FUNCTIONS = {"abs": 1, "sqrt": 1, "min": 2, "max": 2}  # with how many arguments at least
+OPERATORS = ("always", "eventually", "until", "not", "and", "or", "implies")
+COMPARISONS = ("<=", ">=", "<", ">")
+LONGEST, DEEPEST = 4000, 60  # characters, levels
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+    r"|(?P<name>[A-Za-z_]\w*(?:\.(?:\w+|\*))*)"
+    r"|(?P<sign>->|<=|>=|[-+*/()\[\],:<>]))"
+)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A number."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal by its name, which may have a ``*`` in the place of a part."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Operation:
+    """Arithmetic: ``+ - * /``, or a function of `FUNCTIONS`."""
+
+    sign: str
+    of: tuple[Expression, ...]
+
+
+Expression = Constant | Signal | Operation
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A comparison that holds by so much: ``a <= b`` by b - a."""
+
+    of: Expression
+    strict: bool = False
+    """Whether it is ``<`` or ``>``, which do not hold by 0."""
+
+
+@dataclass(frozen=True)
+class Combined:
+    """``not``, ``and`` or ``or`` of formulas."""
+
+    sign: str
+    of: tuple[Formula, ...]
+
+
+@dataclass(frozen=True)
+class Window:
+    """``always``, ``eventually`` or ``until`` of formulas, from begin to end [s] later."""
+
+    sign: str
+    of: tuple[Formula, ...]
+    begin: float = 0.0
+    end: float = math.inf
+
+
+Formula = Margin | Combined | Window
+_Any = Expression | Formula
+
+
+def parse_formula(text: str, where: str, quantity: str) -> Formula:
+    """Return the formula that a text states.
+
+    Raises:
+        Refusal: it states something else; with the place in the text.
+    """
+    parser = _Parser(text, where, quantity)
+    found = parser.implies(0)
+    parser.finish()
+    return parser.formula(found)
+
+
+def parse_expression(text: str, where: str, quantity: str) -> Expression:
+    """Return the arithmetic that a text states.
+
+    Raises:
+        Refusal: it states something else; with the place in the text.
+    """
+    parser = _Parser(text, where, quantity)
+    found = parser.implies(0)
+    parser.finish()
+    return parser.expression(found)
+
+
+class _Parser:
+    def __init__(self, text: str, where: str, quantity: str) -> None:
+        self._where, self._quantity = where, quantity
+        if len(text) > LONGEST:
+            raise self._refusal(f"have at most {LONGEST} characters", len(text))
+        self._tokens = list(self._split(text))
+        self._at = 0
+
+    def _refusal(self, rule: str, got: object, valid: str | None = None) -> Refusal:
+        return Refusal(self._where, self._quantity, rule, got, valid)
+
+    def _split(self, text: str) -> Iterator[tuple[str, str, int]]:
+        at, end = 0, len(text.rstrip())
+        while at < end:
+            found = _TOKEN.match(text, at)
+            if found is None:
+                left = text[at:].lstrip()
+                got = f"{left[:12]!r} at character {len(text) - len(left) + 1}"
+                raise self._refusal("be a formula", got, "names, numbers, operators")
+            kind = found.lastgroup or ""
+            yield kind, found[kind], found.start(kind) + 1
+            at = found.end()
+
+    @property
+    def _next(self) -> str:
+        return self._tokens[self._at][1] if self._at < len(self._tokens) else ""
+
+    def _take(self, *words: str) -> str:
+        word = self._next
+        if word in words and word:
+            self._at += 1
+            return word
+        return ""
+
+    def _unexpected(self, valid: str) -> Refusal:
+        if self._at >= len(self._tokens):
+            return self._refusal("be a whole formula", "its end", valid)
+        _, word, place = self._tokens[self._at]
+        return self._refusal("be a formula", f"{word!r} at character {place}", valid)
+
+    def _want(self, word: str) -> None:
+        if not self._take(word):
+            raise self._unexpected(repr(word))
+
+    def finish(self) -> None:
+        if self._at < len(self._tokens):
+            raise self._unexpected("an operator such as and, until, <=")
+
+    def formula(self, found: _Any) -> Formula:
+        if isinstance(found, Constant | Signal | Operation):
+            raise self._refusal("be a comparison", "a number", "such as abs(v.elbow) <= 2")
+        return found
+
+    def expression(self, found: _Any) -> Expression:
+        if not isinstance(found, Constant | Signal | Operation):
+            raise self._refusal("be a number where it is computed with", "a comparison")
+        return found
+
+    def implies(self, depth: int) -> _Any:
+        if depth > DEEPEST:
+            raise self._refusal(f"nest at most {DEEPEST} levels", "more")
+        left = self._either(depth + 1)
+        if not self._take("implies", "->"):
+            return left
+        right = self.formula(self.implies(depth + 1))
+        return Combined("or", (Combined("not", (self.formula(left),)), right))
+
+    def _either(self, depth: int) -> _Any:
+        left = self._both(depth)
+        while self._take("or"):
+            left = Combined("or", (self.formula(left), self.formula(self._both(depth))))
+        return left
+
+    def _both(self, depth: int) -> _Any:
+        left = self._until(depth)
+        while self._take("and"):
+            left = Combined("and", (self.formula(left), self.formula(self._until(depth))))
+        return left
+
+    def _until(self, depth: int) -> _Any:
+        left = self._prefixed(depth)
+        if not self._take("until"):
+            return left
+        begin, end = self._interval()
+        right = self.formula(self._prefixed(depth))
+        return Window("until", (self.formula(left), right), begin, end)
+
+    def _prefixed(self, depth: int) -> _Any:
+        if depth > DEEPEST:
+            raise self._refusal(f"nest at most {DEEPEST} levels", "more")
+        if self._take("not"):
+            return Combined("not", (self.formula(self._prefixed(depth + 1)),))
+        if sign := self._take("always", "eventually"):
+            begin, end = self._interval()
+            return Window(sign, (self.formula(self._prefixed(depth + 1)),), begin, end)
+        return self._comparison(depth)
+
+    def _interval(self) -> tuple[float, float]:
+        if not self._take("["):
+            return 0.0, math.inf
+        begin = self._number("0")
+        if not self._take(",", ":"):
+            raise self._unexpected("',' and the end of the interval")
+        end = self._number("end")
+        self._want("]")
+        if not begin <= end:
+            raise self._refusal("have intervals [a, b] with a <= b [s]", f"[{begin:g}, {end:g}]")
+        return begin, end
+
+    def _number(self, example: str) -> float:
+        if self._take("end", "inf"):
+            return math.inf
+        kind, word, _ = self._tokens[self._at] if self._next else ("", "", 0)
+        if kind != "number":
+            raise self._unexpected(f"a number of seconds, or {example}")
+        self._at += 1
+        return float(word)
+
+    def _comparison(self, depth: int) -> _Any:
+        left = self._sum(depth)
+        margins: list[Formula] = []
+        while sign := self._take(*COMPARISONS):
+            right = self.expression(self._sum(depth))
+            less, more = (left, right) if sign[0] == "<" else (right, left)
+            strict = sign in ("<", ">")
+            margins.append(Margin(Operation("-", (more, self.expression(less))), strict))  # type: ignore[arg-type]
+            self.expression(left)
+            left = right
+        if not margins:
+            return left
+        return margins[0] if len(margins) == 1 else Combined("and", tuple(margins))
+
+    def _sum(self, depth: int) -> _Any:
+        left = self._product(depth)
+        while sign := self._take("+", "-"):
+            left = self._operation(sign, left, self._product(depth))
+        return left
+
+    def _product(self, depth: int) -> _Any:
+        left = self._signed(depth)
+        while sign := self._take("*", "/"):
+            left = self._operation(sign, left, self._signed(depth))
+        return left
+
+    def _operation(self, sign: str, *of: _Any) -> Operation:
+        return Operation(sign, tuple(map(self.expression, of)))
+
+    def _signed(self, depth: int) -> _Any:
+        if depth > DEEPEST:
+            raise self._refusal(f"nest at most {DEEPEST} levels", "more")
+        if self._take("-"):
+            return self._operation("-", Constant(0.0), self._signed(depth + 1))
+        return self._primary(depth)
+
+    def _primary(self, depth: int) -> _Any:
+        if self._take("("):
+            inner = self.implies(depth + 1)
+            self._want(")")
+            return inner
+        kind, word, _ = self._tokens[self._at] if self._next else ("", "", 0)
+        if kind == "number":
+            self._at += 1
+            return Constant(float(word))
+        if kind != "name" or word in OPERATORS:
+            raise self._unexpected("a signal, a number, always, eventually, not or (")
+        self._at += 1
+        if self._next == "(":
+            return self._function(word, depth)
+        return Signal(word)
+
+    def _function(self, name: str, depth: int) -> Operation:
+        if name not in FUNCTIONS:
+            raise self._refusal("use known functions", name, ", ".join(FUNCTIONS))
+        self._want("(")
+        of = [self.expression(self.implies(depth + 1))]
+        while self._take(","):
+            of.append(self.expression(self.implies(depth + 1)))
+        self._want(")")
+        least = FUNCTIONS[name]
+        if len(of) < least or (least == 1 and len(of) > 1):
+            wanted = f"{least} argument" if least == 1 else f"{least} arguments or more"
+            raise self._refusal(f"give {name} {wanted}", len(of))
+        return Operation(name, tuple(of))

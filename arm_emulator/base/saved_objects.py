@@ -1,0 +1,72 @@
+"""Objects saved in memory, and restored."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from dataclasses import dataclass, field
+from typing import Any
+
+from arm_emulator.base.refusal import Refusal
+
+
+class Lasting:
+    """Mixin of objects that no motion changes: constants, and scratch memory of algorithms.
+
+    What is saved refers to them, and what is restored has the same ones.
+    """
+
+
+@dataclass(frozen=True)
+class Saved:
+    """Objects at one moment."""
+
+    data: bytes = field(repr=False)
+    owner: SavedObjects = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+
+class SavedObjects:
+    """Saves objects, all but the `Lasting` ones among their parts, and restores them."""
+
+    def __init__(self) -> None:
+        self._lasting: dict[int, Lasting] = {}
+
+    def save(self, objects: Any) -> Saved:
+        """Return the objects as they are now."""
+        into = io.BytesIO()
+        _Pickler(into, self._lasting).dump(objects)
+        return Saved(into.getvalue(), self)
+
+    def restore(self, saved: Saved, where: str) -> Any:
+        """Return copies of the objects as they were.
+
+        Raises:
+            Refusal: something else; `where` names the caller.
+        """
+        if not isinstance(saved, Saved) or saved.owner is not self:
+            raise Refusal(where, "saved", "be what `save` of the same run returned", saved)
+        return _Unpickler(io.BytesIO(saved.data), self._lasting).load()
+
+
+class _Pickler(pickle.Pickler):
+    def __init__(self, into: io.BytesIO, lasting: dict[int, Lasting]) -> None:
+        super().__init__(into, pickle.HIGHEST_PROTOCOL)
+        self._lasting = lasting
+
+    def persistent_id(self, one: Any) -> int | None:
+        if not isinstance(one, Lasting):
+            return None
+        self._lasting[id(one)] = one
+        return id(one)
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, source: io.BytesIO, lasting: dict[int, Lasting]) -> None:
+        super().__init__(source)
+        self._lasting = lasting
+
+    def persistent_load(self, number: int) -> Lasting:
+        return self._lasting[number]

@@ -1,0 +1,47 @@
+"""A fault that the scene lists, by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from arm_emulator.base.number import number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import Section
+from arm_emulator.campaign.fault import Fault
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import Session
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine(Fault):
+    """A fault of the machine that the scene lists in `faults`, such as elbow.encoder_slips.
+
+    Attributes:
+        fault: its name in the scene.
+    """
+
+    kind: ClassVar[str] = "machine"
+
+    fault: str
+    magnitude: float = number("", at_least=-1e9, at_most=1e9, text="in the unit of the fault")
+
+    @classmethod
+    def others(cls, section: Section) -> dict[str, Any]:
+        """Return the name."""
+        return {"fault": section.text("fault")}
+
+    def check(self, scene: Scene, where: str) -> None:
+        """Refuse what the scene does not list, or a magnitude out of its range."""
+        listed = {one.name: one.varied.number for one in scene.faults}
+        if self.fault not in listed:
+            known = ", ".join(listed) or f"none, set: {{faults: [{self.fault}]}} lists it"
+            raise Refusal(where, "fault", "be listed by the scene", self.fault, known)
+        listed[self.fault].take(where, self.magnitude, "magnitude")
+
+    def begin(self, session: Session) -> Callable[[], None]:
+        """Set the magnitude."""
+        name = f"faults.{self.fault}"
+        session.set_varied(name, self.magnitude)
+        return lambda: session.set_varied(name, 0.0)

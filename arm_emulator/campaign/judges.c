@@ -1,0 +1,142 @@
+#include "judges.h"
+
+#include <math.h>
+#include <string.h>
+
+#define EACH for (int i = 0; i < JUDGES_BLOCK; ++i)
+
+static double* row_of(const judges* all, int32_t row) {
+  return all->values + (int64_t)row * JUDGES_BLOCK;
+}
+
+/* NaN stays NaN. */
+static double smaller(double a, double b) { return a < b || isnan(a) ? a : b; }
+static double larger(double a, double b) { return a > b || isnan(a) ? a : b; }
+
+static void follow(double* out, int32_t joint, int64_t first, int64_t count,
+                   const judges_samples* piece) {
+  int64_t at = 0;
+  for (int64_t i = 0; i < count; ++i) {
+    while (at + 1 < piece->target_count && piece->since[at + 1] <= first + i) ++at;
+    out[i] = piece->targets[at * piece->joints + joint];
+  }
+}
+
+/* Whole blocks, so that the compiler knows their length; values past the end are not read. */
+static void compute(const judges_row* what, double* restrict out, const double* a,
+                    const double* b) {
+  switch (what->kind) {
+    case JUDGES_ADD:
+      EACH out[i] = a[i] + b[i];
+      break;
+    case JUDGES_SUBTRACT:
+      EACH out[i] = a[i] - b[i];
+      break;
+    case JUDGES_MULTIPLY:
+      EACH out[i] = a[i] * b[i];
+      break;
+    case JUDGES_DIVIDE:
+      EACH out[i] = a[i] / b[i];
+      break;
+    case JUDGES_LEAST:
+      EACH out[i] = smaller(a[i], b[i]);
+      break;
+    case JUDGES_MOST:
+      EACH out[i] = larger(a[i], b[i]);
+      break;
+    case JUDGES_ABS:
+      EACH out[i] = fabs(a[i]);
+      break;
+    case JUDGES_ROOT:
+      EACH out[i] = sqrt(a[i]);
+      break;
+    default:
+      EACH out[i] = what->value;
+  }
+}
+
+static void fill(const judges* all, int32_t row, const judges_samples* piece, int64_t from,
+                 int64_t count) {
+  const judges_row* what = &all->rows[row];
+  double* out = row_of(all, row);
+  const int64_t first = all->taken + from;
+  switch (what->kind) {
+    case JUDGES_CONSTANT:
+      if (first == 0) compute(what, out, out, out);
+      break;
+    case JUDGES_SIGNAL:
+      memcpy(out, piece->rows + what->left * piece->stride + from, (size_t)count * sizeof *out);
+      break;
+    case JUDGES_TICK:
+      for (int64_t i = 0; i < count; ++i) out[i] = (double)(first + i);
+      break;
+    case JUDGES_TARGET:
+      follow(out, what->left, first, count, piece);
+      break;
+    default:
+      compute(what, out, row_of(all, what->left), row_of(all, what->right));
+  }
+}
+
+static void reduce(judges_measure* one, const double* values, int64_t count) {
+  double found = one->found;
+  switch (one->reduction) {
+    case JUDGES_MAX:
+      for (int64_t i = 0; i < count; ++i) found = larger(values[i], found);
+      break;
+    case JUDGES_MIN:
+      for (int64_t i = 0; i < count; ++i) found = smaller(values[i], found);
+      break;
+    case JUDGES_MEAN:
+      for (int64_t i = 0; i < count; ++i) found += values[i];
+      break;
+    case JUDGES_RMS:
+      for (int64_t i = 0; i < count; ++i) found += values[i] * values[i];
+      break;
+    default:
+      found = values[count - 1];
+  }
+  one->found = found;
+}
+
+void judges_begin(judges* all) {
+  for (int32_t k = 0; k < all->requirement_count; ++k) (void)robustness_end(all->requirements[k]);
+  for (int32_t k = 0; k < all->measure_count; ++k) {
+    judges_measure* one = &all->measures[k];
+    const int extreme = one->reduction == JUDGES_MAX || one->reduction == JUDGES_MIN;
+    one->found = extreme ? (one->reduction == JUDGES_MAX ? -INFINITY : INFINITY) : 0.0;
+  }
+  all->taken = 0;
+}
+
+int judges_take(judges* all, const judges_samples* piece) {
+  for (int64_t from = 0; from < piece->count; from += JUDGES_BLOCK) {
+    const int64_t left = piece->count - from;
+    const int64_t count = left < JUDGES_BLOCK ? left : JUDGES_BLOCK;
+    for (int32_t k = 0; k < all->row_count; ++k) fill(all, k, piece, from, count);
+    for (int32_t k = 0; k < all->requirement_count; ++k) {
+      if (robustness_feed(all->requirements[k], all->values, JUDGES_BLOCK, count)) return -1;
+    }
+    for (int32_t k = 0; k < all->measure_count; ++k) {
+      reduce(&all->measures[k], row_of(all, all->measures[k].row), count);
+    }
+    for (int32_t k = 0; k < all->kept_count; ++k) {
+      memcpy(all->kept + k * all->kept_stride + from, row_of(all, all->kept_rows[k]),
+             (size_t)count * sizeof(double));
+    }
+  }
+  all->taken += piece->count;
+  return 0;
+}
+
+void judges_end(judges* all, double* robustness, double* measures) {
+  for (int32_t k = 0; k < all->requirement_count; ++k) {
+    robustness[k] = robustness_end(all->requirements[k]);
+  }
+  for (int32_t k = 0; k < all->measure_count; ++k) {
+    const judges_measure* one = &all->measures[k];
+    const int sums = one->reduction == JUDGES_MEAN || one->reduction == JUDGES_RMS;
+    const double value = sums ? one->found / (double)all->taken : one->found;
+    measures[k] = one->reduction == JUDGES_RMS ? sqrt(value) : value;
+  }
+}

@@ -1,0 +1,83 @@
+/* All that judges the runs of a campaign: arithmetic of signals that is computed once for all
+ * requirements and measures, block by block. C99. */
+#ifndef JUDGES_H
+#define JUDGES_H
+
+#include "robustness.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum judges_kind {
+  JUDGES_CONSTANT, /* `value` */
+  JUDGES_SIGNAL,   /* row `left` of the samples */
+  JUDGES_TICK,     /* number of the sample */
+  JUDGES_TARGET,   /* joint `left` of the target that holds */
+  JUDGES_ADD,      /* of rows `left` and `right`, as the next five */
+  JUDGES_SUBTRACT,
+  JUDGES_MULTIPLY,
+  JUDGES_DIVIDE,
+  JUDGES_LEAST,
+  JUDGES_MOST,
+  JUDGES_ABS, /* of row `left`, as the next one */
+  JUDGES_ROOT,
+};
+
+enum judges_reduction { JUDGES_MAX, JUDGES_MIN, JUDGES_MEAN, JUDGES_RMS, JUDGES_LAST };
+
+#define JUDGES_BLOCK 256 /* samples */
+
+/* A row of values; its operands come before it. */
+typedef struct judges_row {
+  int32_t kind;
+  int32_t left;
+  int32_t right;
+  int32_t reserved;
+  double value;
+} judges_row;
+
+typedef struct judges_measure {
+  int32_t reduction;
+  int32_t row;
+  double found; /* extremum, sum or last value so far */
+} judges_measure;
+
+/* Samples in a piece; targets: `since` has the samples, ascending from at most the first one, from
+ * which each row of `targets` holds. */
+typedef struct judges_samples {
+  int64_t count;
+  int64_t stride; /* of a row */
+  const double* rows;
+  const int64_t* since;
+  const double* targets;
+  int64_t target_count;
+  int64_t joints;
+} judges_samples;
+
+typedef struct judges {
+  uint32_t size;
+  int32_t row_count, requirement_count, measure_count, kept_count;
+  int32_t reserved;
+  const judges_row* rows;
+  double* values;                  /* JUDGES_BLOCK for each row */
+  robustness* const* requirements; /* over these rows */
+  judges_measure* measures;
+  const int32_t* kept_rows;
+  double* kept; /* `kept_stride` for each of them: the values of the newest piece */
+  int64_t kept_stride;
+  int64_t taken; /* samples so far */
+} judges;
+
+/* Begin a run. */
+void judges_begin(judges* all);
+/* Go on with a piece. Returns 0, or -1 without memory. */
+int judges_take(judges* all, const judges_samples* piece);
+/* Fill the robustness of each requirement and the value of each measure. */
+void judges_end(judges* all, double* robustness, double* measures);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,146 @@
+"""A run that fails, with the fewest changes and in the shortest time that leave it failing.
+
+Changes are the numbers that differ from their nominal values, and the faults. Delta debugging
+(Zeller and Hildebrandt, IEEE Transactions on Software Engineering 28, 2002) leaves a set of them of
+which none can be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.campaign.case import Case
+from arm_emulator.campaign.scenario import ticks_of
+from arm_emulator.campaign.simulator import Simulator
+
+FAULT = "faults."
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """Rest of a run that fails.
+
+    Attributes:
+        requirement: that it fails; the one with the least margin.
+        before, margin: its margin in the whole run, and now.
+        changes: numbers that differ from their nominal values, by name.
+        faults: that happen.
+        seconds: that it lasts.
+        runs: that were tried.
+        case: the run.
+    """
+
+    requirement: str
+    before: float
+    margin: float
+    changes: dict[str, float]
+    faults: tuple[str, ...]
+    seconds: float
+    runs: int
+    case: Case
+
+
+def shrink(campaign: Campaign, case: Case) -> Shrunk:
+    """Return the fewest changes and the shortest time with which a run fails as it does.
+
+    Raises:
+        Refusal: it does not fail.
+    """
+    tries = _Tries(campaign, case)
+    before = tries.margins(case)
+    requirement = min(before, key=lambda name: before[name], default="")
+    if not requirement or before[requirement] >= 0.0:
+        raise Refusal(f"{campaign.where}, run {case.index}", "the run", "fail", "all hold")
+    changes = tries.changes()
+
+    def fails(some: Sequence[str]) -> bool:
+        return not tries.margins(tries.with_only(some))[requirement] >= 0.0
+
+    changes = [] if fails([]) else fewest(changes, fails)
+    found = tries.with_only(changes)
+    if changes:
+        found = tries.shortest(found, requirement)
+    kept = {name: found.values[name] for name in changes if name in found.values}
+    faults = tuple(name.removeprefix(FAULT) for name in changes if name not in found.values)
+    margin = tries.margins(found)[requirement]
+    runs, seconds = tries.runs, min(found.seconds, campaign.nominal[0].seconds)
+    return Shrunk(requirement, before[requirement], margin, kept, faults, seconds, runs, found)
+
+
+def fewest(changes: Sequence[str], fails: Callable[[Sequence[str]], bool]) -> list[str]:
+    """Return some of the changes with which it fails, and without any of which it does not."""
+    left, parts = list(changes), 2
+    while len(left) > 1:
+        pieces = [part.tolist() for part in np.array_split(np.array(left, object), parts)]
+        rests = [[one for one in left if one not in piece] for piece in pieces]
+        found = next((piece for piece in pieces if fails(piece)), None)
+        if found is not None:
+            left, parts = found, 2
+            continue
+        found = next((rest for rest in rests if len(rest) < len(left) and fails(rest)), None)
+        if found is not None:
+            left, parts = found, max(2, parts - 1)
+        elif parts >= len(left):
+            break
+        else:
+            parts = min(len(left), 2 * parts)
+    return left
+
+
+class _Tries:
+    """Runs that have some of the changes of one run."""
+
+    def __init__(self, campaign: Campaign, case: Case) -> None:
+        self._campaign, self._case = campaign, case
+        self._simulator = Simulator(campaign)
+        self._nominal = {one.name: one.nominal for one in campaign.variation.numbers}
+        self._faults = [*campaign.nominal[1]]
+        self._found: dict[str, dict[str, float]] = {}
+        self.runs = 0
+
+    def changes(self) -> list[str]:
+        """Return all changes; the faults first."""
+        values = self._case.values
+        moved = [name for name, value in values.items() if value != self._nominal[name]]
+        return [*(f"{FAULT}{name}" for name in self._faults), *moved]
+
+    def with_only(self, changes: Sequence[str]) -> Case:
+        """Return the run with some of the changes, and its noise."""
+        values = {
+            name: value if name in changes else self._nominal[name]
+            for name, value in self._case.values.items()
+        }
+        without = frozenset(name for name in self._faults if f"{FAULT}{name}" not in changes)
+        return replace(self._case, values=values, without=without)
+
+    def margins(self, case: Case) -> dict[str, float]:
+        """Return the margins of a run, which is simulated once."""
+        key = repr((sorted(case.values.items()), sorted(case.without), case.seconds))
+        if key not in self._found:
+            self.runs += 1
+            self._found[key] = dict(self._simulator.run(case).robustness)
+        return self._found[key]
+
+    def shortest(self, case: Case, requirement: str) -> Case:
+        """Return the run, ended as soon as it has failed.
+
+        A requirement that is not decided yet may fail because time is short; so an end counts only
+        if the run without changes holds there.
+        """
+        period = self._campaign.scene.servo_period
+        plain = self.with_only([])
+        least, most = 0, max(1, ticks_of(self._campaign.nominal[0].seconds, period))
+        while most - least > 1:
+            middle = (least + most) // 2
+            ended = replace(case, seconds=middle * period)
+            holds = self.margins(replace(plain, seconds=ended.seconds))[requirement] >= 0.0
+            if holds and not self.margins(ended)[requirement] >= 0.0:
+                most = middle
+            else:
+                least = middle
+        return replace(case, seconds=most * period)

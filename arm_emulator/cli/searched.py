@@ -1,0 +1,103 @@
+"""`arm_emulator campaign`: what a search found, single runs, and failures that are shrunk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from arm_emulator.base.count import check_count
+from arm_emulator.base.kept import Kept
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import Campaign, load_campaign
+from arm_emulator.campaign.case import Case, case_with, drawn_case
+from arm_emulator.campaign.results import ABOUT, INDEX, Results
+from arm_emulator.campaign.search.method import Finding
+from arm_emulator.campaign.shrinking import shrink
+from arm_emulator.campaign.shrunk_files import write_shrunk
+from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.cli.output import output
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.runs.recorder import Recorder
+
+
+def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
+    """Return a run by its index: drawn again, or of a search, from its results.
+
+    Raises:
+        Refusal: a search has no such run.
+    """
+    check_count("campaign", option, index, 0, 10**12)
+    if one.search is None:
+        return drawn_case(one.variation, index)
+    if not (into / ABOUT).is_file():
+        rule = "have the search's runs, from which one is taken"
+        raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
+    columns = Results(into, one).columns()
+    places = np.flatnonzero(columns[INDEX] == index)
+    if not len(places):
+        count = len(columns[INDEX])
+        raise Refusal("campaign", option, "be a run of the search", index, f"0 to {count - 1}")
+    values = {name.name: float(columns[name.name][places[0]]) for name in one.variation.numbers}
+    return case_with(one.variation, index, values)
+
+
+def record_case(simulator: Simulator, case: Case, kept: Kept) -> None:
+    """Simulate a run for who records it."""
+    pieces = simulator.drive(case)
+    next(pieces)
+    with Recorder(simulator.session.plant, kept, waits=True, stays=True):
+        try:
+            for _ in pieces:
+                pass
+        except Diverged as fault:
+            output.line(str(fault))
+
+
+def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:
+    """Print what a search found."""
+    for one in findings:
+        output.line(one.about)
+        table = [one.head, *one.texts()] if one.rows else []
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        for row in table:
+            cells = (text.ljust(width) for text, width in zip(row, widths, strict=True))
+            output.line(f"  {'  '.join(cells)}".rstrip())
+    output.line(f"digest  {digest}")
+    output.facts({
+        "findings": [asdict(one) for one in findings], "count": count, "digest": digest,
+        "results": str(folder),
+    })  # fmt: skip
+
+
+def print_shrunk(one: Campaign, case: Case, into: Path) -> int:
+    """Shrink a run that fails, write it, and print what is left of it."""
+    found = shrink(one, case)
+    output.line(f"run {case.index} fails {found.requirement} by {-found.before:.6g}")
+    for name, value in found.changes.items():
+        nominal = next(number.nominal for number in one.variation.numbers if number.name == name)
+        output.line(f"  {name:<42} {value:.6g} in the place of {nominal:.6g}")
+    for name in found.faults:
+        output.line(f"  fault {name}")
+    if not found.changes and not found.faults:
+        output.line("  it fails without any change")
+    output.line(f"  {found.seconds:.6g} s, fails by {-found.margin:.6g}, {found.runs} runs tried")
+    files = write_shrunk(one, found, into / f"shrunk_{case.index}")
+    again = load_campaign(files.campaign)
+    simulator = Simulator(again)
+    margin = simulator.run(0).robustness[found.requirement]
+    if margin >= 0.0:
+        rule = f"fail {found.requirement} when it is simulated again"
+        raise Refusal("campaign", str(files.campaign), rule, f"holds by {margin:g}")
+    record_case(simulator, drawn_case(again.variation, 0), Kept(record=files.record))
+    for file in (files.campaign, files.scene, files.record):
+        output.line(f"wrote   {file}")
+    output.facts({
+        "index": case.index, "requirement": found.requirement, "changes": found.changes,
+        "faults": found.faults, "seconds": found.seconds, "margin": margin,
+        "runs": found.runs, "campaign": files.campaign, "scene": files.scene,
+        "record": files.record,
+    })  # fmt: skip
+    return 0

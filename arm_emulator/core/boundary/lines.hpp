@@ -1,0 +1,194 @@
+// The lines between controller and drives: commands and measurements as they come through.
+#pragma once
+
+#include <bit>
+
+#include "arm.h"
+#include "mechanics/scene.hpp"
+#include "parts/line.hpp"
+
+namespace arm {
+
+// A scene without faults of lines: what is sent is received.
+template <class S>
+struct Lines {
+  static constexpr bool present = false;
+  std::int64_t newest() const { return 0; }
+  void begin(std::int64_t, const arm_measurement&) {}
+  template <class Machine>
+  void command(const Machine&, std::int64_t, bool, arm_joint_command*, double*) {}
+  template <class Machine>
+  void measure(const Machine&, std::int64_t, arm_measurement&) {}
+  void put(arm_measurement&) const {}
+  template <class Number>
+  void for_each_number(Number&&) {}
+};
+
+template <class S>
+  requires requires(const double* p) { S::lines(p); }
+class Lines<S> {
+ public:
+  static constexpr bool present = true;
+  static constexpr int N = S::N;
+
+  // Tick of the newest measurement.
+  std::int64_t newest() const { return newest_; }
+
+  // As if the machine had always rested, enabled, under commands of 0.
+  void begin(std::int64_t tick, const arm_measurement& measured) {
+    newest_ = tick;
+    for (int j = 0; j < N; ++j) {
+      Command rest = {};
+      rest[kCommand - 1] = ARM_ENABLED;
+      commands_[j].begin(rest);
+      Measured frame;
+      pack(measured, j, frame);
+      measurements_[j].begin(frame);
+    }
+  }
+
+  // Replace the commands of a tick by those that the drives receive. `came`: these have come
+  // through already.
+  template <class Machine>
+  void command(const Machine& machine, std::int64_t tick, bool came, arm_joint_command* joint,
+               double* further) {
+    const auto suite = now(machine);
+    for (int j = 0; j < N; ++j) {
+      if (!kLined.at[j]) continue;
+      Command frame;
+      const auto each = [&](auto&& word) {
+        word(frame[0], joint[j].value);
+        for (int r = 0; r < S::inputs; ++r) word(frame[1 + r], further[r * N + j]);
+      };
+      each([](std::int64_t& to, double from) { to = std::bit_cast<std::int64_t>(from); });
+      const std::uint64_t mode = static_cast<std::uint32_t>(joint[j].mode);
+      frame[kCommand - 1] = static_cast<std::int64_t>(mode << 32 | joint[j].enable);
+      static constexpr LineFaults none;
+      commands_[j].send(tick, frame, came ? none : suite.at[j].command, noises(suite, j, 0),
+                        spoil_number);
+      for (int w = 0; w < kCommand; ++w) frame[w] = commands_[j].received()[w];
+      each([](const std::int64_t& from, double& to) { to = std::bit_cast<double>(from); });
+      const auto last = static_cast<std::uint64_t>(frame[kCommand - 1]);
+      joint[j].mode = static_cast<std::int32_t>(last >> 32);
+      joint[j].enable = suite.at[j].silent >= 0.5 ? 0 : static_cast<std::uint32_t>(last);
+    }
+  }
+
+  // Send the measurement of a tick, of which no array is null.
+  template <class Machine>
+  void measure(const Machine& machine, std::int64_t tick, arm_measurement& measured) {
+    newest_ = tick;
+    const auto suite = now(machine);
+    for (int j = 0; j + 1 < N; ++j)
+      if (suite.at[j].swapped >= 0.5) swap_encoders(measured, j, j + 1);
+    for (int j = 0; j < N; ++j) {
+      if (!kLined.at[j]) continue;
+      Measured frame;
+      pack(measured, j, frame);
+      measurements_[j].send(tick, frame, suite.at[j].measurement, noises(suite, j, 1), spoil_count);
+    }
+  }
+
+  // Replace a measurement by the received one; its arrays may be null.
+  void put(arm_measurement& out) const {
+    for (int j = 0; j < N; ++j) {
+      if (!kLined.at[j]) continue;
+      const Measured& frame = measurements_[j].received();
+      for_each_word(out, j, [&](int k, auto& to) { set(to, frame[k]); });
+    }
+  }
+
+  template <class Number>
+  void for_each_number(Number&& number) {
+    number(newest_);
+    for (int j = 0; j < N; ++j)
+      commands_[j].for_each_number(number), measurements_[j].for_each_number(number);
+  }
+
+ private:
+  // Joints whose lines may have faults.
+  struct Lined {
+    bool at[N] = {};
+    constexpr Lined() {
+      const auto suite = S::lines(SomeValues<S>().p);
+      for (int j = 0; j < N; ++j) {
+        at[j] |= suite.at[j].may_fail();
+        if (j + 1 < N && suite.at[j].swapped != 0.0) at[j + 1] = true;
+      }
+    }
+  };
+  static constexpr Lined kLined = {};
+
+  static constexpr int kCommand = 2 + S::inputs;
+  static constexpr int kMeasured = 11 + S::readings;
+  using Command = typename LineWay<kCommand>::Frame;
+  using Measured = typename LineWay<kMeasured>::Frame;
+
+  template <class Machine>
+  static auto now(const Machine& machine) {
+    double values[S::parameters + 1] = {};
+    for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
+    return S::lines(values);
+  }
+  // Streams apart from those of sensors.
+  template <class Suite>
+  static Noise noises(const Suite& suite, int j, int way) {
+    return Noise::of(suite.seed, -(1 << 29) - 2 * j - way);
+  }
+
+  // Of a number the sign or one of the 23 leading bits of its fraction: it stays finite.
+  static void spoil_number(Command& frame, double draw) {
+    const int bit = static_cast<int>(24.0 * draw - 1e-9);
+    frame[0] ^= std::int64_t{1} << (bit < 1 ? 63 : 52 - bit);
+  }
+  // Of counts one of the 16 last bits.
+  static void spoil_count(Measured& frame, double draw) {
+    frame[0] ^= std::int64_t{1} << static_cast<int>(16.0 * draw - 1e-9);
+  }
+
+  static void swap_encoders(arm_measurement& measured, int j, int other) {
+    const auto exchange = [](auto& a, auto& b) {
+      const auto kept = a;
+      a = b, b = kept;
+    };
+    exchange(measured.joint[j].encoder, measured.joint[other].encoder);
+    arm_joint_sensors &a = measured.sensors[j], &b = measured.sensors[other];
+    const double torques[] = {a.torque, b.torque};
+    exchange(a, b);
+    a.torque = torques[0], b.torque = torques[1];
+  }
+
+  static void pack(const arm_measurement& measured, int j, Measured& frame) {
+    for_each_word(measured, j, [&](int k, const auto& from) { frame[k] = word_of(from); });
+  }
+  static std::int64_t word_of(std::int64_t value) { return value; }
+  static std::int64_t word_of(std::uint32_t value) { return value; }
+  static std::int64_t word_of(double value) { return std::bit_cast<std::int64_t>(value); }
+  static void set(std::int64_t& to, std::int64_t word) { to = word; }
+  static void set(std::uint32_t& to, std::int64_t word) { to = static_cast<std::uint32_t>(word); }
+  static void set(double& to, std::int64_t word) { to = std::bit_cast<double>(word); }
+
+  // word(index, number) for all of joint j that is there. What the motors got is left out: a run is
+  // repeated from it.
+  template <class Word>
+  static void for_each_word(const arm_measurement& of, int j, Word&& word) {
+    int k = 0;
+    const auto each = [&](auto&... numbers) { (word(k++, numbers), ...); };
+    arm_joint_measurement& joint = of.joint[j];
+    each(joint.encoder, joint.current, joint.faults, joint.brake);
+    if (of.sensors) {
+      arm_joint_sensors& s = of.sensors[j];
+      each(s.index, s.index_pulses, s.link_encoder, s.link_index, s.link_index_pulses, s.torque);
+    }
+    k = 10;
+    if (of.current_d) each(of.current_d[j]);
+    k = 11;
+    for (int r = 0; of.readings && r < S::readings; ++r) each(of.readings[r * N + j]);
+  }
+
+  std::int64_t newest_ = 0;
+  LineWay<kCommand> commands_[N];
+  LineWay<kMeasured> measurements_[N];
+};
+
+}  // namespace arm

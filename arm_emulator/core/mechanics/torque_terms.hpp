@@ -1,0 +1,85 @@
+// The torques on each link and each rotor at an instant, term by term. They sum up to 0, inertia
+// included, up to rounding: the equations of motion as they are solved.
+#pragma once
+
+#include <algorithm>
+
+#include "mechanics/modes.hpp"
+
+namespace arm {
+
+template <class S>
+class TorqueTerms {
+ public:
+  static constexpr int N = S::N;
+  static constexpr int extras = [] {
+    int most = 0;
+    any_drive<S>([&](const auto& drive) {
+      most = std::max(most, drive.extra_count);
+      return false;
+    });
+    return most;
+  }();
+  // On the link: inertia, Coriolis and centrifugal, gravity, external wrench, gear, viscous
+  // friction, dry friction, inertia of a rotor behind a rigid gear. On the rotor: inertia, motor,
+  // gear, friction. Then the extras, and whether each of them acts on the rotor.
+  static constexpr int fixed = 12, rows = fixed + 2 * extras;
+
+  // Write rows of N torques [N m, N at the link of a prismatic joint]; NaN: no such part.
+  static void write(const Numbers<S>& n, State<S> x, const double* u, double* out) {
+    typename Links<S>::Dynamics links, still;
+    const double rest[N] = {};
+    follow_at_once(n, x, u);
+    Links<S>::dynamics_apart(n, x.q, x.v, links);
+    Links<S>::dynamics_apart(n, x.q, rest, still);
+    double a[N], external[N] = {};
+    const Modes<S> modes(n, x, u, links);
+    typename Modes<S>::Friction coulomb(n);
+    modes.accelerations(x, u, links, a, coulomb);
+    if constexpr (S::external_wrench) {
+      typename Links<S>::Kinematics kinematics;
+      Links<S>::kinematics(x.q, kinematics);
+      Links<S>::external_torques(n, kinematics, external);
+    }
+    n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      const auto now = modes.of(drive, j);
+      const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+      const auto on = drive.torques(at, now.held());
+      double inertia = 0.0;
+      for (int k = 0; k < N; ++k) inertia -= links.M.at[j < k ? j : k][j < k ? k : j] * a[k];
+      const double no = no_number();
+      double row[rows] = {inertia,
+                          still.nle[j] - links.nle[j],
+                          -(still.nle[j] + external[j]),
+                          S::external_wrench ? external[j] : no,
+                          Drive::driven ? on.gear : no,
+                          on.viscous,
+                          -coulomb.force(j),
+                          Drive::carries_rotor ? -drive.carried() * a[j] : no,
+                          no,
+                          Drive::driven ? on.motor : no,
+                          no,
+                          Drive::driven ? on.rotor_friction : no};
+      if constexpr (Drive::elastic) {
+        row[8] = -drive.motor.Mm * rotor_acceleration(drive, at, now.held());
+        row[10] = on.gear_on_rotor;
+      }
+      for (int e = 0; e < extras; ++e) {
+        const bool there = e < Drive::extra_count;
+        row[fixed + e] = there ? on.extra[e] : no;
+        row[fixed + extras + e] = there && Drive::on_the_rotor(there ? e : 0) ? 1.0 : 0.0;
+      }
+      for (int k = 0; k < rows; ++k) out[k * N + j] = row[k];
+    });
+  }
+
+ private:
+  template <class Drive>
+  static double rotor_acceleration(const Drive& drive,
+                                   const typename Drive::template Input<double>& x, unsigned held) {
+    const double D = drive.D(held).f[Drive::wm];
+    return D > 0.0 ? drive.rates(x, held).f[Drive::wm] / D : 0.0;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,122 @@
+// The paper's scheme: backward Euler for the motors, forward Euler for the links, one step for
+// both.
+#pragma once
+
+#include "mechanics/at_once.hpp"
+#include "mechanics/coulomb.hpp"
+#include "mechanics/links.hpp"
+#include "schemes/drive_tables.hpp"
+#include "schemes/scheme.hpp"
+
+namespace arm {
+
+template <class S, class X = double>
+class PaperScheme {
+ public:
+  static constexpr int N = S::N, K = most_states<S>();
+  using Dynamics = typename Links<S, X>::Dynamics;
+  using Tables = DriveTables<S, X, MakePaper>;
+  using In = typename Tables::In;
+  static constexpr int row = Tables::row;
+  // Drives find the modes that hold at the step's end, with the link held.
+  static constexpr bool holds_links = true;
+
+  PaperScheme(double step, const Numbers<S, X>& numbers)
+      : h_(step), n_(numbers), tables_(numbers, {step}), coulomb_(numbers) {}
+  PaperScheme(const PaperScheme&) = delete;
+
+  // The numbers of a lane have changed, or all.
+  void renew(int lane) { tables_.renew(lane); }
+  void renew() { tables_.fill(); }
+
+  // It has no past.
+  struct Memory {
+    template <class Number>
+    void for_each_number(Number&&) {}
+  };
+  void reset(const State<S, X>&) {}
+  Memory memory() const { return {}; }
+  void restore(Memory) {}
+
+  // From sample k to k + 1 under the commands u. The links' part comes from `exchange`, which is
+  // given the links as soon as they have moved on (two_threads.hpp).
+  template <class Exchange>
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+    alignas(64) X a[row];
+    drives(x, u, a);
+    exchange.take(links);
+    accelerations(x, u, links, a);
+    integrate(x, a);
+    exchange.give(x);
+  }
+
+ private:
+  // Eq. (3), the links held at sample k; `torque`: of the drives on the links after it.
+  ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
+    if constexpr (kJumps<S>) begin_at_once(n_, x, u);
+    typename Tables::Inputs in;
+    for_each<K, kMostStates>(
+        [&](auto k) __attribute__((always_inline)) { in[k] = Row<N, X>::load(x.z[k]); });
+    in[In::q] = Row<N, X>::load(x.q);
+    in[In::v] = Row<N, X>::load(x.v);
+    in[In::u] = Row<N, X>::load(u);
+    if constexpr (Tables::modal) choose_modes(x, u, in);
+    if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
+    Tables::template answer<In::k1>(tables_.rhs_1, in).store(torque);
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      auto z = Tables::template answer<In::k1>(tables_.dz[k], in);
+      for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
+      z.store(x.z[k]);
+    });
+    if constexpr (Tables::modal) tables_.settle(x, u);
+  }
+
+  // The modes that hold at the end of the step, the link held: each drive finds its own.
+  void choose_modes(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0) {
+        const auto start = input_of(drive, j, x, u[j]);
+        auto modes = drive.modes_at(start);
+        for (int round = 0; round <= 2 * drive.modes; ++round) {
+          tables_.serve(j, resized<Tables::M>(modes));
+          const auto wanted = drive.wanted(start, tables_.end_of(drive, j, start), modes);
+          if (wanted == modes) return;
+          modes = wanted;
+        }
+      }
+    });
+    tables_.put_modes(in);
+  }
+
+  // Eq. (4) with the motors at sample k + 1.
+  ARM_INLINE void accelerations(const State<S, X>& x, const X (&u)[row], Dynamics& links,
+                                X (&a)[row]) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      links.M.at[j][j] += n_.carried(j);
+      a[j] -= links.nle[j];
+    });
+    coulomb_.take(x, x, u, tables_.modes());
+    coulomb_.solve(links.M.at, x.v, a);
+  }
+
+  ARM_INLINE void integrate(State<S, X>& x, const X (&a)[row]) const {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      x.q[j] += h_ * x.v[j];
+      x.v[j] += h_ * a[j];
+    });
+    coulomb_.stop_at_reversal(x.v);
+  }
+
+  double h_;
+  const Numbers<S, X>& n_;
+  Tables tables_;
+  Coulomb<S, X> coulomb_;
+};
+
+struct Paper : AnyScheme {
+  static constexpr double end_of_step = 0.0;
+  template <class S, class X>
+  using Method = PaperScheme<S, X>;
+};
+
+}  // namespace arm

@@ -1,0 +1,153 @@
+// The drives of all joints in the modes that a step serves, and what the inputs of a step are.
+#pragma once
+
+#include "schemes/drive_table.hpp"
+
+namespace arm {
+
+// Loops over states and inputs of a drive are unrolled up to these.
+inline constexpr int kMostStates = 16, kMostInputs = 64;
+
+template <class S, class X>
+class ServedDrives {
+ public:
+  static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
+  static constexpr int width = kWidth<X>;
+  // Lanes have the usual modes only (smooth_together.hpp).
+  static constexpr int M = width == 1 ? most_modes<S>() : 0;
+  static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
+  static constexpr int R = linear ? 0 : K + 1;
+  using In = StepInput<K, M, R>;
+  static constexpr bool modal = M > 0;
+  // Lanes may have drives of their own.
+  static constexpr bool own = arm::Numbers<S, X>::varied && width > 1;
+  using Modes = DriveModes<M>;
+  // For each input a number of every joint.
+  using Inputs = arm::Row<N, X>[In::count];
+
+  explicit ServedDrives(const arm::Numbers<S, X>& numbers) : n_(numbers) {}
+  static_assert(!any_drive<S>([](const auto& drive) {
+    return !LinearDrive<K, M>::is_sound(drive);
+  }),
+                "a part of a drive calls linear what is not, and the schemes would leave it out");
+
+  const Modes& served(int j) const { return now_[j]; }
+  // The same for the drive of a joint, as it counts its modes.
+  auto modes() const {
+    return [this]<class Drive>(const Drive&, int j, int) {
+      if constexpr (modal && Drive::modes > 0)
+        return resized<Drive::modes>(now_[j]);
+      else
+        return typename Drive::Modes{};
+    };
+  }
+  // Whether all joints are served in their usual modes.
+  bool serves_usual() const {
+    bool usual = true;
+    for (const Modes& modes : now_) usual = usual && modes == Modes{};
+    return usual;
+  }
+
+  // The numbers of the modes that are in use.
+  ARM_INLINE void put_modes(Inputs& in) const {
+    for_each<M, kMostInputs>([&](auto m) __attribute__((always_inline)) {
+      in[In::offset + m] = arm::Row<N, X>::load(offsets_[m]);
+    });
+  }
+
+  // The rest of every drive, in the rows of f and in g.
+  struct Rest {
+    alignas(64) X at[R][row] = {};
+
+    ARM_INLINE void put(Inputs& in) const {
+      for_each<R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
+        if (matters(In::rest + r)) in[In::rest + r] = arm::Row<N, X>::gather(at[r]);
+      });
+    }
+  };
+
+  // That at x, in the modes that are in use.
+  ARM_INLINE Rest rest_at(const State<S, X>& x, const X (&u)[row]) const {
+    Rest rest;
+    if constexpr (own) {
+      for (int lane = 0; lane < width; ++lane)
+        n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+          if constexpr (!Drive::is_linear) put_rest(drive, j, lane, x, u, rest);
+        });
+    } else if constexpr (modal) {
+      n_.for_each_drive_of(0, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (!Drive::is_linear) put_rest(drive, j, 0, x, u, rest);
+      });
+    } else {
+      n_.for_each_drive_of(
+          0, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+            if constexpr (!Drive::is_linear) {
+              const auto is = drive.rest(input_of(drive, j, x, u[j]), 0);
+              for (int k = 0; k < drive.states; ++k)
+                if (drive.bends(k)) rest.at[k][j] = is.f[k];
+              rest.at[K][j] = is.g;
+            }
+          });
+    }
+    return rest;
+  }
+
+  // Set x to the values that the modes in use hold, against rounding.
+  void settle(State<S, X>& x, const X (&u)[row]) const {
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0) {
+        auto at = input_of(drive, j, x, u[j]);
+        drive.settle(at, resized<Drive::modes>(now_[j]));
+        put_states(drive, j, 0, at, x);
+      }
+    });
+  }
+
+  // Whether any drive of this scene depends on an input.
+  static constexpr bool matters(int input) {
+    for (int row = 0; row < R; ++row)
+      if (input == In::rest + row || input == In::change + row) return bends(row);
+    switch (input) {
+      case In::q:
+        return any_drive<S>([](const auto& d) { return d.elastic || d.has_extras; });
+      case In::u:
+        return any_drive<S>([](const auto& d) { return d.driven; });
+      default:
+        return true;
+    }
+  }
+
+ protected:
+  // Whether any drive has a rest in a row of f, or of g.
+  static constexpr bool bends(int row) {
+    return any_drive<S>([row](const auto& d) {
+      return row == K ? d.bends(d.states) : row < d.states && d.bends(row);
+    });
+  }
+
+  void note(int j, const Modes& modes) {
+    now_[j] = modes;
+    put_offsets(j);
+  }
+
+  const arm::Numbers<S, X>& n_;
+
+ private:
+  template <class Drive>
+  void put_rest(const Drive& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
+                Rest& rest) const {
+    const auto now = modes()(drive, j, lane);
+    const auto is = drive.rest(drive.with(input_in_lane(drive, j, x, u[j], lane), now), now.held());
+    for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
+    set_lane(rest.at[K][j], lane, is.g);
+  }
+
+  void put_offsets(int j) {
+    for (int m = 0; m < M; ++m) offsets_[m][j] = now_[j].at[m].offset;
+  }
+
+  Modes now_[N];
+  alignas(64) X offsets_[modal ? M : 1][row] = {};
+};
+
+}  // namespace arm

@@ -1,0 +1,120 @@
+// The drives' parts of one step of a length of its own (located.hpp): what DriveTables answers, but
+// without tables, which take longer than one step with them saves.
+#pragma once
+
+#include "schemes/served_drives.hpp"
+
+namespace arm {
+
+template <class S>
+class TrialDrives : public ServedDrives<S, double> {
+ public:
+  using Served = ServedDrives<S, double>;
+  using Served::K, Served::M, Served::R, Served::row;
+  using typename Served::In, typename Served::Inputs, typename Served::Modes;
+  using Row = arm::Row<S::N, double>;
+
+  TrialDrives(const Numbers<S, double>& numbers, const MakeImplicit& maker) : Served(numbers) {
+    for (Group& group : of_) group.drive = Linear::none();
+    fill();
+    retime(maker);
+  }
+  // All numbers have changed. All parts are in their usual modes; `retime` is due.
+  void fill() {
+    this->n_.for_each_drive([&](const auto& drive, int j) { put(drive, j, {}); });
+  }
+  // Put joint j into these modes; `retime` is due.
+  void serve(int j, const Modes& modes) {
+    if (modes.held() == this->served(j).held()) return this->note(j, modes);
+    this->n_.for_each_drive([&](const auto& drive, int i) {
+      if (i == j) put(drive, j, modes);
+    });
+  }
+  void retime(const MakeImplicit& maker) {
+    h_ = maker.h;
+    for (int g = 0; g < Row::groups; ++g) {
+      Group& one = of_[g];
+      one.eliminate = Reduced::of(one.drive, gamma_of(2) * h_);
+      *reinterpret_cast<Vector*>(diagonal + g * Row::group) = one.eliminate.s * one.eliminate.b;
+    }
+  }
+
+  // See DriveTables. Each relies on those before it.
+  ARM_INLINE Row first(const Inputs& in) {
+    return of_groups([&](Group& one, int g) __attribute__((always_inline)) {
+      Vector f[kRows] = {}, torque = {};
+      for (int c = 0; c < Linear::kColumns; ++c) {
+        for (int k = 0; k < K; ++k) f[k] += one.drive.F[k][c] * in[c].at[g];
+        torque += one.drive.G[c] * in[c].at[g];
+      }
+      add_rest(in, In::rest, g, f, torque);
+      one.first = one.eliminate.stage(one.drive, f, in[In::v].at[g], torque);
+      return one.first.rhs;
+    });
+  }
+  ARM_INLINE Row rates_at_rest(int k, const Inputs&) {
+    return of_groups([&](Group& one, int) { return one.first.z[k]; });
+  }
+  ARM_INLINE Row rates(int k, const Inputs& in) {
+    return of_groups([&](Group& one, int g) { return one.rate(k, in[In::k1].at[g]); });
+  }
+  ARM_INLINE Row second(const Inputs& in) {
+    return of_groups([&](Group& one, int g) __attribute__((always_inline)) {
+      const Vector a = in[In::k1].at[g];
+      const auto& [s, E, e, b] = one.eliminate;
+      Vector r_z[kRows] = {}, r_v = kSqrt2 * (one.first.rhs - s * b * a);
+      for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * one.drive.D[k] * one.rate(k, a);
+      add_rest(in, In::change, g, r_z, r_v);
+      const Vector r_q = kSqrt2 * (in[In::v].at[g] + s * a);
+      one.second = one.eliminate.stage(one.drive, r_z, r_q, r_v);
+      return one.second.rhs;
+    });
+  }
+  template <int stages>
+  ARM_INLINE Row added(int k, const Inputs& in) {
+    static_assert(stages == 2);
+    return of_groups([&](Group& one, int g) __attribute__((always_inline)) {
+      const Vector k2 = one.second.z[k] + one.eliminate.e[k] * in[In::k2].at[g];
+      return h_ * (gamma_of(2) * one.rate(k, in[In::k1].at[g]) + 0.5 * k2);
+    });
+  }
+
+  alignas(64) double diagonal[row] = {};
+
+ private:
+  using Vector = typename Row::Vector;
+  using Linear = LinearDrive<K, M, Vector>;
+  using Reduced = Elimination<K, M, Vector>;
+  static constexpr int kRows = Linear::kRows;
+  // Joints side by side.
+  struct Group {
+    Linear drive;
+    Reduced eliminate;
+    typename Reduced::Stage first, second;
+
+    ARM_INLINE Vector rate(int k, const Vector& a) const { return first.z[k] + eliminate.e[k] * a; }
+  };
+
+  ARM_INLINE Row of_groups(auto&& number) {
+    Row row;
+    for (int g = 0; g < Row::groups; ++g) row.at[g] = number(of_[g], g);
+    return row;
+  }
+  ARM_INLINE static void add_rest(const Inputs& in, int first, int g, Vector (&f)[kRows],
+                                  Vector& torque) {
+    if constexpr (R > 0) {
+      for (int k = 0; k < K; ++k)
+        if (Served::bends(k)) f[k] += in[first + k].at[g];
+      torque += in[first + K].at[g];
+    }
+  }
+  ARM_APART void put(const auto& drive, int j, const Modes& modes) {
+    this->note(j, modes);
+    of_[j / Row::group].drive.put(j % Row::group, LinearDrive<K, M>::of(drive, modes.held()));
+  }
+
+  double h_;
+  Group of_[Row::groups];
+};
+
+}  // namespace arm

@@ -1,0 +1,271 @@
+"""A new scene with servo, motion control and a demo, from a robot description."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from arm_emulator.analysis.holding import Overload, overloads
+from arm_emulator.base.config_files import check_own
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import parse_urdf
+from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
+from arm_emulator.design.choose_joints import Choice, choose_joints
+from arm_emulator.design.data_sheets import published
+from arm_emulator.design.known_drive import known_drives
+from arm_emulator.design.robot_file import robot_text
+from arm_emulator.design.robot_limits import move_meshes, read_limits, write_limits
+from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
+from arm_emulator.design.sizing import Demand, Sized, size
+from arm_emulator.design.survey import survey
+from arm_emulator.design.tuned import data_sheet, tuned_servo
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.urdf_chain import moved_bodies
+from arm_emulator.machine.urdf_tree import LARGEST_MASS
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.servo.servo_config import JointServo, ServoConfig
+
+SERVO_PERIOD = 1e-3  # s
+WEIGHT = 9.81  # N/kg
+MOST_DENSITY = 3e4  # kg/m3: denser than any material
+# A tool of unknown shape: a share of the moving mass, and its distance from an axis by the reach.
+TOOL_PART, TOOL_AT = 0.25, 0.1
+PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
+HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
+MOTION_PERIOD = 0.01  # s
+SETTLE, WATCHED = 1.0, 3.0  # s, of the demo
+SERVO_HEADING = """\
+Servo of {name}: data sheets as in {name}.yaml; gains as in docs/how_to/gains.md."""
+MOTION_COMMENTS = {
+    "tool": "link that is the tool",
+    "period": "s, between joint targets",
+    "method": "within all joint limits, for any number of joints",
+    "velocity_limit": "rad/s or m/s; what counts are the limits in the robot description",
+    "acceleration_limit": "rad/s2 or m/s2, likewise",
+}
+
+
+@dataclass(frozen=True)
+class NewScene:
+    """The files written, and the reasons for their numbers."""
+
+    file: Path
+    choice: Choice
+    drives: list[Sized]
+    overloads: list[Overload]
+    assumed: list[Assumed]
+
+
+def write_new(
+    robot: Path,
+    out: Path | None,
+    tool: str | None = None,
+    joints: Sequence[str] | None = None,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    payload: float | None = None,
+    density: float = DENSITY,
+    motor: str = MOTORS[0].kind,
+    force: bool = False,
+) -> NewScene:
+    """Write a scene for a robot.
+
+    Args:
+        robot: URDF or xacro source.
+        out: folder to write to; None: one with the robot's name, here.
+        tool: link of the tool; None: chosen.
+        joints: moving joints; None: chosen.
+        arguments: of the xacro source.
+        payload: mass at the tool [kg].
+        density: density of bodies without inertia in the description [kg/m3].
+        motor: kind of all motors.
+        force: whether to overwrite existing files.
+
+    Raises:
+        Refusal: a robot that cannot be emulated, or files that exist already or are shipped.
+    """
+    if payload is not None and not 0.0 <= payload <= LARGEST_MASS:
+        raise Refusal("new", "--payload", f"be from 0 to {LARGEST_MASS:g} kg", payload)
+    kinds = {kind.kind: kind for kind in MOTORS}
+    if motor not in kinds:
+        raise Refusal("new", "--motor", "be a kind of motor", motor, ", ".join(kinds))
+    text = robot_text(robot, arguments or {})
+    description = parse_urdf(text, robot.name)
+    choice = choose_joints(description, robot.name, tool, joints)
+    assumed = _assume(description, robot, choice, density)
+    if assumed:
+        text = ET.tostring(description, encoding="unicode")
+    name = scene_name(robot)
+    folder = Path(name) if out is None else out
+    file = folder / f"{name}.yaml"
+    for place in PLACES:
+        there = folder / place.format(name)
+        check_own("new", there)
+        if there.exists() and not force:
+            valid = "--force writes over it, --out names another folder"
+            raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
+    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed, kinds[motor])
+    with tempfile.TemporaryDirectory() as trial:
+        made = Path(trial) / f"{name}.yaml"
+        _write(Path(trial), {place.format(name): one for place, one in texts.items()})
+        scene = load_scene(made)
+        servo = tuned_servo(made, _servo_of(scene, drives))
+    texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
+    _write(folder, {place.format(name): one for place, one in texts.items()})
+    return NewScene(file, choice, drives, overloads(scene), assumed)
+
+
+def _assume(description: ET.Element, robot: Path, choice: Choice, density: float) -> list[Assumed]:
+    """Add a body in the description to each moving link without one; return these links."""
+    if not 0.0 < density <= MOST_DENSITY:
+        raise Refusal("new", "--density", f"be > 0 and at most {MOST_DENSITY:g} kg/m3", density)
+    locked = {name: held.position for name, held in choice.held.items()}
+    bodies = moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
+    shapes = {
+        link.get("name", ""): bool(link.findall("collision") or link.findall("visual"))
+        for link in description.findall("link")
+    }
+    wanted: dict[str, Array] = {}
+    for body in bodies:
+        if body.fault is not None:
+            lacking = [link for link in body.links if shapes[link]] or list(body.links[:1])
+            wanted |= {link: body.tip for link in lacking}
+    return assume_bodies(description, robot.parent, wanted, density)
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    """Write files below a folder."""
+    try:
+        for place, content in contents.items():
+            file = folder / place
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise Refusal("new", f"folder {folder}", "be writable", error.strerror) from None
+
+
+def scene_name(robot: Path) -> str:
+    """Return the name of a robot's scene: that of its file, as it fits a file and a folder."""
+    stem = robot.name.removesuffix(robot.suffix).removesuffix(".urdf")
+    return re.sub(r"\W+", "_", stem).strip("_") or "arm"
+
+
+def _links_alone(text: str, where: str, choice: Choice, payload: float = 0.0) -> Scene:
+    """Return the robot as a machine without motors; `where`: its name in refusals."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / where).write_text(text, encoding="utf-8")
+        scene = {
+            "name": "links",
+            "urdf": where,
+            "tool": choice.tool,
+            "gravity": [0.0, 0.0, -9.81],
+            "supply_voltage": 1.0,
+            "locked": {name: held.position for name, held in choice.held.items()},
+            "joints": {name: {} for name in choice.joints},
+            "integrator": {"dt": SERVO_PERIOD},
+            "servo_period": SERVO_PERIOD,
+            "payload": {"mass": payload},
+        }
+        file = Path(folder) / "robot.yaml"
+        file.write_text(yaml.safe_dump(scene, allow_unicode=True), encoding="utf-8")
+        return load_scene(file)
+
+
+def _texts(
+    robot: Path,
+    text: str,
+    description: ET.Element,
+    choice: Choice,
+    payload: float,
+    assumed: list[Assumed],
+    kind: type[Motor],
+) -> tuple[list[Sized], dict[str, str]]:
+    """Return the drives, and the files to write by their places; `description` gets limits.
+
+    The servo is not among them: its gains are those of the scene as it is written.
+    """
+    name = scene_name(robot)
+    links = _links_alone(text, robot.name, choice)
+    kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
+    bare = survey(links, kinematics)
+    seen = bare
+    if payload:
+        seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
+    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.links) * WEIGHT
+    limits = read_limits(description)
+    count = len(links.joints)
+    sheets = published(description.get("name", ""), count) or (None,) * count
+    demands = [
+        Demand(
+            name=joint.name,
+            kind=joint.kind,
+            start=float(bare.start[j]),
+            inertia=(float(bare.inertia[j, 0]), float(seen.inertia[j, 1])),
+            coupling=tuple(seen.coupling[j].tolist()),
+            gravity_torque=float(seen.gravity_torque[j]),
+            bare_torque=float(bare.gravity_torque[j]),
+            tool_torque=tool * (1.0 if joint.kind == "prismatic" else TOOL_AT * kinematics.reach),
+            effort=limits[joint.name]["effort"],
+            velocity=limits[joint.name]["velocity"],
+            sheet=sheets[j],
+            limited=bool(kinematics.lower[j] < bare.start[j] < kinematics.upper[j])
+            and bool(np.isfinite(kinematics.lower[j]) and np.isfinite(kinematics.upper[j]))
+            and joint.name in links.chain.coupling.apart,
+        )
+        for j, joint in enumerate(links.chain.joints)
+    ]
+    supply, drives = size(demands, kind)
+    motion = {
+        "tool": choice.tool,
+        "period": MOTION_PERIOD,
+        "method": "way",
+        "velocity_limit": max(drive.speed for drive in drives),
+        "acceleration_limit": max(drive.acceleration for drive in drives),
+    }
+    # The motion controller reads the joints' limits from the robot description.
+    write_limits(description, {drive.joint.name: drive for drive in drives})
+    move_meshes(description, robot.parent)
+    given = Given(robot.name, choice, payload, assumed)
+    scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
+    displacement = bare.displacement.tolist()
+    contents = (
+        scene,
+        "",
+        motion_text(motion, MOTION_COMMENTS, known_drives(drive.joint for drive in drives)),
+        demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
+        ET.tostring(description, encoding="unicode") + "\n",
+    )
+    return drives, dict(zip(PLACES, contents, strict=True))
+
+
+def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
+    """Return the servo of a scene with its data sheets, without gains."""
+    return ServoConfig(
+        period=SERVO_PERIOD,
+        motion_period=MOTION_PERIOD,
+        hold_after=HOLD_AFTER,
+        cut_after=CUT_AFTER,
+        supply_voltage=scene.supply_voltage,
+        joints=tuple(
+            JointServo(
+                name=joint.name,
+                **data_sheet(joint, scene.supply_voltage),
+                velocity_limit=drive.speed,
+                position_gain=1.0,
+                velocity_gain=1.0,
+                integral_time=1.0,
+                observer_bandwidth=1.0,
+            )
+            for joint, drive in zip(scene.joints, drives, strict=True)
+        ),
+    )

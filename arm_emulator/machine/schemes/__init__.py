@@ -1,0 +1,1 @@
+"""The schemes that integrate a machine, a file each; see `scheme.py`."""

@@ -1,0 +1,23 @@
+"""Implicit Euler of drives and links."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.scheme import Scheme
+
+
+class Implicit(Scheme):
+    """Its error damps."""
+
+    name = "implicit"
+    order = 1
+    evaluations = 1
+    text = "first order, stable with stiff drives"
+
+    @staticmethod
+    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+        one = np.eye(len(J))
+        step: Array = one + dt * np.linalg.solve(one - dt * A, J)
+        return step

@@ -1,0 +1,27 @@
+"""The paper's scheme: backward Euler of the motors, then forward Euler of the links."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.scheme import Scheme
+
+
+class Paper(Scheme):
+    """The motors step with the links held."""
+
+    name = "paper"
+    order = 1
+    evaluations = 1
+    text = "the paper's, first order"
+
+    @staticmethod
+    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+        m = motors
+        of_motors, of_links = np.eye(len(J)), np.eye(len(J))
+        of_motors[:m] = np.linalg.solve(
+            np.eye(m) - dt * A[:m, :m], np.hstack([np.eye(m), dt * A[:m, m:]])
+        )
+        of_links[m:] += dt * J[m:]
+        return of_links @ of_motors

@@ -1,0 +1,31 @@
+"""The Rosenbrock method ROS2, a W-method."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.scheme import Scheme
+
+GAMMA = 1.0 - math.sqrt(0.5)
+
+
+class Rosenbrock(Scheme):
+    """Both stages evaluate the links."""
+
+    name = "rosenbrock"
+    order = 2
+    evaluations = 2
+    locates = True
+    text = "second order"
+
+    @staticmethod
+    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+        one = np.eye(len(J))
+        W = one - GAMMA * dt * A
+        k1 = np.linalg.solve(W, J)
+        k2 = np.linalg.solve(W, J @ (one + dt * k1) - 2.0 * k1)
+        step: Array = one + dt * (1.5 * k1 + 0.5 * k2)
+        return step

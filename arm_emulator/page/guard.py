@@ -1,0 +1,98 @@
+"""Access to the page: with its token, under its own address.
+
+A browser sends the requests of any page that is open in it to this machine, too. So the token alone
+opens the page, a page of another origin gets nothing, and neither does a name that resolves to this
+machine (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import hmac
+import http
+import importlib
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+COOKIE = "arm_emulator_page"
+LOCAL = ("127.0.0.1", "localhost", "::1")
+
+
+class Guard:
+    """Decides on requests.
+
+    Args:
+        token: secret of the page, in the query of its first request and in a cookie afterwards.
+        hosts: names under which the page may be asked for.
+    """
+
+    def __init__(self, token: str, hosts: Collection[str] = LOCAL) -> None:
+        self._token, self._hosts = token, frozenset(hosts)
+
+    def reason(self, path: str, headers: Any) -> str:
+        """Return why a request is refused; empty: it is not.
+
+        Args:
+            path: of the request, with its query.
+            headers: of the request, with `get`.
+        """
+        host = headers.get("Host", "")
+        if urlsplit(f"//{host}").hostname not in self._hosts:
+            return "the page is not asked for by its own address"
+        origin = headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return "the request comes from another page"
+        if not any(hmac.compare_digest(one, self._token) for one in _tokens(path, headers)):
+            return "the token is missing or wrong: open the whole address that was printed"
+        return ""
+
+    def cookie(self, path: str) -> str:
+        """Return the cookie to set in the answer to a request with a token; empty: none."""
+        if "token" not in parse_qs(urlsplit(path).query):
+            return ""
+        return f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+
+
+def _tokens(path: str, headers: Any) -> Iterator[str]:
+    yield from parse_qs(urlsplit(path).query).get("token", ())
+    try:
+        cookies = SimpleCookie(headers.get("Cookie", ""))
+    except CookieError:
+        return
+    if COOKIE in cookies:
+        yield cookies[COOKIE].value
+
+
+@contextmanager
+def guarded(guard: Guard) -> Iterator[None]:
+    """Let the server that is started in this block ask a guard about every request.
+
+    Its library has no hook for that: it hands its own check to `websockets`, which is wrapped here.
+    """
+    server: Any = importlib.import_module("websockets.asyncio.server")
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    plain = server.serve
+
+    def serve(*given: Any, process_request: Callable[[Any, Any], Any], **named: Any) -> Any:
+        def checked(connection: Any, request: Any) -> Any:
+            reason = guard.reason(request.path, request.headers)
+            if reason:
+                text = f"arm_emulator: {reason}\n".encode()
+                lines = Headers({"Content-Type": "text/plain", "Content-Length": str(len(text))})
+                return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", lines, text)
+            response = process_request(connection, request)
+            if response is not None and (cookie := guard.cookie(request.path)):
+                response.headers["Set-Cookie"] = cookie
+            return response
+
+        return plain(*given, process_request=checked, **named)
+
+    server.serve = serve
+    try:
+        yield
+    finally:
+        server.serve = plain

@@ -1,0 +1,327 @@
+"""The page of a recorded run: play it, go to any moment, and look at every number there."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import secrets
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.analysis.torque_terms import TermsNow
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import need_wheel
+from arm_emulator.machine.session import Session
+from arm_emulator.page.arm_scene import ArmScene
+from arm_emulator.page.guard import Guard, guarded
+from arm_emulator.page.subject import Subject
+from arm_emulator.runs.condition import Condition
+from arm_emulator.runs.timeline import Timeline
+
+LOCAL = "127.0.0.1"
+FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
+RATES = ("0.01", "0.1", "0.25", "1", "4")
+COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+FIRST = "q"  # quantity of the first plot
+
+
+class RunPage:
+    """Serves a run to browsers on this machine until it is closed.
+
+    All browsers see the same moment. What they do goes through one lock, so that no two of them
+    move the run at the same time.
+
+    Attributes:
+        url: address with the token, without which nothing is served.
+        gui: of the server, for further controls.
+        exclusive: lock of all that moves the run or changes the page.
+        changing: whether the page itself changes its controls.
+
+    Args:
+        subject: the run.
+        explain: returns the torques at the moment at which the run is, and what is active there.
+        port: TCP port; 0: any that is free.
+
+    Raises:
+        Refusal: viser is missing, or the port is taken.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        explain: Callable[[], tuple[TermsNow, list[str]]],
+        port: int = 0,
+    ) -> None:
+        need_wheel("the page", "viser", "viser")
+        check_count("page", "port", port, 0, 65535)
+        import viser
+
+        self._subject, self._explain = subject, explain
+        self.exclusive = threading.RLock()
+        self._playing, self._closing = False, threading.Event()
+        self.changing = False
+        scene = self._session.scene
+        token = secrets.token_urlsafe(16)
+        # It prints addresses without the token, whatever it is asked.
+        with guarded(Guard(token)), contextlib.redirect_stdout(io.StringIO()):
+            try:
+                self._server = server = viser.ViserServer(LOCAL, _free(port), verbose=False)
+            except (OSError, RuntimeError) as error:
+                raise Refusal("page", "port", "be free", port) from error
+        self.url = f"http://{LOCAL}:{server.get_port()}/?token={token}"
+        server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        server.scene.set_up_direction("+z")
+        server.scene.add_grid("/floor", 4.0, 4.0, cell_size=0.25)
+        self._arm = ArmScene(server, scene)
+        server.initial_camera.position = tuple(self._arm.size * np.array([1.0, -1.0, 0.8]))
+        server.initial_camera.look_at = (0.0, 0.0, 0.3 * self._arm.size)
+        self._arm.show_way(subject.history.values("q"))
+        self.gui: Any = server.gui
+        self._build(server, scene.name)
+        if self._arm.missing:
+            server.gui.add_markdown(f"The arm's shapes are not shown. {self._arm.missing}")
+        self._show()
+        self._thread = threading.Thread(target=self._play, name="page", daemon=True)
+        self._thread.start()
+
+    @property
+    def line(self) -> Timeline[Any]:
+        """The timeline that is shown."""
+        return self._subject.line
+
+    @property
+    def last(self) -> int:
+        """The last tick that can be visited."""
+        return self._subject.last
+
+    @property
+    def _session(self) -> Session:
+        session: Session = self.line.run.session
+        return session
+
+    def new_tab(self, name: str) -> Any:
+        """Return a new tab as a context for its controls."""
+        return self._tabs.add_tab(name)
+
+    def turn_to(self, subject: Subject, tick: int) -> None:
+        """Show another run, from a tick on."""
+        with self.exclusive:
+            self._subject = subject
+            subject.line.go_to(tick)
+            self._arm.show_way(subject.history.values("q"))
+            self.put(self._event, self._texts(), None)
+            self.changing = True
+            try:
+                self._slider.max = max(1, subject.last)
+            finally:
+                self.changing = False
+            self._plot()
+            self._show()
+
+    def put(self, control: Any, options: tuple[str, ...], value: str | None) -> None:
+        """Give a dropdown other options, and a value, without any action."""
+        self.changing = True
+        try:
+            control.options = options
+            control.value = options[0] if value is None else value
+        finally:
+            self.changing = False
+
+    def close(self) -> None:
+        """End the page."""
+        self._closing.set()
+        self._thread.join()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    # Controls
+
+    def _build(self, server: Any, name: str) -> None:
+        gui, period = server.gui, self._session.scene.servo_period
+        gui.add_markdown(f"**{name}**, {self.last * period:g} s")
+        self._moment = gui.add_markdown("")
+        self._slider = gui.add_slider("Tick", 0, max(1, self.last), 1, 0)
+        self._slider.on_update(lambda _: None if self.changing else self._go(self._slider.value))
+        self._play_button = gui.add_button("Play")
+        self._play_button.on_click(lambda _: self._switch())
+        self._rate = gui.add_dropdown("Speed", RATES, initial_value="1")
+        steps = gui.add_button_group("Step", ("to start", "-1", "+1", "to end"))
+        steps.on_click(lambda event: self._step(event.target.value))
+        for label, key, step in (
+            ("Play or pause", "P", None), ("One tick back", "B", "-1"), ("One tick on", "N", "+1"),
+        ):  # fmt: skip
+            one = gui.add_command(label, hotkey=key)
+            one.on_trigger(lambda _, step=step: self._step(step) if step else self._switch())
+        self._tabs = tabs = gui.add_tab_group()
+        with tabs.add_tab("Now"):
+            self._numbers = gui.add_markdown("")
+        with tabs.add_tab("Plot"):
+            groups = tuple(self._subject.history.groups)
+            self._group = gui.add_dropdown("Signal", groups, initial_value=FIRST)
+            self._group.on_update(lambda _: self._plot())
+            # Of seconds, which are no date.
+            scales = {"x": {"time": False}}
+            self._chart = gui.add_uplot(*self._series(FIRST), scales=scales, height=260)
+        with tabs.add_tab("Events"):
+            self._event = gui.add_dropdown("Event", self._texts())
+            go = gui.add_button("Go to the event")
+            go.on_click(lambda _: self._go_to_event())
+            self._condition = gui.add_text("Condition", "")
+            find = gui.add_button("Find the next")
+            find.on_click(lambda _: self._find())
+            self._found = gui.add_markdown("")
+        with tabs.add_tab("Torques"):
+            ask = gui.add_button("Explain this moment")
+            ask.on_click(lambda _: self._explained())
+            self._terms = gui.add_markdown("")
+
+    def _switch(self) -> None:
+        with self.exclusive:
+            if not self._playing and self.line.tick >= self.last:
+                self.line.go_to(0)
+            self._playing = not self._playing
+            self._play_button.label = "Pause" if self._playing else "Play"
+
+    def _step(self, step: str) -> None:
+        with self.exclusive:
+            now = self.line.tick
+            to = {"to start": 0, "-1": now - 1, "+1": now + 1, "to end": self.last}[step]
+            self._go(to)
+
+    def _go(self, tick: int) -> None:
+        with self.exclusive:
+            self.line.go_to(max(0, min(int(tick), self.last)))
+            self._show()
+
+    def _go_to_event(self) -> None:
+        with self.exclusive:
+            if self._subject.events:
+                place = self._texts().index(self._event.value)
+                self._go(self._subject.events[place][0])
+
+    def _texts(self) -> tuple[str, ...]:
+        return tuple(f"{tick}: {text}" for tick, text in self._subject.events) or ("none",)
+
+    def _find(self) -> None:
+        with self.exclusive:
+            scene = self._session.scene
+            try:
+                condition = Condition(self._condition.value, scene, "page")
+            except Refusal as reason:
+                self._found.content = _code(str(reason))
+                return
+            before = self.line.tick
+            tick = self.line.find(lambda run: condition.holds(run.session), self.last)
+            if tick is None:
+                self.line.go_to(before)
+                self._found.content = "does not hold from here to the end"
+                return
+            self._found.content = f"holds at tick {tick}, {tick * scene.servo_period:g} s"
+            self._show()
+
+    def _explained(self) -> None:
+        with self.exclusive:
+            terms, active = self._explain()
+            names = self._session.scene.joint_names
+            tables = [
+                f"On each {side} [N m or N]\n\n" + _table(names, rows)
+                for side, rows in (("link", terms.link), ("rotor", terms.rotor))
+            ]
+            self._terms.content = "\n\n".join([*tables, *(f"- {one}" for one in active)])
+
+    # Pictures
+
+    def _play(self) -> None:
+        """Move on while it plays."""
+        at = 0.0
+        while not self._closing.wait(FRAME):
+            with self.exclusive:
+                if not self._playing:
+                    at = float(self.line.tick)
+                    continue
+                at = max(at, float(self.line.tick))
+                at += FRAME * float(self._rate.value) / self._session.scene.servo_period
+                tick = min(int(at), self.last)
+                if tick != self.line.tick:
+                    self.line.go_to(tick)
+                    self._show()
+                if tick >= self.last:
+                    self._switch()
+
+    def _show(self) -> None:
+        """Show the moment at which the run is."""
+        session = self._session
+        state, names = session.state, session.scene.joint_names
+        tick = self.line.tick
+        self._arm.show(state.q)
+        self.changing = True
+        try:
+            self._slider.value = tick
+        finally:
+            self.changing = False
+        power = "" if session.powered else ", **no power**"
+        self._moment.content = f"tick {tick}, {tick * session.scene.servo_period:.4f} s{power}"
+        measured = session.measured
+        # In a line below, as units as headings would make it too wide for a narrow window.
+        units = "rad, rad/s, N m (slides: m, m/s, N), A, and what the motor got"
+        self._numbers.content = f"{units}\n\n" + _table(
+            names,
+            {
+                "q": state.q,
+                "v": state.v,
+                "gear": state.gear_torque,
+                "current": state.current,
+                "command": measured.applied,
+                "counts": measured.encoder_counts,
+            },
+        )
+
+    def _series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        values = self._subject.history.values(group)
+        t = self._subject.history.ticks * self._session.scene.servo_period
+        columns = self._subject.history.groups[group]
+        series: list[dict[str, Any]] = [{"label": "t [s]"}]
+        series += [
+            {"label": f"{one.path[-1]} [{one.unit}]", "stroke": color, "width": 1.5}
+            for one, color in zip(columns, itertools.cycle(COLORS), strict=False)
+        ]
+        return (t, *values.T), tuple(series)
+
+    def _plot(self) -> None:
+        with self.exclusive:
+            self._chart.data, self._chart.series = self._series(self._group.value)
+
+
+def _free(port: int) -> int:
+    """Return the port, or one that is free now; the server would take another one in silence."""
+    import socket
+
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((LOCAL, port))
+        return int(probe.getsockname()[1])
+
+
+def _code(text: str) -> str:
+    return f"```\n{text}\n```"
+
+
+def _table(names: Sequence[str], rows: dict[str, Any]) -> str:
+    """Return rows (N,) as a table of Markdown, a line per joint."""
+    lines = ["| | " + " | ".join(rows) + " |", "|---" * (len(rows) + 1) + "|"]
+    for j, name in enumerate(names):
+        cells = (_cell(np.asarray(row)[j]) for row in rows.values())
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, np.integer):
+        return str(int(value))
+    return "-" if np.isnan(value) else f"{float(value) + 0.0:.5g}"

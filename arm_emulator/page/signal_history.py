@@ -1,0 +1,52 @@
+"""Signals of a whole run, thinned for plots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.column import Column
+from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.runs.timeline import Timeline
+
+MOST = 2000  # samples of a plot
+
+
+class SignalHistory:
+    """Rows of a machine at some ticks of a run.
+
+    Attributes:
+        ticks: of the samples (K,).
+        groups: quantities with their columns, such as "q".
+
+    Args:
+        line: timeline of a run with `session`, at its first tick; afterwards at the last.
+        last: its last tick.
+        done: is called with each tick that is reached.
+    """
+
+    def __init__(
+        self, line: Timeline[Any], last: int, done: Callable[[int], None] = lambda tick: None
+    ) -> None:
+        every = max(1, -(-last // MOST))
+        row = RecordRow(line.run.session.plant)
+        rows, ticks = [row.take()], [line.tick]
+        while line.tick < last:
+            line.advance(min(every, last - line.tick))
+            rows.append(row.take())
+            ticks.append(line.tick)
+            done(line.tick)
+        self.ticks = np.array(ticks)
+        self._rows = np.concatenate(rows)
+        self.groups: dict[str, list[Column]] = {}
+        for column in columns_of(line.run.session.scene):
+            if len(column.path) > 1:
+                self.groups.setdefault(".".join(column.path[:-1]), []).append(column)
+
+    def values(self, group: str) -> NDArray[np.float64]:
+        """Return a quantity at all samples (K, columns)."""
+        columns = [one.of(self._rows).astype(np.float64) for one in self.groups[group]]
+        return np.stack(columns, axis=1)

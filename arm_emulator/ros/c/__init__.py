@@ -1,0 +1,19 @@
+"""Messages in C, beside rclpy: what is compiled, without ROS."""
+
+from pathlib import Path
+
+from arm_emulator.build.c_header import Header
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit
+
+FOLDER = Path(__file__).resolve().parent
+MESSAGES = Header(FOLDER / "messages.h")
+MIDDLEWARE = Header(FOLDER / "middleware.h")
+
+
+def middleware_unit() -> Unit:
+    """Return middleware.h as what is compiled. It is loaded where librcl is."""
+    source = '#include "middleware.c"\n#include "messages.c"\n'
+    about, part = "waiting for messages", "middleware.c"
+    headers = (MESSAGES, MIDDLEWARE)
+    return Unit("middleware", source, C_FLAGS, (FOLDER,), headers, "node", about, part)

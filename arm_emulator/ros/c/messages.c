@@ -1,0 +1,96 @@
+#include "messages.h"
+
+#include <math.h>
+#include <string.h>
+
+int ros_fits(const ros_pattern* pattern, const uint8_t* data, int64_t size) {
+  if (pattern->size <= 0 || size < pattern->size || size >= pattern->size + ROS_PADDING) return 0;
+  uint8_t differs = 0;
+  for (int64_t k = 0; k < pattern->size; ++k)
+    differs |= (uint8_t)((data[k] ^ pattern->same[k]) & pattern->mask[k]);
+  return !differs;
+}
+
+int64_t ros_time(const uint8_t* at) {
+  int32_t sec;
+  uint32_t nanosec;
+  memcpy(&sec, at, sizeof sec);
+  memcpy(&nanosec, at + sizeof sec, sizeof nanosec);
+  return sec < 0 || nanosec >= ROS_SECOND ? -1 : (int64_t)sec * ROS_SECOND + nanosec;
+}
+
+int ros_doubles(const uint8_t* at, int64_t count, const int64_t* place, const double* most,
+                double* out) {
+  int within = 1;
+  for (int64_t k = 0; k < count; ++k) {
+    double value;
+    memcpy(&value, at + 8 * k, sizeof value);
+    within &= fabs(value) <= most[place[k]]; /* false of a NaN */
+    out[place[k]] = value;
+  }
+  return within;
+}
+
+int ros_counts(const uint8_t* at, int64_t count, const int64_t* place, const double* most,
+               int64_t* out) {
+  int within = 1;
+  for (int64_t k = 0; k < count; ++k) {
+    int64_t value;
+    memcpy(&value, at + 8 * k, sizeof value);
+    within &= fabs((double)value) <= most[place[k]];
+    out[place[k]] = value;
+  }
+  return within;
+}
+
+/* ----------------------------------------------------------------------------- messages out */
+
+static void copy_numbers(uint8_t* data, const ros_copy* one) {
+  const uint8_t* from = one->from;
+  uint8_t* to = data + one->at;
+  for (int64_t k = 0; k < one->count; ++k, from += one->stride, to += 8) {
+    uint32_t small;
+    int64_t whole;
+    double real;
+    switch (one->kind) {
+      case ROS_SAME:
+        memcpy(to, from, 8);
+        break;
+      case ROS_UINT32_TO_INT64:
+        memcpy(&small, from, sizeof small);
+        whole = small;
+        memcpy(to, &whole, sizeof whole);
+        break;
+      case ROS_INT64_TO_DOUBLE:
+        memcpy(&whole, from, sizeof whole);
+        real = (double)whole;
+        memcpy(to, &real, sizeof real);
+        break;
+      default:
+        memcpy(&small, from, sizeof small);
+        real = small;
+        memcpy(to, &real, sizeof real);
+    }
+  }
+}
+
+void ros_log_put(ros_log* log, int64_t number, const uint8_t* data, int64_t size) {
+  if (!log || !log->data || log->used + 16 + size > log->room) return;
+  uint8_t* to = log->data + log->used;
+  memcpy(to, &number, 8);
+  memcpy(to + 8, &size, 8);
+  memcpy(to + 16, data, (size_t)size);
+  log->used += 16 + size;
+}
+
+void ros_fill(ros_message* message, int64_t time, int64_t tick, ros_log* log) {
+  if (message->stamp_at >= 0) {
+    const int32_t sec = (int32_t)(time / ROS_SECOND);
+    const uint32_t nanosec = (uint32_t)(time % ROS_SECOND);
+    memcpy(message->data + message->stamp_at, &sec, sizeof sec);
+    memcpy(message->data + message->stamp_at + sizeof sec, &nanosec, sizeof nanosec);
+  }
+  if (message->tick_at >= 0) memcpy(message->data + message->tick_at, &tick, sizeof tick);
+  for (int64_t k = 0; k < message->copies; ++k) copy_numbers(message->data, message->copy + k);
+  ros_log_put(log, message->number, message->data, message->size);
+}

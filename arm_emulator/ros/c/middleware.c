@@ -1,0 +1,95 @@
+#define _POSIX_C_SOURCE 200112L
+
+#include "middleware.h"
+
+#include <stdlib.h>
+#include <time.h>
+
+#include "rcl_calls.h"
+
+/* ------------------------------------------------------------------------------ messages in */
+
+static void* new_bytes(size_t size, void* state) {
+  (void)state;
+  return malloc(size);
+}
+
+static void delete_bytes(void* bytes, void* state) {
+  (void)state;
+  free(bytes);
+}
+
+static void* resized_bytes(void* bytes, size_t size, void* state) {
+  (void)state;
+  return realloc(bytes, size);
+}
+
+static void* zero_bytes(size_t number, size_t size, void* state) {
+  (void)state;
+  return calloc(number, size);
+}
+
+/* The newest message: one thread of a process runs a ros_wait. */
+static rcl_bytes taken = {NULL, 0, 0, {new_bytes, delete_bytes, resized_bytes, zero_bytes, NULL}};
+
+static int64_t now(void) {
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (int64_t)time.tv_sec * ROS_SECOND + time.tv_nsec;
+}
+
+/* Serve the topics that have messages; returns whether Python has to go on. */
+static int serve(ros_wait* wait) {
+  const void** ready = ((rcl_subscriptions*)wait->set)->subscriptions;
+  int python = 0;
+  for (int64_t k = 0; k < wait->topics; ++k) {
+    ros_topic* topic = wait->topic + k;
+    if (!ready[k]) continue;
+    if (!topic->take) {
+      topic->ready = python = 1;
+      continue;
+    }
+    if (rcl_take_serialized_message(topic->subscription, &taken, NULL, NULL) != RCL_RET_OK) {
+      rcutils_reset_error(); /* another process may have taken it back */
+      continue;
+    }
+    if (topic->take(topic->with, taken.buffer, (int64_t)taken.buffer_length) == ROS_FOR_PYTHON) {
+      wait->left = k;
+      wait->data = taken.buffer;
+      wait->size = (int64_t)taken.buffer_length;
+      return 1;
+    }
+    ++wait->handled;
+  }
+  return python;
+}
+
+int ros_wait_run(ros_wait* wait, double seconds) {
+  const int64_t until = now() + (int64_t)(seconds * ROS_SECOND);
+  wait->handled = 0;
+  wait->left = -1;
+  for (int64_t k = 0; k < wait->topics; ++k) wait->topic[k].ready = 0;
+  for (;;) {
+    const int64_t left = until - now();
+    if (rcl_wait_set_clear(wait->set) != RCL_RET_OK) return ROS_FAILED;
+    for (int64_t k = 0; k < wait->topics; ++k)
+      if (rcl_wait_set_add_subscription(wait->set, wait->topic[k].subscription, NULL) != RCL_RET_OK)
+        return ROS_FAILED;
+    const int32_t result = rcl_wait(wait->set, left > 0 ? left : 0);
+    if (result == RCL_RET_TIMEOUT) return ROS_TIME_IS_UP;
+    if (result != RCL_RET_OK) return ROS_FAILED;
+    if (serve(wait)) return ROS_PYTHON;
+    if (left <= 0) return ROS_TIME_IS_UP;
+  }
+}
+
+/* ----------------------------------------------------------------------------- messages out */
+
+int ros_publish(ros_message* message, int64_t time, int64_t tick, ros_log* log) {
+  ros_fill(message, time, tick, log);
+  const rcl_bytes bytes = {message->data, (size_t)message->size, (size_t)message->size,
+                           taken.allocator};
+  const int32_t result = rcl_publish_serialized_message(message->publisher, &bytes, NULL);
+  if (result != RCL_RET_OK) rcutils_reset_error(); /* the context was shut down */
+  return result;
+}

@@ -1,0 +1,40 @@
+/* Functions of rcl (Jazzy) that are called, declared with opaque pointers, so that no headers of
+ * ROS are needed where it is compiled. test/test_hot_path.py compares this with the headers of rcl.
+ */
+#ifndef RCL_CALLS_H
+#define RCL_CALLS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+enum { RCL_RET_OK = 0, RCL_RET_TIMEOUT = 2, RCL_RET_SUBSCRIPTION_TAKE_FAILED = 401 };
+
+typedef struct rcl_allocator {
+  void* (*allocate)(size_t size, void* state);
+  void (*deallocate)(void* pointer, void* state);
+  void* (*reallocate)(void* pointer, size_t size, void* state);
+  void* (*zero_allocate)(size_t number, size_t size, void* state);
+  void* state;
+} rcl_allocator;
+
+typedef struct rcl_bytes { /* rcl_serialized_message_t */
+  uint8_t* buffer;
+  size_t buffer_length, buffer_capacity;
+  rcl_allocator allocator;
+} rcl_bytes;
+
+typedef struct rcl_subscriptions { /* the beginning of rcl_wait_set_t */
+  const void** subscriptions;
+  size_t size_of_subscriptions;
+} rcl_subscriptions;
+
+int32_t rcl_wait_set_clear(void* set);
+int32_t rcl_wait_set_add_subscription(void* set, const void* subscription, size_t* index);
+int32_t rcl_wait(void* set, int64_t timeout);
+int32_t rcl_take_serialized_message(const void* subscription, rcl_bytes* message, void* info,
+                                    void* allocation);
+int32_t rcl_publish_serialized_message(const void* publisher, const rcl_bytes* message,
+                                       void* allocation);
+void rcutils_reset_error(void);
+
+#endif

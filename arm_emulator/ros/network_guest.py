@@ -1,0 +1,105 @@
+"""A node of a command or a test that joins a running network for a moment."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.ctrl_c import CtrlC
+from arm_emulator_msgs.msg import MotionStatus
+
+STATES = {
+    MotionStatus.STATE_ACCEPTED: "accepted",
+    MotionStatus.STATE_MOVING: "moving",
+    MotionStatus.STATE_REACHED: "reached",
+    MotionStatus.STATE_UNREACHABLE: "unreachable",
+    MotionStatus.STATE_REFUSED: "refused",
+    MotionStatus.STATE_REPLACED: "replaced",
+    MotionStatus.STATE_ABORTED: "aborted",
+}
+
+
+class NetworkGuest(Node):
+    """Keeps the newest message of each subscribed topic.
+
+    Args:
+        name: of the node.
+        namespace: of the network.
+        context: of rclpy; None: that of the process.
+    """
+
+    def __init__(self, name: str, namespace: str, context: Context | None = None) -> None:
+        super().__init__(
+            name,
+            context=context,
+            namespace=namespace,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self)
+        self.newest: dict[str, Any] = {}
+
+    def listen(self, topic: str, kind: Any, qos: QoSProfile) -> None:
+        """Keep the newest message of a topic from now on."""
+        self.create_subscription(
+            kind, topic, lambda message: self.newest.__setitem__(topic, message), qos
+        )
+
+    def spin_until(self, condition: Callable[[], bool], patience: float) -> bool:
+        """Take messages until a condition holds; False: it did not within this time [s]."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.05)
+        return True
+
+    def is_heard(self, publisher: Publisher, by: str) -> bool:
+        """Return whether a message now published gets to all subscribers, and to a certain node.
+
+        One subscriber is not enough: others than the node that acts on a topic read it, too.
+
+        Args:
+            publisher: of the message.
+            by: topic on which that node, and no other, publishes.
+        """
+        kinds = self.get_publishers_info_by_topic(self.resolve_topic_name(by))
+        acting = {(one.node_namespace, one.node_name) for one in kinds}
+        readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
+        there = {(one.node_namespace, one.node_name) for one in readers}
+        matched = publisher.get_subscription_count()
+        return bool(acting) and acting <= there and matched >= len(readers)
+
+
+@contextlib.contextmanager
+def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
+    """Join the network for a block; Ctrl-C breaks it off.
+
+    Raises:
+        Refusal: the namespace is invalid.
+    """
+    ctrl_c = CtrlC(None)
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    try:
+        node = NetworkGuest(name, namespace)
+    except Exception as error:  # rclpy has an exception for each rule of names
+        rclpy.try_shutdown()
+        reason = str(error).splitlines()[0]
+        raise Refusal(name, "--namespace", "be a name of ROS", reason) from None
+    del ctrl_c
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()

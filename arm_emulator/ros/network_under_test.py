@@ -1,0 +1,194 @@
+"""A network in lock-step under test: targets that are acknowledged, waits by logical time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.context import Context
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.network_guest import STATES, NetworkGuest
+from arm_emulator.ros.node_shell import (
+    COMMAND_QOS,
+    EVENT_QOS,
+    NANOSECONDS,
+    STATE_PUB_QOS,
+    nanoseconds_of,
+    stamp,
+)
+from arm_emulator_msgs.msg import EmulatorStatus, MotionStatus
+
+PATIENCE = 120.0  # s, wall: for what takes below a second on an idle machine
+AHEAD = 0.25  # s, logical: a target arrives before it holds
+UNDER_WAY = ("accepted", "moving")
+
+
+class NetworkUnderTest:
+    """A running network, as a test uses it. All waits end with an AssertionError after 120 s.
+
+    A network that was started with ``start="paused"`` stands at tick 0 until `go_on`: targets that
+    are sent before, with their logical times, act at the same ticks on every run. What is sent to a
+    running network acts at the tick at which it arrives; its bag has that tick.
+
+    Attributes:
+        statuses: all of motion/status so far.
+
+    Args:
+        ended: names a node that has ended; None while all run.
+    """
+
+    def __init__(self, context: Context, ended: Callable[[], object]) -> None:
+        self._ended = ended
+        self._guest = guest = NetworkGuest("test", "", context)
+        self.statuses: list[MotionStatus] = []
+        self._known: list[tuple[int, int]] = []  # kind and time [ns] of each target sent
+        guest.listen("emulator/joint_states", JointState, STATE_PUB_QOS)
+        guest.listen("emulator/status", EmulatorStatus, STATE_PUB_QOS)
+        guest.create_subscription(MotionStatus, "motion/status", self.statuses.append, EVENT_QOS)
+        create = guest.create_publisher
+        self._tool_targets = create(PoseStamped, "tool_target", COMMAND_QOS)
+        self._trajectories = create(JointTrajectory, "joint_trajectory", COMMAND_QOS)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._guest.destroy_node()
+
+    @property
+    def status(self) -> EmulatorStatus:
+        """The newest emulator/status."""
+        self._wait("emulator/status", lambda: "emulator/status" in self._guest.newest)
+        newest: EmulatorStatus = self._guest.newest["emulator/status"]
+        return newest
+
+    @property
+    def truth(self) -> JointState:
+        """The newest true angles, speeds and torques of the links."""
+        self._wait("true joint states", lambda: "emulator/joint_states" in self._guest.newest)
+        newest: JointState = self._guest.newest["emulator/joint_states"]
+        return newest
+
+    @property
+    def time(self) -> float:
+        """Logical time of `truth` [s]."""
+        return nanoseconds_of(self.truth.header.stamp) / NANOSECONDS
+
+    def go_on(self, paused: bool = False) -> None:
+        """Let logical time pass, or pause it. Tick 0 is left when it was answered."""
+        if not paused:
+            self._wait("answer to tick 0", lambda: self.status.tick > 0 or self.status.answered)
+        self._switch("emulator/pause", paused)
+
+    def power(self, on: bool) -> None:
+        """Switch the power of all drives."""
+        self._switch("emulator/power", on)
+
+    def wait_until(self, t: float) -> None:
+        """Wait until a logical time [s]."""
+        self._wait(f"t = {t:g} s", lambda: self.time >= t)
+
+    def send_tool_target(
+        self,
+        position: tuple[float, float, float],
+        quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
+        at: float | None = None,
+    ) -> int:
+        """Send a target for the tool, and wait until it is acknowledged.
+
+        Args:
+            position: x, y, z in the world [m].
+            quaternion: x, y, z, w.
+            at: logical time from which it holds [s]; None: 0.25 s from now.
+
+        Returns:
+            Its number, for `state_of` and `wait_for`.
+        """
+        message = PoseStamped()
+        p, o = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z = map(float, position)
+        o.x, o.y, o.z, o.w = map(float, quaternion)
+        return self._send(self._tool_targets, message, MotionStatus.KIND_TOOL_TARGET, at)
+
+    def send_joint_target(
+        self, angles: Mapping[str, float], seconds: float, at: float | None = None
+    ) -> int:
+        """Send a trajectory of one point, and wait until it is acknowledged.
+
+        Args:
+            angles: of all joints, by name [rad or m].
+            seconds: its logical time [s].
+            at: see `send_tool_target`.
+
+        Returns:
+            Its number, for `state_of` and `wait_for`.
+        """
+        if not (math.isfinite(seconds) and seconds > 0.0):
+            raise Refusal("testing.network", "seconds", "be > 0 and finite", seconds)
+        point = JointTrajectoryPoint(positions=[float(one) for one in angles.values()])
+        whole = round(seconds * NANOSECONDS)
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(whole, NANOSECONDS)
+        message = JointTrajectory(joint_names=list(angles), points=[point])
+        return self._send(self._trajectories, message, MotionStatus.KIND_JOINT_TRAJECTORY, at)
+
+    def state_of(self, number: int) -> str:
+        """Return the newest state of a target: "accepted", "moving", "reached", ...; "": none."""
+        kind, time_ns = self._known[number]
+        states = [
+            STATES.get(one.state, f"state {one.state}")
+            for one in self.statuses
+            if one.kind == kind and nanoseconds_of(one.stamp) == time_ns
+        ]
+        return states[-1] if states else ""
+
+    def wait_for(self, number: int, state: str = "reached") -> None:
+        """Wait until a target has a state.
+
+        Raises:
+            AssertionError: it has come to an end in another one.
+        """
+        self._wait(f"an end of target {number}", lambda: self._has(number, state))
+        got = self.state_of(number)
+        assert got == state, f"target {number} is {got}, not {state}: {self._reason(number)}"
+
+    def _has(self, number: int, state: str) -> bool:
+        got = self.state_of(number)
+        return got == state or got not in ("", *UNDER_WAY)
+
+    def _reason(self, number: int) -> str:
+        kind, time_ns = self._known[number]
+        of = [one for one in self.statuses if one.kind == kind]
+        return next((o.reason for o in of[::-1] if nanoseconds_of(o.stamp) == time_ns), "")
+
+    def _send(self, publisher: Publisher, message: Any, kind: int, at: float | None) -> int:
+        self._wait(
+            f"listeners to {publisher.topic_name}",
+            lambda: self._guest.is_heard(publisher, "motion/status"),
+        )
+        number = len(self._known)
+        # The nanoseconds distinguish targets of one time.
+        time_ns = round((self.time + AHEAD if at is None else at) * NANOSECONDS) + number
+        self._known.append((kind, time_ns))
+        message.header.stamp = stamp(time_ns)
+        publisher.publish(message)
+        self._wait(f"an answer to target {number}", lambda: self.state_of(number) != "")
+        return number
+
+    def _switch(self, service: str, on: bool) -> None:
+        client = self._guest.create_client(SetBool, service)
+        self._wait(f"service {service}", client.service_is_ready)
+        answer = client.call_async(SetBool.Request(data=on))
+        self._wait(f"an answer of {service}", answer.done)
+        self._guest.destroy_client(client)
+
+    def _wait(self, what: str, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not self._guest.spin_until(condition, 0.5):
+            assert (ended := self._ended()) is None, f"{ended} ended, no {what}"
+            assert time.monotonic() < deadline, f"no {what} within {PATIENCE:g} s of wall time"

@@ -1,0 +1,231 @@
+"""Recorder: writes all topics of the network, or selected ones, into a bag."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.end_anyway import end_anyway
+from arm_emulator.ros.lean_executor import LeanExecutor
+from arm_emulator.ros.message_types import definition_of, message_class
+from arm_emulator.ros.recorded_runs import Numbered, RecordedRuns
+from arm_emulator.ros.recorder_presence import STATES, RecorderPresence
+from arm_emulator.ros.shared_memory import clear_left_over
+from arm_emulator_msgs.msg import MotorState
+
+LOOK_PERIOD = 0.1  # s, wall: interval of the search for new topics
+FLUSH_PERIOD = 0.5  # s, wall: largest loss in a crash
+ENDING = 5.0  # s, wall: time for the middleware to end
+REPORT_PERIOD = 0.05  # s, wall: interval of reports to the emulators
+DEPTH = 10_000  # messages: some seconds of every topic, should the disk be busy
+
+
+class _Ended(Exception):
+    """A signal has asked the recorder to end."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Messages that a recorder has written, of these topics, in some time [s], and its losses.
+
+    If it has ended by a failure, `refused` is the reason.
+    """
+
+    messages: int
+    topics: tuple[str, ...]
+    seconds: float
+    lost: str
+    refused: Refusal | None
+
+
+def record(
+    out: Path,
+    topics: Collection[str] | None,
+    from_start: bool,
+    presence: RecorderPresence,
+    report: Callable[[Recorded], None],
+) -> int:
+    """Record until Ctrl-C; exit code 1 if something is missing.
+
+    Args:
+        out: folder of the new bag.
+        topics: names, with or without the leading ``/``; None: all.
+        from_start: reset a running machine, so that the bag has the run from tick 0 on.
+        presence: announces this recorder to emulators on this machine.
+        report: called when all is written; the process may end any time after it.
+
+    Raises:
+        Refusal: the folder exists, or the disk takes no more.
+    """
+    reported = threading.Event()  # to end
+    # Not rclpy's handlers: they end publishing, and emulators wait for a recorder until it reports
+    # its end. A signal interrupts nothing here: it is noticed between two messages.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: reported.set())
+    node: _Recorder | None = None
+    bag = BagWriter(out)
+    failure: Exception | None = None
+    try:
+        with bag, contextlib.suppress(_Ended):
+            clear_left_over()
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            node = _Recorder(bag, topics, presence.recorder, from_start, reported)
+            LeanExecutor(node).spin()
+    except (OSError, MemoryError) as error:
+        failure = error
+    finally:
+        if node is not None:
+            node.leave()
+    written = tuple(topic.name for topic in bag.topics if topic.count)
+    count = sum(topic.count for topic in bag.topics)
+    lost = "" if node is None else node.lost
+    refused: Refusal | None = None
+    if failure is not None:
+        cure = None if bag.whole else f"make room, then `python -m arm_emulator repair {out}`"
+        refused = Refusal("record", f"folder {out}", "accept the recorded messages", failure, cure)
+    report(Recorded(count, written, bag.seconds, lost, refused))
+    code = 2 if failure is not None else 1 if lost else 0
+    end_anyway(ENDING, code)
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()
+    if refused is not None:
+        raise refused
+    return code
+
+
+class _Recorder(Node):
+    """Subscribes to topics as they appear and writes their messages as raw bytes."""
+
+    def __init__(
+        self,
+        bag: BagWriter,
+        topics: Collection[str] | None,
+        name: str,
+        from_start: bool,
+        asked_to_end: threading.Event,
+    ) -> None:
+        super().__init__("recorder", enable_rosout=False, start_parameter_services=False)
+        self._bag = bag
+        self._name = name
+        self._from_start = from_start
+        self._asked_to_end = asked_to_end
+        self._wanted = None if topics is None else {self.resolve_topic_name(t) for t in topics}
+        self._known: set[str] = set()
+        self._numbered: dict[str, Numbered] = {}  # by topic
+        self._runs: list[RecordedRuns] = []
+        self._reported_lost = ""
+        self.create_timer(LOOK_PERIOD, self._look)
+        self.create_timer(FLUSH_PERIOD, bag.flush)
+        self.create_timer(REPORT_PERIOD, self._report)
+        self._look()
+
+    @property
+    def lost(self) -> str:
+        """Missing messages, as text; empty if complete."""
+        missing = {run.topic: f"{run.missing} ticks" for run in self._runs if run.missing}
+        for name, numbered in self._numbered.items():
+            if numbered.lost and name not in missing:
+                missing[name] = f"{numbered.lost} messages"
+        return ", ".join(f"{what} of {name}" for name, what in sorted(missing.items()))
+
+    def leave(self) -> None:
+        """Report to the emulators that they need not wait for this recorder any more."""
+        for run in self._runs:
+            run.leave()
+
+    def _report(self) -> None:
+        if self._asked_to_end.is_set():
+            raise _Ended
+        for run in self._runs:
+            run.report()
+        if self.lost != self._reported_lost:
+            self._reported_lost = self.lost
+            print(f"lost so far: {self.lost}", flush=True)
+
+    def _look(self) -> None:
+        for name, types in self.get_topic_names_and_types():
+            hidden = any(part.startswith("_") for part in name.split("/"))
+            if name in self._known or (
+                hidden if self._wanted is None else name not in self._wanted
+            ):
+                continue
+            publishers = [
+                one for one in self.get_publishers_info_by_topic(name) if one.topic_type == types[0]
+            ]
+            others = [one for one in publishers if one.node_name != self.get_name()]
+            if others:
+                self._known.add(name)
+                self._take_up(name, types[0], others)
+
+    def _take_up(self, name: str, kind: str, publishers: list[Any]) -> None:
+        try:
+            message = message_class(kind)
+        except Refusal as reason:
+            print(f"{name} is not recorded: {reason}", flush=True)
+            return
+        offered = tuple(one.qos_profile for one in publishers)
+        number = self._bag.add_topic(
+            Topic(name, kind, definition_of(kind), offered, str(publishers[0].topic_type_hash))
+        )
+        numbered = Numbered(partial(self.count_publishers, name))
+        self._numbered[name] = numbered
+        on_message = self._writer(number, numbered)
+        if name.endswith(f"/{STATES}") and message is MotorState:
+            run = RecordedRuns(self, name, numbered, self._name, self._from_start)
+            self._runs.append(run)
+            on_message = _both(on_message, run.take)
+        events = SubscriptionEventCallbacks(message_lost=numbered.on_lost)
+        self.create_subscription(
+            message,
+            name,
+            on_message,  # type: ignore[arg-type]  # rclpy's hints know no info beside raw bytes
+            request(offered),
+            raw=True,
+            event_callbacks=events,
+        )
+        print(f"recording {name}", flush=True)
+
+    def _writer(self, number: int, numbered: Numbered) -> Callable[[bytes, dict[str, Any]], None]:
+        write, count = self._bag.write, numbered.take
+
+        def on_message(data: bytes, info: dict[str, Any]) -> None:
+            write(number, time.time_ns(), info["source_timestamp"], data)
+            count(info["publication_sequence_number"])
+
+        return on_message
+
+
+def _both(first: Callable[..., None], then: Callable[..., None]) -> Callable[..., None]:
+    def on_message(data: bytes, info: dict[str, Any]) -> None:
+        first(data, info)
+        then(data)
+
+    return on_message
+
+
+def request(offered: Collection[QoSProfile]) -> QoSProfile:
+    """Return the strongest QoS that every publisher offers."""
+    reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
+    latched = all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

@@ -1,0 +1,207 @@
+"""A run whose past can be visited, to the last bit, and from which other runs fork."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+from arm_emulator.base.closed import Closed
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+
+
+@runtime_checkable
+class Run(Protocol):
+    """A run that can be saved and restored exactly, such as `OfflineRun`."""
+
+    @property
+    def tick(self) -> int:
+        """Servo periods since the start."""
+
+    def advance(self, ticks: int) -> None:
+        """Advance by so many servo periods."""
+
+    def save(self) -> Any:
+        """Return all that decides how the run goes on."""
+
+    def restore(self, saved: Any) -> None:
+        """Go on from what `save` has returned."""
+
+
+R = TypeVar("R", bound=Run)
+
+
+class Change(NamedTuple):
+    """A change by hand: what was done, and after which tick."""
+
+    tick: int
+    name: str
+
+
+class _Checkpoint(NamedTuple):
+    """A run after all changes of a tick."""
+
+    tick: int
+    saved: Any
+
+
+class _Place:
+    """The timeline at whose tick a run is now."""
+
+    def __init__(self, visitor: Timeline[Any]) -> None:
+        self.visitor = visitor
+
+
+class Timeline(Closed, Generic[R]):
+    """A run with checkpoints: any tick of its past is reached by restoring and driving again.
+
+    What is changed by hand goes through `change`, so that it is not forgotten. Timelines that fork
+    from each other share the run: each goes back to its own tick when it is used.
+
+    Attributes:
+        run: the run, at `tick` of the timeline that was used last.
+        every: ticks between two checkpoints.
+        changes: changes by hand, in their order.
+        parent: the timeline that this one forked from; None: none.
+        begins: tick at which it forked from its parent, or at which the run was taken over.
+        tick: where this timeline is.
+        newest: the last tick that it has reached.
+
+    Args:
+        run: a run. All that changes it from now on must go through timelines.
+        every: ticks between two checkpoints. Twice as many take half the memory, and twice the
+            time to reach a tick.
+
+    Raises:
+        Refusal: no run that can be saved, or no such number of ticks.
+    """
+
+    def __init__(self, run: R, every: int = 1000) -> None:
+        if not isinstance(run, Run):
+            raise Refusal("Timeline", "run", "advance, save and restore", run, "an OfflineRun")
+        self.every = check_count("Timeline", "every", every, 1)
+        self.run = run
+        self.changes: list[Change] = []
+        self.parent: Timeline[R] | None = None
+        self.begins = self.tick = self.newest = run.tick
+        self._checkpoints: list[_Checkpoint] = []
+        self._place = _Place(self)
+        self._keep()
+
+    def __repr__(self) -> str:
+        return f"<Timeline at tick {self.tick} of {self.newest}>"
+
+    @property
+    def first(self) -> int:
+        """The first tick that can be visited."""
+        return self._checkpoints[0].tick
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the checkpoints [B]."""
+        return sum(len(one.saved) for one in self._checkpoints)
+
+    def advance(self, ticks: int) -> None:
+        """Advance by so many servo periods, in the past as in the run's first time.
+
+        Raises:
+            Refusal: no such count.
+            Exception: what the run raises; the timeline ends at the tick that the run has reached.
+        """
+        check_count("Timeline.advance", "ticks", ticks)
+        end = self.tick + ticks
+        self.go_to(min(end, self.newest))
+        while self.tick < end:
+            try:
+                self.run.advance(min(end - self.tick, self.every - self.tick % self.every))
+            finally:
+                self.tick = self.newest = self.run.tick
+            if self.tick % self.every == 0:
+                self._keep()
+
+    def go_to(self, tick: int) -> None:
+        """Visit a tick, after the changes by hand that were made there.
+
+        Raises:
+            Refusal: a tick before the first checkpoint, or after the newest one.
+        """
+        check_count("Timeline.go_to", "tick", tick, self.first, self.newest)
+        here = self._place.visitor is self
+        if here and self.tick == tick:
+            return
+        after = bisect.bisect_right(self._checkpoints, tick, key=lambda one: one.tick)
+        nearest = self._checkpoints[after - 1]
+        if not here or not nearest.tick <= self.tick < tick:
+            self.run.restore(nearest.saved)
+            self._place.visitor = self
+        if tick > self.run.tick:
+            self.run.advance(tick - self.run.tick)
+        self.tick = tick
+
+    def find(self, holds: Callable[[R], bool], last: int) -> int | None:
+        """Go on tick by tick until something holds, and return that tick; None: it does not.
+
+        Args:
+            holds: gets the run at each tick, from the one after the present one on.
+            last: the last tick to look at; there the timeline is if it does not hold before.
+
+        Raises:
+            Refusal: a last tick that is past.
+            Exception: see `advance`.
+        """
+        check_count("Timeline.find", "last", last, self.tick)
+        self._enter()
+        while self.tick < last:
+            self.advance(1)
+            if holds(self.run):
+                return self.tick
+        return None
+
+    def change(self, name: str, change: Callable[[R], object]) -> None:
+        """Change the run by hand at its newest tick.
+
+        Args:
+            name: of the change, for `changes`.
+            change: gets the run; if it raises, the run is as before.
+
+        Raises:
+            Refusal: the timeline is in the past, or `change` is no function.
+            Exception: what the change raises.
+        """
+        if self.tick != self.newest:
+            rule = f"be {self.newest}, the newest"
+            raise Refusal("Timeline.change", "tick", rule, self.tick, "a fork begins here")
+        if not callable(change):
+            raise Refusal("Timeline.change", "change", "be a function of the run", change)
+        self._enter()
+        before = self.run.save()
+        try:
+            change(self.run)
+        except BaseException:
+            self.run.restore(before)
+            raise
+        self.changes.append(Change(self.tick, name))
+        if self._checkpoints[-1].tick == self.tick:
+            self._checkpoints.pop()
+        self._keep()
+
+    def fork(self) -> Timeline[R]:
+        """Return a timeline with the same past up to this tick, to go on in another way."""
+        self._enter()
+        other: Timeline[R] = Timeline.__new__(Timeline)
+        other.run, other.every, other.parent = self.run, self.every, self
+        other.begins = other.tick = other.newest = self.tick
+        other.changes = [one for one in self.changes if one.tick <= self.tick]
+        other._checkpoints = [one for one in self._checkpoints if one.tick <= self.tick]
+        other._place = self._place
+        other.close_attributes()
+        return other
+
+    def _enter(self) -> None:
+        """Bring the run to this timeline's tick."""
+        if self._place.visitor is not self:
+            self.go_to(self.tick)
+
+    def _keep(self) -> None:
+        self._checkpoints.append(_Checkpoint(self.tick, self.run.save()))

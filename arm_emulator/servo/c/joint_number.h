@@ -1,0 +1,50 @@
+/* Numbers of a joint for servo.c, which includes this once for a number type, so without a guard.
+ */
+
+/* Code that every joint runs in every period is inlined: calls cost as much. */
+#ifdef __GNUC__
+#define SERVO_INLINE static inline __attribute__((always_inline))
+#else
+#define SERVO_INLINE static inline
+#endif
+
+/* They are one arm's, or lanes of several. `mask ? a : b` decides for each lane, with numbers of
+ * the same type on both sides; masks of one arm are 0 or 1. */
+
+#ifdef SERVO_LANES
+typedef servo_count servo_mask;
+
+SERVO_INLINE servo_real real_of(servo_count counts) {
+  return __builtin_convertvector(counts, servo_real);
+}
+SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask & bit; }
+SERVO_INLINE int any(servo_mask mask) {
+  int64_t found = 0;
+  for (int lane = 0; lane < SERVO_LANES; ++lane) found |= mask[lane];
+  return found != 0;
+}
+#else
+typedef int servo_mask;
+
+SERVO_INLINE servo_real real_of(servo_count counts) { return (servo_real)counts; }
+SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask ? bit : 0; }
+SERVO_INLINE int any(servo_mask mask) { return mask; }
+#endif
+
+SERVO_INLINE servo_real all_of(servo_scalar value) {
+  const servo_real zero = {0};
+  return zero + value;
+}
+
+static const servo_scalar HALF = (servo_scalar)0.5;
+
+SERVO_INLINE servo_real bound(servo_real value, servo_real least, servo_real most) {
+  const servo_real below = value > most ? most : value;
+  return value < least ? least : below;
+}
+
+SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {
+  return bound(value, -limit, limit);
+}
+
+SERVO_INLINE servo_mask is_finite(servo_real value) { return value - value == 0; }

@@ -1,0 +1,101 @@
+/* The factor by which a link's load follows the torques that are announced for it. servo.c includes
+ * this after joint_number.h, once for a number type.
+ *
+ * By least squares over the last motion: load = load_mean + (1 + excess) (tau - tau_mean). A load
+ * that nobody announced, as friction that held the joint at rest, is part of the mean and not of
+ * the factor. What was announced at rest is the integral's; what is added since is multiplied:
+ *
+ *   expected load = tau + excess (tau - tau_base)
+ *
+ * What lasts becomes the integral's, too: the base follows slowly, and the integral takes in the
+ * same period what the expected load loses by that, so that their sum does not change. */
+
+/* Slower changes of loads are the integral's [s]. */
+static const servo_scalar SLOW = (servo_scalar)1.5;
+/* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
+ * changes in the observed load, for so long [s]. */
+static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
+/* Announced torques that are right within such a factor stay as they are. */
+static const servo_scalar RIGHT = (servo_scalar)1.1;
+/* Torque and load at rest before the first motion count as much as so long a motion [s]. */
+static const servo_scalar AT_REST = (servo_scalar)0.05;
+/* The load on a soft gear follows its torques late: no factor counts before so long a motion [s].
+ */
+static const servo_scalar SETTLED = (servo_scalar)0.05;
+/* Observers that take less of a difference of angles in a period see loads too late to learn. */
+static const servo_scalar SWIFT = (servo_scalar)0.5;
+/* For so long of a motion evidence counts [s]. */
+static const servo_scalar KEPT = 2;
+
+/* A servo period, in quantities of the link. */
+typedef struct servo_seen {
+  servo_mask follows; /* a target */
+  servo_mask moves;   /* with torques that change */
+  servo_real passed;  /* s */
+  servo_real tau;     /* announced, N m */
+  servo_real load;    /* observed, N m */
+  servo_real count;   /* change of the observed load by one count of the encoder, N m */
+} servo_seen;
+
+SERVO_INLINE void forget_load(servo_learned* learned, servo_mask where) {
+  const servo_real zero = {0};
+  learned->excess = where ? zero : learned->excess;
+  learned->tau_base = where ? zero : learned->tau_base;
+  learned->tau_mean = where ? zero : learned->tau_mean;
+  learned->load_mean = where ? zero : learned->load_mean;
+  learned->evidence = where ? zero : learned->evidence;
+  learned->product = where ? zero : learned->product;
+  learned->watched = where ? zero : learned->watched;
+}
+
+SERVO_INLINE servo_real expected_load(const servo_learned* learned, servo_real tau) {
+  return tau + learned->excess * (tau - learned->tau_base);
+}
+
+/* The base follows slowly; where no factor counts it is what is announced at rest, and so are the
+ * means before the first motion. Returns by how much the base has changed. */
+SERVO_INLINE servo_real follow_slowly(servo_learned* learned, const servo_seen* seen) {
+  const servo_real zero = {0}, one = all_of(1);
+  const servo_mask rests = seen->follows & (seen->moves == 0);
+  const servo_mask first = rests & (learned->watched == 0);
+  const servo_real slow = seen->passed < SLOW ? seen->passed / SLOW : one;
+  const servo_real share = (rests & (learned->excess == 0)) ? one : slow;
+  const servo_real change = seen->follows ? share * (seen->tau - learned->tau_base) : zero;
+  learned->tau_base += change;
+  learned->tau_mean = first ? seen->tau : learned->tau_mean;
+  learned->load_mean = first ? seen->load : learned->load_mean;
+  return change;
+}
+
+/* Go on with means, evidence and product by one period of motion (Welford's update). */
+SERVO_INLINE void gather(servo_learned* learned, const servo_seen* seen) {
+  const servo_real zero = {0}, one = all_of(1);
+  const servo_real kept = seen->passed < KEPT ? one - seen->passed / KEPT : zero;
+  const servo_real watched = kept * learned->watched + seen->passed;
+  const servo_real tau = seen->tau - learned->tau_mean, load = seen->load - learned->load_mean;
+  const servo_real share = seen->passed / (watched + AT_REST);
+  const servo_real rest = (one - share) * seen->passed * tau;
+  const servo_mask moves = seen->moves;
+  learned->watched = moves ? watched : learned->watched;
+  learned->tau_mean = moves ? learned->tau_mean + share * tau : learned->tau_mean;
+  learned->load_mean = moves ? learned->load_mean + share * load : learned->load_mean;
+  learned->evidence = moves ? kept * learned->evidence + rest * tau : learned->evidence;
+  learned->product = moves ? kept * learned->product + rest * load : learned->product;
+}
+
+/* Return the torque that the expected load loses because the base has changed: the integral's. */
+SERVO_INLINE servo_real learn_load(servo_learned* learned, const servo_seen* seen) {
+  const servo_real zero = {0}, one = all_of(1);
+  const servo_mask moves = seen->moves;
+  const servo_real lost = learned->excess * follow_slowly(learned, seen);
+  if (!any(moves)) return lost;
+  gather(learned, seen);
+  const servo_real doubt = DOUBTS * DOUBTS * DOUBTED * seen->count * seen->count;
+  const servo_real factor = (doubt + learned->product) / (doubt + learned->evidence);
+  const servo_mask sound = is_finite(factor + lost);
+  const servo_mask right = ((factor * RIGHT > 1) & (factor < RIGHT)) | (learned->watched < SETTLED);
+  const servo_real bounded = bound(factor, all_of(SERVO_LEAST), all_of(SERVO_MOST));
+  learned->excess = moves ? (right ? zero : bounded - one) : learned->excess;
+  forget_load(learned, moves & (sound == 0));
+  return sound ? lost : zero;
+}

@@ -1,0 +1,53 @@
+/* Targets of a joint, and the way from one to the next. servo.c includes this after joint_number.h,
+ * once for a number type. */
+
+/* Accelerations are taken to go on changing as they did by this share of it: a change that comes to
+ * its end is known a period late only. Where they turn, as those of speeds in steps or with noise
+ * do, by half of it. */
+static const servo_scalar GOES_ON = (servo_scalar)0.8, TURNS = (servo_scalar)0.4;
+
+/* Take a target; `since`: seconds since the one before, if that was followed until now. */
+SERVO_INLINE void take_target(servo_state* state, servo_mask where, servo_real q, servo_real v,
+                              servo_real tau, servo_real since) {
+  const servo_real zero = {0}, a = (v - state->v_target) / since,
+                   change = (a - state->a_target) / since, tau_rate = (tau - state->tau) / since;
+  const servo_real jerk =
+      (change * state->jerk_target < 0 ? all_of(TURNS) : all_of(GOES_ON)) * change;
+  const servo_mask goes_on = since > 0;
+  state->stood &= ~flag_of(where, 1);
+  state->q_target = where ? q : state->q_target;
+  state->v_target = where ? v : state->v_target;
+  state->tau = where ? tau : state->tau;
+  state->a_target = where ? (goes_on ? a : zero) : state->a_target;
+  state->jerk_target = where ? (goes_on ? jerk : zero) : state->jerk_target;
+  state->tau_rate = where ? (goes_on ? tau_rate : zero) : state->tau_rate;
+}
+
+/* Stay at the target's angle without what is not finite. Without an angle the joint has no command
+ * until the next target. */
+SERVO_INLINE void drop_unsound_target(servo_state* state, servo_mask where) {
+  servo_real* const numbers[] = {&state->v_target, &state->tau, &state->a_target,
+                                 &state->jerk_target, &state->tau_rate};
+  const servo_real zero = {0};
+  for (int k = 0; k < 5; ++k)
+    *numbers[k] = (where & (is_finite(*numbers[k]) == 0)) ? zero : *numbers[k];
+}
+
+/* Motion that is asked of a link. */
+typedef struct servo_way {
+  servo_real q, v, a;
+} servo_way;
+
+/* Return the motion s after a target came: the cubic whose mean speeds are those of the targets. */
+SERVO_INLINE servo_way way_at(const servo_state* state, servo_real s, servo_real period) {
+  const servo_real a = state->a_target, jerk = state->jerk_target;
+  const servo_real v = state->v_target - (HALF * a + jerk * period / 6) * period;
+  const servo_way way = {state->q_target + (v + (HALF * a + jerk * s / 6) * s) * s,
+                         v + (a + HALF * jerk * s) * s, a + jerk * s};
+  return way;
+}
+
+/* Return the announced torque, `since` the middle of the target's motion period. */
+SERVO_INLINE servo_real tau_at(const servo_state* state, servo_real since) {
+  return state->tau + since * state->tau_rate;
+}

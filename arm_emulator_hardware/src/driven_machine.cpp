@@ -1,0 +1,267 @@
+#include "driven_machine.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <limits>
+
+namespace arm_emulator_hardware {
+namespace {
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+
+std::size_t at(int j) { return static_cast<std::size_t>(j); }
+
+// The file FOLDER/NAME-DIGITS.so.
+std::string library_file(const std::string& scene, const std::string& part) {
+  namespace fs = std::filesystem;
+  const fs::path path(scene);
+  const std::string start = path.filename().string() + part + "-", end = ".so";
+  std::error_code error;
+  std::string found;
+  for (fs::directory_iterator file(path.parent_path(), error), last; !error && file != last;
+       file.increment(error)) {
+    const std::string name = file->path().filename().string();
+    if (name.size() <= start.size() + end.size() || name.compare(0, start.size(), start) != 0 ||
+        name.compare(name.size() - end.size(), end.size(), end) != 0)
+      continue;
+    const std::string digits = name.substr(start.size(), name.size() - start.size() - end.size());
+    if (digits.find_first_not_of("0123456789abcdef") != std::string::npos) continue;
+    if (!found.empty()) {
+      std::string why = scene + ": scene must be compiled once in its folder, got two of ";
+      why.append(start).append("*.so; valid: `arm_emulator compile --into` an empty folder");
+      throw Refused(why);
+    }
+    found = file->path().string();
+  }
+  if (found.empty())
+    throw Refused(scene + ": scene must be FOLDER/NAME after `arm_emulator compile NAME --servo " +
+                  "--into FOLDER`, got no " + start + "*.so there");
+  return found;
+}
+
+}  // namespace
+
+DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period)
+    : machine_library_(library_file(scene, "")), servo_library_(library_file(scene, "-servo")) {
+  const std::string why = machine_library_.why() + servo_library_.why();
+  if (!why.empty()) throw Refused(scene + ": scene must be loadable, got " + why);
+  int (*describe)(arm_description*) = nullptr;
+  int (*describe_joint)(std::int32_t, arm_joint_description*) = nullptr;
+  arm_machine* (*make)(const arm_options*) = nullptr;
+  decltype(&servo_get_data) get_data = nullptr;
+  const bool whole =
+      machine_library_.find("arm_describe", describe) && machine_library_.find("arm_new", make) &&
+      machine_library_.find("arm_describe_joint", describe_joint) &&
+      machine_library_.find("arm_delete", delete_) &&
+      machine_library_.find("arm_exchange", exchange_) &&
+      machine_library_.find("arm_measure", measure_) &&
+      machine_library_.find("arm_reset", reset_) && machine_library_.find("arm_power", power_) &&
+      machine_library_.find("arm_get_truth", truth_) &&
+      machine_library_.find("arm_get_winding_temperatures", temperatures_) &&
+      servo_library_.find("servo_get_data", get_data) &&
+      servo_library_.find("servo_reset", servo_reset_) &&
+      servo_library_.find("servo_observe", servo_observe_) &&
+      servo_library_.find("servo_drive", servo_drive_) &&
+      servo_library_.find("servo_release", servo_release_) &&
+      servo_library_.find("servo_wish_within", wish_within_);
+  if (!whole) throw Refused(scene + ": scene must be of this version, got another library");
+
+  arm_description about = {};
+  about.size = sizeof about;
+  data_.size = sizeof data_;
+  describe(&about);
+  get_data(&data_);
+  servo_period_ = data_.period;
+  if (about.version != ARM_VERSION || about.joints != data_.joints || about.servo_period <= 0.0 ||
+      about.parameters != 0)
+    throw Refused(scene + ": scene must be of this version and have no varied numbers, got " +
+                  std::to_string(about.parameters) + " varied numbers and version " +
+                  std::to_string(about.version));
+  if (period <= 0 || period % servo_period_ != 0)
+    throw Refused(scene + ": update_rate must give a multiple of the servo period " +
+                  std::to_string(servo_period_) + " ns, got " + std::to_string(period) + " ns");
+  periods_ = period / servo_period_;
+
+  const auto n = at(data_.joints);
+  states_.resize(n), demands_.resize(n), commands_.resize(n), measured_.resize(n);
+  counts_.resize(n), currents_.resize(n), applied_.resize(n), temperature_.resize(n);
+  q_.resize(n), v_.resize(n), torque_.resize(n), readings_.resize(n), modes_.resize(n);
+  for (int j = 0; j < joints(); ++j) {
+    arm_joint_description one = {};
+    one.size = sizeof one;
+    describe_joint(j, &one);
+    modes_[at(j)] = one.modes & ARM_CURRENT ? ARM_CURRENT : ARM_VOLTAGE;
+    if (data_.joint[j].unsensed) modes_[at(j)] = ARM_TORQUE;
+    if (!(one.modes & static_cast<std::uint32_t>(modes_[at(j)])))
+      throw Refused(scene + ": joints." + data_.name[j] +
+                    ".motor must be one that our servo drives");
+  }
+  servo_.joints = data_.joints;
+  servo_.joint = data_.joint;
+  servo_.state = states_.data();
+  measurement_.size = sizeof measurement_;
+  measurement_.joint = measured_.data();
+  arm_options options = {};
+  options.size = sizeof options;
+  options.core = -1;
+  options.step = about.step;
+  options.steps_per_period = about.steps_per_period;
+  machine_ = make(&options);
+  if (!machine_) throw Refused(scene + ": scene must make a machine, got none");
+  try {
+    reset(std::vector<double>(n, 0.0));
+  } catch (const Refused&) {
+    delete_(machine_);
+    throw;
+  }
+}
+
+DrivenMachine::~DrivenMachine() { delete_(machine_); }
+
+int DrivenMachine::joint(const std::string& name) const {
+  std::string valid;
+  for (int j = 0; j < joints(); ++j) {
+    if (name == data_.name[j]) return j;
+    valid += (j ? ", " : "") + std::string(data_.name[j]);
+  }
+  throw Refused(std::string(data_.scene) + ": joint must be one of the scene, got " + name +
+                "; valid: " + valid);
+}
+
+void DrivenMachine::reset(const std::vector<double>& q) {
+  const bool sound = q.size() == states_.size() &&
+                     std::all_of(q.begin(), q.end(), [](double one) { return std::isfinite(one); });
+  const std::vector<double> still(states_.size(), 0.0);
+  if (!sound || reset_(machine_, q.data(), still.data()) != ARM_OK)
+    throw Refused(std::string(data_.scene) + ": initial positions must be " +
+                  std::to_string(joints()) + " finite numbers within the machine's stops");
+  servo_reset_(&servo_);
+  measure_(machine_, &measurement_);
+  for (Demand& one : demands_) one = Demand{one.loop};
+  enabled_ = false;
+  observe();
+  read();
+}
+
+void DrivenMachine::enable(bool on) {
+  if (on == enabled_) return;
+  enabled_ = on;
+  servo_release_(&servo_);
+  for (Demand& one : demands_) one.given = one.moves = false;
+}
+
+void DrivenMachine::power(bool on) {
+  power_(machine_, on);
+  powered_ = on;
+}
+
+void DrivenMachine::select(int j, Loop loop) {
+  Demand& one = demands_[at(j)];
+  if (one.loop != loop) one = Demand{loop};
+}
+
+void DrivenMachine::command(int j, double value) {
+  Demand& one = demands_[at(j)];
+  one.value = value;
+  one.given = true;
+}
+
+Outcome DrivenMachine::advance() {
+  for (const Demand& one : demands_)
+    if (one.given && !std::isfinite(one.value)) return Outcome::refused;
+  Outcome outcome = Outcome::advanced;
+  for (std::int64_t k = 0; k < periods_ && outcome != Outcome::diverged; ++k)
+    outcome = std::max(outcome, exchange(k));
+  read();
+  return outcome;
+}
+
+// The command of a joint in servo period k of the controllers' period.
+void DrivenMachine::demand_now(std::size_t j, std::int64_t k) {
+  Demand& one = demands_[j];
+  const servo_joint& joint = data_.joint[j];
+  arm_joint_command& out = commands_[j];
+  out.mode = modes_[j];
+  out.enable = enabled_ ? ARM_ENABLED : 0;
+  out.value = 0.0;
+  if (!enabled_ || !powered_ || measured_[j].faults) {
+    one.moves = one.holds = false;
+    states_[j].integral = states_[j].voltage = 0.0;
+    return;
+  }
+  servo_wish wish;
+  wish_within_(&joint, &wish);
+  const bool follows = one.loop != Loop::none && one.given && !measured_[j].brake;
+  if (!follows) {
+    if (!one.holds || measured_[j].brake) one.from = states_[j].theta_measured * joint.ratio;
+    wish.q_target = one.from;
+  } else if (one.loop == Loop::position) {
+    if (!one.moves) one.from = one.value;  // the first position has no speed
+    const double part = static_cast<double>(k + 1) / static_cast<double>(periods_);
+    wish.q_target = one.from + (one.value - one.from) * part;
+    wish.v_target = (one.value - one.from) / (1e-9 * static_cast<double>(periods_ * servo_period_));
+    if (k + 1 == periods_) one.from = one.value;
+  } else if (one.loop == Loop::velocity) {
+    wish.wants = SERVO_SPEED;
+    wish.omega = one.value * joint.motor_turns;
+  } else {
+    wish.wants = SERVO_CURRENT;
+    wish.current = one.value * joint.current_per_tau;
+  }
+  one.moves = follows;
+  one.holds = !follows;
+  out.value = servo_drive_(&servo_, static_cast<std::int32_t>(j), &wish);
+}
+
+Outcome DrivenMachine::exchange(std::int64_t k) {
+  for (std::size_t j = 0; j < demands_.size(); ++j) demand_now(j, k);
+  arm_command all = {};
+  all.size = sizeof all;
+  all.tick = tick_;
+  all.joint = commands_.data();
+  const int result = exchange_(machine_, &all, &measurement_);
+  observe();
+  if (result == ARM_DIVERGED) return Outcome::diverged;
+  if (result != ARM_OK) return Outcome::refused;
+  if (enabled_ && !measurement_.powered) return Outcome::no_power;
+  for (const arm_joint_measurement& one : measured_)
+    if (enabled_ && one.faults & ARM_FAULT_THERMAL) return Outcome::hot;
+  return Outcome::advanced;
+}
+
+void DrivenMachine::observe() {
+  tick_ = measurement_.tick;
+  for (std::size_t j = 0; j < measured_.size(); ++j) {
+    counts_[j] = measured_[j].encoder;
+    currents_[j] = measured_[j].current;
+    applied_[j] = measured_[j].applied;
+  }
+  servo_observe_(&servo_, counts_.data(), currents_.data(), applied_.data());
+}
+
+void DrivenMachine::read() {
+  arm_truth truth = {};
+  truth.size = sizeof truth;
+  truth.q = q_.data();
+  truth.v = v_.data();
+  truth.gear_torque = torque_.data();
+  truth_(machine_, &truth);
+  temperatures_(machine_, temperature_.data());
+  for (std::size_t j = 0; j < readings_.size(); ++j) {
+    const servo_joint& joint = data_.joint[j];
+    const servo_state& state = states_[j];
+    const double current = joint.unsensed ? kUnknown : currents_[j];
+    readings_[j] = {state.theta_measured * joint.ratio,
+                    state.omega * joint.ratio,
+                    state.current / joint.current_per_tau,
+                    current,
+                    temperature_[j],
+                    static_cast<double>(counts_[j]),
+                    q_[j],
+                    v_[j],
+                    torque_[j]};
+  }
+}
+
+}  // namespace arm_emulator_hardware

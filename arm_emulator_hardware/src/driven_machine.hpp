@@ -1,0 +1,110 @@
+// A compiled scene and the inner loops of its drives, advanced in whole servo periods. No ROS.
+#pragma once
+
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "arm.h"
+#include "servo_data.h"
+#include "shared_library.hpp"
+
+namespace arm_emulator_hardware {
+
+// Bad input: `where: quantity must satisfy rule, got value; valid: ...`, one line.
+struct Refused : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+enum class Loop { none, position, velocity, effort };
+
+enum class Outcome {
+  advanced,
+  no_power,  // the motors got no command
+  hot,       // a winding is beyond its limit: its motor got no command
+  refused,   // a command is not finite: nothing has changed
+  diverged,  // the machine stays at its last sound state until `reset`
+};
+
+// State of a joint; SI, of the link unless stated. Numbers of absent sensors are NaN.
+struct JointReading {
+  double position, velocity;  // by the encoder at the motor and the servo's observer
+  double effort;              // N m or N at the link, by the motor's current
+  double current;             // A
+  double temperature;         // degC of the winding
+  double motor_counts;        // of the encoder at the motor
+  double true_position, true_velocity, true_effort;  // for judging, not for control
+};
+
+class DrivenMachine {
+ public:
+  // Open FOLDER/NAME of `arm_emulator compile NAME --servo --into FOLDER`; `period` [ns] is that of
+  // the controllers. Throws Refused.
+  DrivenMachine(const std::string& scene, std::int64_t period);
+  ~DrivenMachine();
+  DrivenMachine(const DrivenMachine&) = delete;
+  DrivenMachine& operator=(const DrivenMachine&) = delete;
+
+  int joints() const { return static_cast<int>(states_.size()); }
+  // Throws Refused where the scene has no such joint.
+  int joint(const std::string& name) const;
+  std::int64_t time() const { return tick_ * servo_period_; }  // ns
+  bool powered() const { return powered_; }
+
+  // Go to rest at `q`, at tick 0, drives disabled. Throws Refused.
+  void reset(const std::vector<double>& q);
+  // Disabled drives get no command, and their brakes close.
+  void enable(bool on);
+  void power(bool on);
+  // Select the loop that a joint's command goes to; `none` holds the joint where it stands.
+  void select(int j, Loop loop);
+  void command(int j, double value);
+  // Go through one period of the controllers.
+  Outcome advance();
+  const JointReading& reading(int j) const { return readings_[static_cast<std::size_t>(j)]; }
+
+ private:
+  struct Demand {
+    Loop loop = Loop::none;
+    double value = 0.0, from = 0.0;  // positions: at the end and the start of the period
+    bool given = false, moves = false, holds = false;
+  };
+
+  void demand_now(std::size_t j, std::int64_t k);
+  Outcome exchange(std::int64_t k);
+  void observe();
+  void read();
+
+  SharedLibrary machine_library_, servo_library_;
+  servo_data data_ = {};
+  std::int64_t servo_period_ = 0, periods_ = 1, tick_ = 0;
+  bool enabled_ = false, powered_ = true;
+
+  int (*exchange_)(arm_machine*, const arm_command*, arm_measurement*) = nullptr;
+  int (*measure_)(const arm_machine*, arm_measurement*) = nullptr;
+  int (*reset_)(arm_machine*, const double*, const double*) = nullptr;
+  int (*truth_)(const arm_machine*, arm_truth*) = nullptr;
+  void (*temperatures_)(const arm_machine*, double*) = nullptr;
+  void (*power_)(arm_machine*, int) = nullptr;
+  void (*delete_)(arm_machine*) = nullptr;
+  decltype(&servo_reset) servo_reset_ = nullptr;
+  decltype(&servo_observe) servo_observe_ = nullptr;
+  decltype(&servo_drive) servo_drive_ = nullptr;
+  decltype(&servo_release) servo_release_ = nullptr;
+  decltype(&servo_wish_within) wish_within_ = nullptr;
+
+  arm_machine* machine_ = nullptr;
+  servo servo_ = {};
+  arm_measurement measurement_ = {};
+  std::vector<servo_state> states_;
+  std::vector<std::int32_t> modes_;
+  std::vector<Demand> demands_;
+  std::vector<arm_joint_command> commands_;
+  std::vector<arm_joint_measurement> measured_;
+  std::vector<std::int64_t> counts_;
+  std::vector<double> currents_, applied_, temperature_, q_, v_, torque_;
+  std::vector<JointReading> readings_;
+};
+
+}  // namespace arm_emulator_hardware

@@ -1,0 +1,63 @@
+"""Picture of the page in a browser: ur5 in the middle of a move.
+
+It needs requirements-peers.txt and Chromium.
+"""
+
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.analysis.torque_terms import TermsNow
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.page.run_page import RunPage
+from arm_emulator.page.subject import Subject
+from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.runs.timeline import Timeline
+from bench.rewind import new_target
+
+SIZE: Any = {"width": 1100, "height": 640}
+LAST, AT = 2500, 1080  # ticks
+PATIENCE = 200_000  # ms, of software rendering
+# WebGL without a GPU.
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+def draw(folder: Path) -> Path:
+    """Draw the page into a folder, and return the picture's path.
+
+    Raises:
+        Refusal: Chromium is missing.
+    """
+    from playwright.sync_api import sync_playwright
+
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        raise Refusal("page", "Chromium", "be installed", "none")
+    line = Timeline(load_offline_run("ur5"))
+    line.advance(200)
+    line.change("target", partial(new_target, offset=np.array([-0.1, 0.35, 0.15])))
+    line.advance(LAST - line.tick)
+    line.go_to(AT)
+    page = RunPage(Subject.of(line, LAST), lambda: (TermsNow({}, {}), []))
+    file = folder / "look.png"
+    try:
+        with sync_playwright() as play:
+            browser = play.chromium.launch(executable_path=chromium, headless=True, args=FLAGS)
+            shown = browser.new_page(viewport=SIZE)
+            shown.set_default_timeout(PATIENCE)
+            shown.goto(page.url)
+            shown.get_by_role("tab", name="Plot").click()
+            shown.locator(".uplot canvas").first.wait_for()
+            # The browser's remark on software rendering.
+            shown.locator(".mantine-Notification-closeButton").first.click()
+            shown.locator(".mantine-Notification-closeButton").first.wait_for(state="detached")
+            shown.screenshot(path=file)
+            browser.close()
+    finally:
+        page.close()
+    return file

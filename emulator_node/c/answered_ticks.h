@@ -1,0 +1,52 @@
+/* Lock-step in C: a motor command that answers the present tick leads through a servo period to
+ * the next motor state. C99. */
+#ifndef ANSWERED_TICKS_H
+#define ANSWERED_TICKS_H
+
+#include "arm.h"
+#include "messages.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct answered_ticks {
+  uint32_t size;
+  int32_t joints;
+  /* The machine, and the functions of its library. */
+  arm_machine* machine;
+  int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
+  int (*get_truth)(const arm_machine*, arm_truth*);
+  arm_joint_command* joint; /* of the command */
+  arm_command* command;
+  arm_measurement* measurement;
+  arm_truth* truth;
+  /* motor_commands: what they must be like, and where their numbers lie. */
+  ros_pattern pattern;
+  int64_t tick_at, machine_at, command_at;
+  const int64_t* place; /* of each joint of the message */
+  const double* most;   /* of the commands, as all arrays by the machine's order of joints */
+  double* came;         /* of the newest message */
+  uint64_t emulator;    /* commands are for this one, or for any: 0 */
+  int64_t number;       /* of the topic in the log */
+  /* Published at each tick, and at each tick that is a multiple of `report_ticks`. */
+  int (*publish)(ros_message*, int64_t time, int64_t tick, ros_log* log);
+  ros_message *motor_state, *joint_state, *clock;
+  int64_t report_ticks;
+  ros_log* log;
+  int64_t period; /* ns */
+  /* The run. Python sets them while no message is taken. */
+  int64_t tick;
+  int64_t last;   /* tick that is not left: the command that answers it is Python's */
+  double* before; /* commands before the newest ones */
+  int64_t result; /* of the newest exchange */
+} answered_ticks;
+
+/* `take` of a ros_topic: go through a servo period, unless the message or the time is unusual. */
+int answered_ticks_take(void* with, const uint8_t* data, int64_t size);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

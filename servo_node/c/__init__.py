@@ -1,0 +1,20 @@
+"""The servo's hot path in C: what is compiled, without ROS."""
+
+from pathlib import Path
+
+from arm_emulator.build.c_header import Header
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit
+from arm_emulator.ros.c import FOLDER as ROS_FOLDER
+from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
+
+FOLDER = Path(__file__).resolve().parent
+ANSWERED_STATES = Header(FOLDER / "answered_states.h", (SERVO_FOLDER, ROS_FOLDER))
+
+
+def answered_states_unit() -> Unit:
+    """Return answered_states.h as what is compiled."""
+    source = '#include "messages.c"\n#include "answered_states.c"\n'
+    folders, headers = (FOLDER, ROS_FOLDER, SERVO_FOLDER), (ANSWERED_STATES,)
+    about, part = "the servo's messages", "answered_states.c"
+    return Unit("answered_states", source, C_FLAGS, folders, headers, "servo", about, part)

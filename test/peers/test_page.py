@@ -1,0 +1,217 @@
+"""The page in a browser: every control is used, and what it shows is the recorded run."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from made_bags import synthetic
+
+from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
+from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.page.run_page import RunPage
+from arm_emulator.page.subject import Subject
+from arm_emulator.page.what_if import WhatIf
+from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.runs.timeline import Timeline
+
+viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
+LAST = 400
+PATIENCE = 60_000  # ms: software rendering on a busy machine
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+# WebGL without a GPU.
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+class Shown:
+    """A page of a recorded run."""
+
+    def __init__(self, folder: Path) -> None:
+        bag = synthetic(folder / "bag", [True] * LAST, runs=1)
+        self.machine = RecordedMachine.of(bag, load_scene("three_axis"))
+        self.line = Timeline(self.machine)
+        terms = TorqueTerms(self.machine.scene)
+
+        def explain() -> tuple[TermsNow, list[str]]:
+            now = terms.of(self.machine.session.plant.save(), np.zeros(3))
+            return now, ["nothing is at its limit"]
+
+        events = (120, "power"), (250, "set_state")
+        self.page = RunPage(Subject.of(self.line, LAST, events), explain)
+        self.url = self.page.url
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
+    shown = Shown(tmp_path_factory.mktemp("page"))
+    yield shown
+    shown.page.close()
+
+
+def answer(url: str, **headers: str) -> tuple[int, dict[str, str]]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as found:
+            return int(found.status), dict(found.headers)
+    except urllib.error.HTTPError as error:
+        return error.code, dict(error.headers)
+
+
+def test_nothing_is_served_without_the_token(shown: Shown) -> None:
+    plain = shown.url.partition("?")[0]
+    status, headers = answer(shown.url)
+    assert status == 200 and "SameSite=Strict" in headers["Set-Cookie"]
+    assert answer(plain, Cookie=headers["Set-Cookie"].partition(";")[0])[0] == 200
+    for url, more in (
+        (plain, {}), (plain + "?token=x", {}), (shown.url, {"Host": "evil.example"}),
+        (shown.url, {"Origin": "http://evil.example"}),
+    ):  # fmt: skip
+        assert answer(url, **more)[0] == 403, (url, more)
+
+
+def test_no_other_page_gets_a_connection(shown: Shown) -> None:
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    socket = shown.url.replace("http://", "ws://")
+    for address, origin in (
+        (socket.partition("?")[0], None), (socket + "x", None), (socket, "http://evil.example"),
+    ):  # fmt: skip
+        with pytest.raises(InvalidStatus) as refused:
+            connect(address, origin=origin)
+        assert refused.value.response.status_code == 403
+
+
+def test_a_port_that_is_taken_is_refused(shown: Shown) -> None:
+    port = int(shown.url.split(":")[2].partition("/")[0])
+    with pytest.raises(Refusal, match="port must be free"):
+        RunPage(Subject.of(shown.line, LAST), lambda: (TermsNow({}, {}), []), port)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+    with api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def opened(browser: Any, url: str) -> Any:
+    page = browser.new_page(viewport={"width": 640, "height": 480})
+    page.set_default_timeout(PATIENCE)
+    page.goto(url)
+    page.get_by_text("Play", exact=True).wait_for()
+    return page
+
+
+def tick_of(page: Any) -> int:
+    found = re.search(r"tick (\d+),", page.inner_text("body"))
+    assert found is not None
+    return int(found[1])
+
+
+def shows(page: Any, text: str) -> None:
+    page.get_by_text(text).first.wait_for()
+
+
+def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
+    page, scene = opened(browser, shown.url), shown.machine.scene
+    for button, tick in (("to end", LAST), ("-1", LAST - 1), ("to start", 0), ("+1", 1)):
+        page.get_by_role("button", name=button, exact=True).click()
+        shows(page, f"tick {tick},")
+    box = page.locator("input[type=text]").first
+    box.fill("77")
+    box.press("Enter")
+    shows(page, "tick 77,")
+    other = RecordedMachine.of(shown.machine.path, scene)
+    other.advance(77)
+    assert shown.machine.session.plant.save() == other.session.plant.save(), "to the last bit"
+    shows(page, f"{other.session.state.q[1]:.5g}")
+    page.get_by_role("tab", name="Events").click()
+    page.get_by_role("button", name="Go to the event").click()
+    shows(page, "tick 120,")
+    condition = page.locator("xpath=//*[text()='Condition']/following::input[1]")
+    condition.fill("tick >= 205")
+    page.get_by_role("button", name="Find the next").click()
+    shows(page, "holds at tick 205")
+    condition.fill("v.elbw > 1")
+    page.get_by_role("button", name="Find the next").click()
+    shows(page, "condition must name signals")
+    page.get_by_role("tab", name="Torques").click()
+    page.get_by_role("button", name="Explain this moment").click()
+    shows(page, "nothing is at its limit")
+    page.get_by_role("tab", name="Plot").click()
+    page.locator(".uplot canvas").first.wait_for()
+    page.get_by_role("button", name="to start", exact=True).click()
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Pause").wait_for()
+    page.wait_for_function("/tick ([1-9]\\d*),/.test(document.body.innerText)")
+    shows(page, f"tick {LAST},")  # it stops at the end
+    page.get_by_role("button", name="Play").wait_for()
+    page.close()
+
+
+def test_a_second_browser_and_a_lost_connection(shown: Shown, browser: Any) -> None:
+    one, two = opened(browser, shown.url), opened(browser, shown.url)
+    one.get_by_role("button", name="to end", exact=True).click()
+    shows(two, f"tick {LAST},")
+    one.close()
+    two.get_by_role("button", name="-1", exact=True).click()
+    shows(two, f"tick {LAST - 1},")
+    again = opened(browser, shown.url)
+    assert tick_of(again) == LAST - 1
+    again.close()
+    two.close()
+
+
+def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
+    line = Timeline(load_offline_run("three_axis"), every=100)
+    line.advance(300)
+    shown = RunPage(Subject.of(line, 300), lambda: (TermsNow({}, {}), []))
+    WhatIf(shown, line)
+    try:
+        page = opened(browser, shown.url)
+        box = page.locator("input[type=text]").first
+        box.fill("100")
+        box.press("Enter")
+        shows(page, "tick 100,")
+        page.get_by_role("tab", name="What if").click()
+        page.locator("xpath=//*[text()='Power']/following::input[1]").uncheck()
+        seconds = page.locator("xpath=//*[text()='Go on for [s]']/following::input[1]")
+        seconds.fill("0.05")
+        seconds.press("Enter")
+        page.get_by_role("button", name="Go on from this moment").click()
+        shows(page, "fork 1, from 0.1 s of the run: power off")
+        fork = shown.line
+        assert fork is not line and fork.parent is line and fork.newest == 150
+        page.get_by_role("button", name="to end", exact=True).click()
+        shows(page, "tick 150,")
+        straight = load_offline_run("three_axis")
+        straight.advance(100)
+        straight.session.powered = False
+        straight.advance(50)
+        assert fork.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
+        shows(page, "no power")
+        # At the end of a fork it goes on, and does not fork again.
+        page.get_by_role("button", name="Go on from this moment").click()
+        page.wait_for_function("/as it was/.test(document.body.innerText)")
+        assert shown.line is fork and fork.newest == 200
+        line.go_to(300)
+        assert line.run.session.powered, "the run itself is as it was"
+        page.close()
+    finally:
+        shown.close()

@@ -1,0 +1,353 @@
+"""Differences planted into one of two runs are found: tick, quantity, and joint."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from array import array
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from draws import FULL, some
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from arm_emulator.bags.bad_commit import first_bad_commit
+from arm_emulator.bags.first_difference import FirstDifference, Side, first_difference
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command_line import main
+from arm_emulator.machine import compiler
+from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.plant_state import PlantState
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.node_shell import stamp
+from arm_emulator_msgs.msg import MachineEvent, MotorState
+
+ROOT = Path(__file__).resolve().parents[1]
+TICKS = 60
+KINDS = {
+    "/motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
+    "/emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
+    "/emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
+}
+VARIED = "joints.elbow.friction.viscous"
+Plant = Callable[[Session, int], None]
+States = list[PlantState]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped arm, with a number that varies."""
+    folder = tmp_path_factory.mktemp("scene")
+    shutil.copytree(ROOT / "config" / "urdf", folder / "urdf")
+    data = yaml.safe_load((ROOT / "config" / "three_axis.yaml").read_text())
+    file = folder / "three_axis.yaml"
+    file.write_text(yaml.safe_dump(data | {"varied": [VARIED]}, sort_keys=False))
+    return file
+
+
+def record(
+    folder: Path,
+    scene: Path,
+    *,
+    unseen: Plant = lambda session, tick: None,
+    command: Callable[[int, np.ndarray], np.ndarray] = lambda tick, row: row,
+    number: Callable[[int], float | None] = lambda tick: None,
+    power: Callable[[int], bool] = lambda tick: True,
+    truths: bool = True,
+) -> States:
+    """Write a run as the emulator does; return the true states.
+
+    Args:
+        folder: the bag.
+        scene: the machine.
+        unseen: changes the machine without a record, after a tick was reported.
+        command: changes the commands that answer a tick.
+        number: new value of the varied number after a tick, with a record; None: none.
+        power: whether the drives have power after a tick, with a record of changes.
+        truths: whether the true joint states are recorded.
+    """
+    session = Session(str(scene), "lockstep", "first_answer")
+    names = list(session.scene.joint_names)
+    fields = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
+    rng, clock, events, states = np.random.default_rng(4), 10**18, 0, []
+    with BagWriter(folder) as writer:
+        numbers = {
+            topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
+            for topic, (_, kind) in KINDS.items()
+        }
+
+        def send(topic: str, **values: Any) -> None:
+            nonlocal clock
+            clock += 1000
+            message = KINDS[topic][0](header=Header(stamp=stamp(session.logical_ns)), **values)
+            if topic == "/motor_states":
+                fields.begin(message, session.measured)
+            writer.write(numbers[topic], clock, clock, serialize_message(message))
+
+        def report() -> None:
+            now = session.state
+            states.append(now)
+            send("/motor_states", tick=session.tick, powered=session.powered, machine=1,
+                 joint_names=names)  # fmt: skip
+            if truths:
+                send("/emulator/joint_states", name=names, position=now.q.tolist(),
+                     velocity=now.v.tolist(), effort=now.gear_torque.tolist())  # fmt: skip
+
+        def event(kind: int) -> None:
+            nonlocal events
+            events += 1
+            send("/emulator/events", tick=session.tick, powered=session.powered, machine=1,
+                 number=events, kind=kind, state=array("B", session.plant.save()))  # fmt: skip
+
+        report()
+        for tick in range(TICKS):
+            unseen(session, tick)
+            if (value := number(tick)) is not None:
+                session.set_varied(VARIED, value)
+                event(MachineEvent.KIND_SET_VARIED)
+            if power(tick) != session.powered:
+                session.powered = power(tick)
+                event(MachineEvent.KIND_POWER)
+            session.offer(tick, names, command(tick, rng.uniform(-5.0, 5.0, 3)).tolist())
+            session.advance()
+            report()
+    return states
+
+
+def found(one: Path, other: Path, scene: Path) -> FirstDifference:
+    difference, _ = first_difference(Side.of(one, str(scene), -1), Side.of(other, str(scene), -1))
+    assert difference is not None
+    return difference
+
+
+@pytest.fixture(scope="module")
+def plain(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, States]:
+    folder = tmp_path_factory.mktemp("plain") / "bag"
+    return folder, record(folder, scene)
+
+
+def test_equal_runs_are_equal(plain: tuple[Path, States], scene: Path, tmp_path: Path) -> None:
+    record(tmp_path / "again", scene)
+    for other in (Side.of(tmp_path / "again", str(scene), -1),
+                  replace(Side.of(plain[0], str(scene), -1), again=True)):  # fmt: skip
+        assert first_difference(Side.of(plain[0], str(scene), 1), other) == (None, TICKS + 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_bit_of_the_state(
+    seed: int, plain: tuple[Path, States], scene: Path, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(seed)
+    quantity = ("q", "v", "theta_m", "omega_m", "current")[seed % 5]
+    when, joint = int(rng.integers(1, TICKS - 1)), int(rng.integers(3))
+    bit = np.int64(1) << np.int64(rng.integers(10, 45))  # a lower one may be lost in rounding
+
+    def flip(session: Session, tick: int) -> None:
+        if tick == when:
+            row = getattr(session.state, quantity).copy()
+            row.view(np.int64)[joint] ^= bit
+            session.set_state(session.scene.joint_names, {quantity: row.tolist()})
+
+    states = record(tmp_path / "bag", scene, unseen=flip)
+    difference = found(plain[0], tmp_path / "bag", scene)
+    shows = [k for k in range(TICKS + 1) if any(
+        getattr(states[k], name).tobytes() != getattr(plain[1][k], name).tobytes()
+        for name in ("q", "v", "gear_torque", "current"))]  # fmt: skip
+    assert shows[0] == when + 1, "the planted bit shows at once"
+    assert (difference.kind, difference.tick) == ("state", when + 1)
+    name = {"true position": "q", "true velocity": "v", "true effort": "gear_torque"}.get(
+        difference.quantity, difference.quantity
+    )
+    place = list(("waist", "shoulder", "elbow")).index(difference.owner)
+    pair = getattr(plain[1][when + 1], name)[place], getattr(states[when + 1], name)[place]
+    assert difference.values == pair and pair[0] != pair[1]
+    before = difference.inputs[0]
+    for row in ("q", "v", "current"):
+        assert before[row].tobytes() == getattr(plain[1][when], row).tobytes(), "the step's inputs"
+
+
+@pytest.mark.parametrize("seed", range(18))
+def test_a_bit_of_a_command(
+    seed: int, plain: tuple[Path, States], scene: Path, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(100 + seed)
+    when, joint = int(rng.integers(0, TICKS)), int(rng.integers(3))
+
+    def nudge(tick: int, row: np.ndarray) -> np.ndarray:
+        if tick == when:
+            row[joint] = np.nextafter(row[joint], 10.0)
+        return row
+
+    record(tmp_path / "bag", scene, command=nudge)
+    difference = found(plain[0], tmp_path / "bag", scene)
+    assert (difference.kind, difference.tick, difference.ulps) == ("command", when, 1)
+    assert difference.owner == ("waist", "shoulder", "elbow")[joint]
+    one, other = difference.inputs
+    assert one["q"].tobytes() == other["q"].tobytes() == plain[1][when].q.tobytes()
+    assert np.flatnonzero(one["command"] != other["command"]).tolist() == [joint]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_bit_of_a_number(seed: int, scene: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(200 + seed)
+    when, value = int(rng.integers(0, TICKS)), float(rng.uniform(0.4, 0.6))
+    for name, number in (("one", value), ("other", np.nextafter(value, 1.0))):
+        given = {when: float(number)}
+        record(tmp_path / name, scene, number=given.get)
+    difference = found(tmp_path / "one", tmp_path / "other", scene)
+    assert (difference.kind, difference.tick) == ("change by hand", when)
+    assert (difference.quantity, difference.ulps) == (VARIED, 1)
+
+
+def test_power_and_a_change_that_only_one_has(
+    plain: tuple[Path, States], scene: Path, tmp_path: Path
+) -> None:
+    record(tmp_path / "dark", scene, power=lambda tick: tick < 30)
+    dark = found(plain[0], tmp_path / "dark", scene)
+    assert (dark.kind, dark.tick, dark.values) == ("change by hand", 30, ("none", "power"))
+    record(tmp_path / "number", scene, number={17: 0.5}.get)
+    number = found(plain[0], tmp_path / "number", scene)
+    assert (number.tick, number.values) == (17, ("none", "set_varied"))
+
+
+def test_another_scene_is_found_where_the_record_is_still_equal(
+    scene: Path, tmp_path: Path
+) -> None:
+    """Counts hide the first difference, the machines driven again do not."""
+    bag, other = tmp_path / "bag", tmp_path / "three_axis.yaml"
+    states = record(bag, scene, truths=False)
+    shutil.copytree(scene.parent / "urdf", tmp_path / "urdf")
+    data = yaml.safe_load(scene.read_text())
+    data["joints"]["elbow"]["friction"] = {"viscous": 0.5 + 1e-10}
+    other.write_text(yaml.safe_dump(data, sort_keys=False))
+    difference, equal = first_difference(
+        Side.of(bag, str(scene), -1), replace(Side.of(bag, str(other), -1), again=True)
+    )
+    assert difference is not None and equal > 1
+    # Nothing moves at tick 0, so that friction acts from the first step on.
+    assert difference.tick == 1 and difference.inputs[0]["q"].tobytes() == states[0].q.tobytes()
+
+
+PARTS = [  # code of parts, changed by rounding alone
+    ("dc_motor.hpp", "Kt * ", "Kt * (1.0 + 0x1p-52) * "),
+    ("gear.hpp", "Kg * ", "Kg * (1.0 + 0x1p-52) * "),
+]
+
+
+@pytest.mark.parametrize(("header", "code", "other"), some(PARTS, 1))
+def test_code_of_a_part(
+    header: str, code: str, other: str, plain: tuple[Path, States], scene: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    shutil.copytree(compiler.CORE, tmp_path / "core")
+    file = tmp_path / "core" / "parts" / header
+    text = file.read_text()
+    assert code in text
+    file.write_text(text.replace(code, other))
+    monkeypatch.setattr(compiler, "CORE", tmp_path / "core")
+    assert_found(plain, scene)
+
+
+@pytest.mark.parametrize("flags", ["-O1 -fno-associative-math", *(["-O0", "-O2 -mno-fma"] * FULL)])
+def test_a_compiler_flag(
+    flags: str, plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "FLAGS", (*compiler.FLAGS, *flags.split()))
+    assert_found(plain, scene)
+
+
+def assert_found(plain: tuple[Path, States], scene: Path) -> None:
+    """The present machine differs from the record first where its states do."""
+    difference, _ = first_difference(
+        Side.of(plain[0], str(scene), -1), replace(Side.of(plain[0], str(scene), -1), again=True)
+    )
+    assert_first(difference, plain[1], again(scene))
+
+
+def again(scene: Path) -> States:
+    """The states under the same commands, by the compiler and code that are there now."""
+    session = Session(str(scene), "lockstep", "first_answer")
+    rng, states = np.random.default_rng(4), [session.state]
+    for tick in range(TICKS):
+        session.offer(tick, session.scene.joint_names, rng.uniform(-5.0, 5.0, 3).tolist())
+        session.advance()
+        states.append(session.state)
+    return states
+
+
+def assert_first(difference: FirstDifference | None, one: States, other: States) -> None:
+    """The difference is the first in what is recorded, or they are equal."""
+    names = {"true position": "q", "true velocity": "v", "true effort": "gear_torque"}
+    ticks = [k for k in range(TICKS + 1) if any(
+        getattr(one[k], name).tobytes() != getattr(other[k], name).tobytes()
+        for name in ("q", "v", "gear_torque", "current"))]  # fmt: skip
+    assert ticks, "the change shows"
+    assert difference is not None and difference.tick == ticks[0]
+    name = names.get(difference.quantity, difference.quantity)
+    place = ("waist", "shoulder", "elbow").index(difference.owner)
+    pair = tuple(getattr(side[ticks[0]], name)[place] for side in (one, other))
+    assert difference.values == pair and pair[0] != pair[1]
+
+
+def test_on_the_command_line(
+    plain: tuple[Path, States], scene: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    record(tmp_path / "bag", scene, command=lambda tick, row: row + (tick == 7))
+    words = ["bisect", str(plain[0]), str(tmp_path / "bag"), "--scene", str(scene)]
+    for more, code in (([], 1), (["--run", "1", "--other-run", "1"], 1), (["--run", "2"], 2)):
+        monkeypatch.setattr("sys.argv", ["arm_emulator", *words, *more, "--json"])
+        with pytest.raises(SystemExit) as end:
+            main()
+        facts = json.loads(capsys.readouterr().out)
+        assert end.value.code == code, facts
+        if code == 1:
+            assert facts["difference"]["tick"] == 7 and facts["equal_ticks"] == 8
+            assert facts["difference"]["owner"] == "waist"
+
+
+def test_commits_that_cannot_be_judged_are_refused(plain: tuple[Path, States], scene: Path) -> None:
+    for good, bad, rule in (("no_such", "HEAD", "git"), ("HEAD", "no_such", "git")):
+        with pytest.raises(Refusal, match=rule):
+            first_bad_commit(plain[0], str(scene), good, bad)
+
+
+@pytest.mark.skipif(not FULL, reason="machines of three commits are compiled")
+def test_the_commit_that_changes_bits_is_found(
+    plain: tuple[Path, States], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clone = tmp_path / "clone"
+
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], check=True)
+
+    git("clone", "-q", str(ROOT), str(clone))
+    monkeypatch.chdir(clone)
+    header, code, other = PARTS[0]
+    for k in range(5):
+        git("commit", "-q", "--allow-empty", "-m", f"before {k}")
+    (file := clone / "arm_emulator/core/parts" / header).write_text(
+        (clone / "arm_emulator/core/parts" / header).read_text().replace(code, other)
+    )
+    assert other in file.read_text()
+    git("commit", "-qam", "other bits")
+    for k in range(4):
+        git("commit", "-q", "--allow-empty", "-m", f"after {k}")
+    monkeypatch.setattr("arm_emulator.bags.bad_commit.ROOT", clone)
+    _, title = first_bad_commit(plain[0], str(scene), "HEAD~9", "HEAD")
+    assert title == "other bits"
+    with pytest.raises(Refusal, match="must repeat the bag, got a difference"):
+        first_bad_commit(plain[0], str(scene), "HEAD", "HEAD~9")
+    trees = subprocess.run(["git", "worktree", "list"], capture_output=True, text=True, check=True)
+    assert len(trees.stdout.splitlines()) == 1, "nothing is left behind"

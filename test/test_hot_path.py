@@ -1,0 +1,176 @@
+"""Messages taken in C: the same are published as by Python, whatever comes."""
+
+import random
+import subprocess
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from ament_index_python.packages import get_package_prefix
+from draws import some
+from in_process import InProcess, in_process
+from network import JOINTS
+
+from arm_emulator.ros.c import FOLDER, MIDDLEWARE
+from arm_emulator.ros.middleware import middleware
+from arm_emulator_msgs.srv import SetState
+
+TOPICS = (
+    "motor_states", "motor_commands", "joint_states", "joint_targets", "servo_states",
+    "emulator/joint_states", "clock",
+)  # fmt: skip
+TICKS = 150
+# Modules that repeat or report something after some wall time.
+TIMED = (
+    "emulator_node.reports", "emulator_node.repeater", "emulator_node.answered_ticks",
+    "emulator_node.recorder_gate", "servo_node.node",
+)  # fmt: skip
+
+
+@pytest.fixture
+def wired(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Messages published by C go to the publishers of these."""
+    outgoing: list[Any] = []
+
+    def publish(struct: Any, time: int, tick: int, log: Any) -> int:
+        middleware().ros_fill(struct, time, tick, log)
+        (one,) = (one for one in outgoing if one.struct == struct)
+        one.publisher.publish(bytes(one.layout.bytes[: one.layout.size]))
+        return 0
+
+    declared = "int(ros_message *, int64_t, int64_t, ros_log *)"
+    call = MIDDLEWARE.ffi.callback(declared)(publish)
+    for node in ("emulator_node.answered_ticks", "servo_node.answered_states"):
+        monkeypatch.setattr(f"{node}.middleware", lambda: SimpleNamespace(ros_publish=call))
+    return outgoing
+
+
+class Trouble:
+    """Draws what a user does between two messages; the same for the same seed.
+
+    Attributes:
+        now: wall time, which goes on by 10 ms from message to message [s].
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._draw, self.now = random.Random(seed), 0.0
+        self.held: dict[str, bytes] = {}
+
+    def between(self, one: InProcess) -> None:
+        draw, self._one = self._draw, one
+        self.now += 0.01
+        for topic in ("motor_states", "motor_commands", "joint_targets"):
+            if topic in one.stated() and draw.random() < 0.02:
+                self.held[topic] = one.stated()[topic]
+        if draw.random() < 0.05 and self.held:
+            self._send(draw.choice(sorted(self.held)))
+        if draw.random() < 0.02:
+            self._change()
+
+    def _send(self, topic: str) -> None:
+        """Send an old or the newest message once more, perhaps spoiled."""
+        draw = self._draw
+        data = bytearray(draw.choice([self.held[topic], self._one.stated()[topic]]))
+        for _ in range(draw.randrange(3)):
+            data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+        self._one.send_bytes(topic, bytes(data) + bytes(draw.choice([0, 0, 3, 40])))
+
+    def _change(self) -> None:
+        draw, one = self._draw, self._one
+        kind = draw.randrange(4)
+        if kind == 0:
+            assert one.call("emulator/power", draw.random() < 0.5).success
+        elif kind == 1:
+            request = SetState.Request(joint_names=[draw.choice(JOINTS)], velocity=[0.1])
+            assert one.call("emulator/set_state", request).success
+        elif kind == 2:
+            assert one.call("emulator/pause", True).success
+            one.call("emulator/step")
+            assert one.call("emulator/pause", False).success
+        else:
+            one.timers()
+
+
+def run(
+    seed: int, hot: tuple[str, ...], outgoing: list[Any], patch: pytest.MonkeyPatch
+) -> tuple[list[Any], Counter[int]]:
+    """Return all that is published in a run, and what C did with the messages that it got."""
+    trouble = Trouble(seed)
+    for module in TIMED:
+        patch.setattr(f"{module}.time", SimpleNamespace(monotonic=lambda: trouble.now))
+    with in_process() as one:
+        done: Counter[int] = Counter()
+        counts = [one.take_in_c(node) for node in hot]
+        outgoing[:] = [message for node in hot for message in one.nodes[node].hot.outgoing]
+        one.begin_record()
+        assert one.call("emulator/reset").success
+        for _ in range(12 * TICKS):
+            trouble.between(one)
+            if not one.deliver():
+                one.timers()  # states without an answer are repeated
+        for count in counts:
+            done += count
+        return one.published(TOPICS), done
+
+
+@pytest.mark.parametrize("seed", some(range(40), 2))
+def test_c_publishes_what_python_does(
+    seed: int, wired: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow, _ = run(seed, (), wired, monkeypatch)
+    fast, done = run(seed, ("emulator", "servo"), wired, monkeypatch)
+    assert done[0] >= 30, "C takes those of an undisturbed run; some troubles stop it early"
+    assert done[1] >= 10, "and Python the others"
+    for at, (one, other) in enumerate(zip(slow, fast, strict=False)):
+        assert one == other, f"message {at} of {len(slow)}, on {one[0]} and {other[0]}"
+    assert len(slow) == len(fast)
+
+
+def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
+    """Sizes, places and constants; names of ours are hidden from the headers."""
+    called = ("rcl_wait_set_clear", "rcl_wait_set_add_subscription", "rcl_wait",
+              "rcl_take_serialized_message", "rcl_publish_serialized_message",
+              "rcutils_reset_error")  # fmt: skip
+    constants = ("RCL_RET_OK", "RCL_RET_TIMEOUT", "RCL_RET_SUBSCRIPTION_TAKE_FAILED")
+    lines = [f"#define {name} our_{name}" for name in called]
+    lines += [
+        '#include "rcl_calls.h"',
+        f"enum {{ {', '.join(f'OUR_{one} = {one}' for one in constants)} }};",
+    ]
+    lines += [f"#undef {name}" for name in called]
+    lines += [f"#include <rcl/{one}.h>" for one in ("wait", "subscription", "publisher", "types")]
+    lines += [f'_Static_assert(OUR_{one} == {one}, "{one}");' for one in constants]
+    lines += [
+        '_Static_assert(sizeof(rcl_bytes) == sizeof(rcl_serialized_message_t), "bytes");',
+        '_Static_assert(sizeof(rcl_allocator) == sizeof(rcl_allocator_t), "allocator");',
+    ]
+    for ours, theirs, fields in (
+        ("rcl_bytes", "rcl_serialized_message_t",
+         ("buffer", "buffer_length", "buffer_capacity", "allocator")),
+        ("rcl_allocator", "rcl_allocator_t",
+         ("allocate", "deallocate", "reallocate", "zero_allocate", "state")),
+        ("rcl_subscriptions", "rcl_wait_set_t", ("subscriptions", "size_of_subscriptions")),
+    ):  # fmt: skip
+        lines += [
+            f'_Static_assert(offsetof({ours}, {one}) == offsetof({theirs}, {one}), "{one}");'
+            for one in fields
+        ]
+    # The same arguments, by their number and size.
+    lines += [
+        "int32_t (*a)(rcl_wait_set_t*) = rcl_wait_set_clear;",
+        "int32_t (*b)(rcl_wait_set_t*, const rcl_subscription_t*, size_t*) = "
+        "rcl_wait_set_add_subscription;",
+        "int32_t (*c)(rcl_wait_set_t*, int64_t) = rcl_wait;",
+        "int32_t (*d)(const rcl_subscription_t*, rcl_serialized_message_t*, rmw_message_info_t*, "
+        "rmw_subscription_allocation_t*) = rcl_take_serialized_message;",
+        "int32_t (*e)(const rcl_publisher_t*, const rcl_serialized_message_t*, "
+        "rmw_publisher_allocation_t*) = rcl_publish_serialized_message;",
+    ]
+    source = tmp_path / "check.c"
+    source.write_text("\n".join(lines) + "\n")
+    headers = Path(get_package_prefix("rcl")) / "include"
+    folders = [FOLDER, *(one for one in headers.iterdir() if one.is_dir())]
+    command = ["cc", "-std=c11", "-Werror", "-fsyntax-only", str(source)]
+    subprocess.run([*command, *(f"-I{one}" for one in folders)], check=True)

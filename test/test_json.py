@@ -1,0 +1,199 @@
+"""`--json`: one object on stdout, whatever command, however it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from draws import some
+from made_bags import synthetic
+from test_command_line import no_signal, run  # noqa: F401
+
+from arm_emulator.cli.command import command_names
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "command_line.md"
+PATIENCE = 30.0  # s
+ARM = "three_axis"
+# Words with which a command ends by itself; `{}` is a new folder, see `folder`.
+ENDS: dict[str, list[list[str]]] = {
+    "advise": [[ARM, "--motion", "{}/motion.csv", "--error", "1e-5"],
+               [ARM, "--motion", "{}/motion.csv", "--error", "1e-13"]],
+    "bisect": [["{}/bag", "--scene", ARM], ["{}/bag", "--good", "HEAD"]],
+    "cache": [[]],
+    "campaign": [["{}/campaign.yaml", "--dry"], ["{}/campaign.yaml", "--replay", "1"],
+                 ["{}/campaign.yaml", "--into", "{}/results", "--workers", "1"]],
+    "canopen": [[ARM, "--eds", "{}/eds"]],
+    "check-bag": [["{}/bag", "--scene", ARM], ["{}/bag"]],
+    "check-scene": [[ARM], [ARM, "--modes"], ["nowhere"]],
+    "compile": [[ARM]],
+    "completion": [["bash"], ["csh"]],
+    "doctor": [[]],
+    "ethercat": [[ARM, "--esi", "{}/arm.xml"], [ARM]],
+    "explain": [["{}/bag", "--scene", ARM, "--at", "0"], ["{}/bag", "--at", "1e9"]],
+    "faults": [[ARM]],
+    "firmware": [["{}/none.yaml", "{}/none.elf"]],
+    "fmu": [[ARM, "--out", "{}/arm.fmu", "--target", "native"], [ARM, "--out", "{}/arm.zip"]],
+    "identify": [[ARM, "{}/none.csv"]],
+    "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"]],
+    "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],
+    "move": [["--joints", "waist"]],
+    "new": [["{}/arm.urdf", "--out", "{}/new"], ["{}/none.urdf"]],
+    "record": [["{}/bag"]],
+    "repair": [["{}/bag"], ["{}/none"]],
+    "replay": [["{}/bag", "--rate", "1000"], ["{}/bag", "--rate", "0"]],
+    "run": [[ARM, "--seconds", "0.1"], [ARM, "--seconds", "-1"]],
+    "servo-header": [[ARM], [ARM, "--out", "{}/joints.h"]],
+    "status": [["--timeout", "0.1"]],
+    "tune": [[ARM], ["nowhere"]],
+    "up": [["nowhere"]],
+    "validate": [["nobody"]],
+}  # fmt: skip
+COMPILING = ("campaign", "fmu", "new")
+UNTIL_STOPPED = {
+    "canopen": ["--listen", "0"], "modbus": [], "record": ["{}/new_bag"], "up": [ARM],
+}  # fmt: skip
+CAMPAIGN = """\
+scene: three_axis
+scenario: {seconds: 0.1, targets: [{at: 0.0, waist: 0.3}]}
+vary: {payload.mass: uniform(0, 1)}
+set: {payload: 1.0}
+requirements: {gear: always abs(gear_torque.*) <= 200}
+measures: {torque: max(abs(gear_torque.*))}
+count: 4
+"""
+URDF = """<robot name="arm"><link name="base"/><link name="tip"><inertial><mass value="1"/>
+<origin xyz="0.3 0 0"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+</inertial></link><joint name="one" type="revolute"><parent link="base"/><child link="tip"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="2" effort="20"/></joint></robot>"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    table = "t,waist,shoulder,elbow\n0,1,2,3\n0.03,-4,5,-6\n0.05,0,0,0\n"
+    (tmp_path / "motion.csv").write_text(table)
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    synthetic(tmp_path / "bag", [True] * 8)
+    return tmp_path
+
+
+def check(name: str, words: list[str], code: int, text: str, errors: str) -> None:
+    """Compare the object with the page, and with the exit code."""
+    facts = json.loads(text)
+    assert (code == 2) == ("refused" in facts), (name, words, errors)
+    assert isinstance(facts.pop("warnings"), list)
+    if "refused" in facts:
+        assert facts["refused"] in errors.splitlines()
+        return
+    [row] = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `{name}` |")]
+    documented = set(re.findall(r"`([\w-]+)`", row.split("|")[2]))
+    assert facts and set(facts) <= documented, (name, words)
+    if not set(";(") & set(row):  # one form only
+        assert set(facts) == documented, name
+
+
+def test_every_command_is_tried_and_documented() -> None:
+    assert set(ENDS) == {*command_names()} - {"demo"}, "demo: by `test_demo.py`"
+    rows = re.findall(r"^\| `([a-z-]+)` \| .*`", PAGE.read_text(), re.M)
+    assert rows == command_names()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [(name, words) for name in ENDS if name not in COMPILING for words in ENDS[name]]
+    + some([(name, words) for name in COMPILING for words in ENDS[name]], 1),
+    ids=lambda one: one if isinstance(one, str) else " ".join(one),
+)
+def test_stdout_is_one_object_and_the_exit_code_that_of_text(
+    name: str, words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "96")
+    given = [word.format(folder) for word in words]
+    code, text, errors = run(name, "--json", *given)
+    check(name, words, code, text, errors)
+    if "out" not in " ".join(words):  # where it would write a second time
+        again, lines, _ = run(name, *given)
+        assert again == code and not lines.startswith("{")
+
+
+def test_words_that_no_command_takes_are_refused_in_an_object_too() -> None:
+    for words in ([], *([name] for name in command_names())):
+        code, text, errors = run(*words, "--jsom", "--json")
+        assert code == 2 and json.loads(text)["refused"] == errors.strip(), words
+    for words, key in (([], "commands"), (["--version"], "version"), (["run", "--help"], "help")):
+        code, text, _ = run(*words, "--json")
+        assert code == 0 and list(json.loads(text)) == [key, "warnings"]
+
+
+@pytest.mark.parametrize("name", some(list(UNTIL_STOPPED), 2))
+def test_ctrl_c_ends_a_server_with_an_object(name: str, tmp_path: Path) -> None:
+    words = [word.format(tmp_path) for word in UNTIL_STOPPED[name]]
+    with subprocess.Popen(
+        [sys.executable, "-m", "arm_emulator", name, *words, "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "ROS_DOMAIN_ID": "96"},
+    ) as process:  # fmt: skip
+        assert process.stdout is not None and process.stderr is not None
+        try:
+            end = time.monotonic() + PATIENCE
+            if name == "record":  # prints nothing without a network
+                while not (tmp_path / "new_bag").exists() and time.monotonic() < end:
+                    time.sleep(0.05)
+            else:
+                while not re.search("ready|baud|scene", process.stderr.readline()):
+                    assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            text, errors = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+        check(name, words, process.returncode, text, errors)
+        assert process.returncode == 0
+
+
+def test_json_stands_alone_on_stdout_whoever_prints() -> None:
+    program = """
+import ctypes
+from arm_emulator.cli.output import output
+with output.printed(as_json=True):
+    print("Python")
+    output.line("people")
+    output.console().print("tables")
+    ctypes.CDLL(None).puts(b"C")
+    ctypes.CDLL(None).fflush(None)
+    output.facts({"none": float("nan"), "one": 1})
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert json.loads(ended.stdout) == {"none": None, "one": 1, "warnings": []}
+    assert "Python" in ended.stderr and "C" in ended.stderr and "tables" not in ended.stderr
+
+
+def test_programs_read_json_where_people_read_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = synthetic(tmp_path / "bag", [True] * 8)
+    code, lines, _ = run("check-bag", str(bag), "--scene", "three_axis")
+    json_code, text, _ = run("check-bag", str(bag), "--scene", "three_axis", "--json")
+    facts = json.loads(text)
+    assert json_code == code == 0 and "equal to the last bit" in lines
+    assert facts["equal"] and facts["scene"] == "three_axis" and facts["counts"]["states"] > 0
+
+    folder = tmp_path / "cache"
+    folder.mkdir(mode=0o700)
+    library = folder / f"three_axis-{7:020x}.so"
+    library.write_bytes(b"library")
+    monkeypatch.setenv("ARM_EMULATOR_CACHE", str(folder))
+    assert library.name in run("cache")[1]
+    [one] = json.loads(run("cache", "--json")[1])["folders"]
+    assert one["folder"] == str(folder) and not one["not_trusted"]
+    assert [entry["file"] for entry in one["libraries"]] == [str(library)]
+    assert one["libraries"][0]["size"] == 7

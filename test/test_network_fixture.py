@@ -1,0 +1,60 @@
+"""`arm_emulator.testing.network`: acknowledged targets, the bag of a failure, equal bits."""
+
+from pathlib import Path
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.context import Context
+
+from arm_emulator import testing
+from arm_emulator.cli.commands.check_bag import check_bag
+from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator_msgs.msg import MotionStatus
+
+LONGEST = 30.0  # s, wall, for nodes of one process to find each other
+TARGET = 0.43, 0.05, 0.64
+
+
+def test_a_failure_leaves_a_bag_that_is_driven_again_to_equal_bits(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "bag"
+    with pytest.raises(AssertionError, match="as asked") as failure:
+        with testing.network(start="paused", log=tmp_path, keep=bag) as net:
+            first = net.send_tool_target(TARGET, at=0.2)
+            second = net.send_tool_target((9.0, 0.0, 0.0), at=0.3)
+            assert net.state_of(first) == "accepted" and net.status.tick == 0, "time stands"
+            with pytest.raises(AssertionError, match="not reached"):
+                net.go_on()
+                net.wait_for(second)
+            net.power(False)
+            net.wait_until(net.time + 0.1)
+            raise AssertionError("as asked")
+    assert failure.value.__notes__ == [f"driven again by: python -m arm_emulator check-bag {bag}"]
+    assert check_bag(bag, scene="three_axis") == 0
+    assert "equal to the last bit" in capfd.readouterr().out
+
+
+def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:
+    with own_domain():
+        context = Context()
+        context.init()
+        try:
+            sender, viewer, acting = (
+                NetworkGuest(name, "", context) for name in ("sender", "viewer", "acting")
+            )
+            publisher = sender.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
+            viewer.listen("tool_target", PoseStamped, COMMAND_QOS)
+            acting.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
+            status = "motion/status"
+            assert sender.spin_until(lambda: publisher.get_subscription_count() > 0, LONGEST)
+            assert sender.spin_until(lambda: sender.count_publishers(status) > 0, LONGEST)
+            assert not sender.is_heard(publisher, status), "by another one"
+            acting.listen("tool_target", PoseStamped, COMMAND_QOS)
+            assert sender.spin_until(lambda: sender.is_heard(publisher, status), LONGEST)
+            publisher.publish(PoseStamped())
+            assert acting.spin_until(lambda: "tool_target" in acting.newest, LONGEST)
+        finally:
+            context.try_shutdown()

@@ -1,0 +1,134 @@
+"""Recorded runs visited at any tick, and explained."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_bags import synthetic
+
+from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command_line import main
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.bag import Bag
+from arm_emulator.runs.timeline import Timeline
+
+POWERS = [True] * 30 + [False] * 9 + [True] * 60
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return synthetic(tmp_path_factory.mktemp("bags") / "bag", POWERS, first=3)
+
+
+@pytest.mark.parametrize("run", (1, 2, -1))
+def test_any_tick_of_a_record_is_reached(bag: Path, run: int) -> None:
+    scene = load_scene("three_axis")
+    states = list[tuple[int, list[int]]]()
+    runs = [states]
+    for _, state in RecordedTopics(Bag(bag)).read("motor_states"):
+        if state.tick == 0 and states:
+            states = []
+            runs.append(states)
+        if state.tick == len(states):
+            states.append((int(state.tick), list(state.encoder_counts)))
+    states = runs[run - 1 if run > 0 else -1]
+    line = Timeline(RecordedMachine.of(bag, scene, run), every=16)
+    assert line.run.last == len(POWERS) == len(states) - 1
+    line.advance(line.run.last)
+    rng = np.random.default_rng(1)
+    for tick in rng.permutation(len(states)).tolist():
+        line.go_to(tick)
+        session = line.run.session
+        assert (session.tick, list(session.measured.encoder_counts)) == states[tick]
+    assert not POWERS[35 - 1], "without power"
+    line.go_to(35)
+    assert not line.run.session.powered
+    with pytest.raises(Refusal, match="ticks must be"):
+        line.run.advance(len(POWERS))
+
+
+@pytest.mark.parametrize("run", (0, 3, 1.5, True))
+def test_another_run_is_refused(bag: Path, run: int) -> None:
+    with pytest.raises(Refusal, match="run must be"):
+        RecordedMachine.of(bag, load_scene("three_axis"), run)
+
+
+@pytest.fixture
+def explain(
+    bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], tuple[object, dict[str, Any]]]:
+    """Exit code and JSON of `explain` at a time."""
+
+    def call(at: str) -> tuple[object, dict[str, Any]]:
+        monkeypatch.setattr("sys.argv", ["arm_emulator", "explain", str(bag), "--json", "--at", at])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return end.value.code, json.loads(capsys.readouterr().out)
+
+    return call
+
+
+Explain = Callable[[str], tuple[object, dict[str, Any]]]
+
+
+def test_a_moment_is_explained(bag: Path, explain: Explain) -> None:
+    machine = RecordedMachine.of(bag, load_scene("three_axis"))
+    machine.advance(20)
+    code, now = explain("0.02")
+    assert code == 0
+    names = machine.scene.joint_names
+    assert now["tick"] == 20 and now["powered"] is True
+    assert now["q"] == dict(zip(names, machine.session.state.q.tolist(), strict=True))
+    applied = machine.ticks[21].applied[0].tolist()
+    assert now["applied"] == now["commanded"] == dict(zip(names, applied, strict=True))
+    links = now["torques_on_links"]
+    for name in names:
+        assert abs(sum(one[name] for one in links.values() if one[name] is not None)) < 1e-12
+    dark = explain("0.035")[1]
+    assert "the drives have no power" in dark["active"]
+    assert not any(dark["applied"].values())
+    last = explain(f"{len(POWERS) * 1e-3:g}")[1]
+    assert last["applied"] is None
+
+
+def test_the_first_moment_of_a_condition_is_explained(
+    bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = RecordedMachine.of(bag, load_scene("three_axis"))
+    speeds = [0.0]
+    while machine.tick < machine.last:
+        machine.advance(1)
+        speeds.append(float(np.abs(machine.session.state.v[1])))
+    least = sorted(speeds)[60]
+    at = 20
+    for arguments, tick in (
+        (["--when", f"abs(v.shoulder) > {least!r}"], np.argmax(np.array(speeds) > least)),
+        (["--at", f"{at * 1e-3}", "--when", f"abs(v.shoulder) > {least!r}"],
+         at + 1 + np.argmax(np.array(speeds[at + 1 :]) > least)),
+        (["--when", "tick >= 0"], 0),
+        (["--when", "tick > 1e6"], None),
+    ):  # fmt: skip
+        monkeypatch.setattr("sys.argv", ["arm_emulator", "explain", str(bag), "--json", *arguments])
+        with pytest.raises(SystemExit) as end:
+            main()
+        facts = json.loads(capsys.readouterr().out)
+        assert facts["tick"] == tick, arguments
+        assert end.value.code == int(tick is None)
+    monkeypatch.setattr("sys.argv", ["arm_emulator", "explain", str(bag)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2 and "--at or --when must be given" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("at", ("-1", "1e9", "nan", "0.0996"))
+def test_a_moment_beyond_the_record_is_refused(at: str, explain: Explain) -> None:
+    code, found = explain(at)
+    assert code == 2
+    assert "--at must be within the run, 0 to 0.099 s" in found["refused"]

@@ -1,0 +1,199 @@
+"""A run's past visited again, and runs that fork from it, equal straight runs to the last bit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.jog import JogCommand
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.runs.timeline import Timeline
+
+Act = Callable[[OfflineRun], object]
+
+
+def whole(run: OfflineRun) -> tuple[Any, ...]:
+    """All that a run shows at a tick."""
+    servo = run.drives.servo
+    return (
+        run.tick,
+        run.session.plant.save(),
+        servo.state.tobytes(),
+        bytes(servo.arm.does.to_bytes(4, "little")),
+        run.aimed.tobytes(),
+        run.session.phase,
+        run.session.powered,
+        run.drives.reason,
+    )
+
+
+def move(x: float, y: float, z: float) -> Act:
+    """A tool target beside where the tool is."""
+
+    def act(run: OfflineRun) -> None:
+        R_WT, p_WT = run.controller.kinematics.forward(run.session.state.q)
+        run.instructor.add(run.session.logical_ns, Pose(p_WT + np.array([x, y, z]), R_WT))
+
+    return act
+
+
+def power(on: bool) -> Act:
+    def act(run: OfflineRun) -> None:
+        run.session.powered = on
+
+    return act
+
+
+def push(run: OfflineRun) -> None:
+    """Set the machine elsewhere."""
+    first = run.session.scene.joint_names[0]
+    run.session.set_state([first], {"v": [0.05]})
+
+
+def jog(run: OfflineRun) -> None:
+    run.instructor.jog(
+        JogCommand(run.session.logical_ns, np.array([0.02, -0.03, 0.01, 0.0, 0.0, 0.0]))
+    )
+
+
+def path(run: OfflineRun) -> None:
+    """Two lines with a corner."""
+    R_WT, p_WT = run.controller.kinematics.forward(run.session.state.q)
+    places = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, -0.01], [0.02, 0.02, 0.0]])
+    run.instructor.add_path(run.controller, [Pose(p_WT + one, R_WT) for one in places])
+
+
+def trajectory(run: OfflineRun) -> None:
+    names = run.controller.kinematics.joint_names
+    end = run.aimed + 0.05
+    run.instructor.add_trajectory(run.controller, names, [TrajectoryPoint(400_000_000, end)])
+
+
+def retune(run: OfflineRun) -> None:
+    config = run.drives.servo.config
+    joints = tuple(
+        dataclasses.replace(one, position_gain=0.5 * one.position_gain) for one in config.joints
+    )
+    run.drives.retune(dataclasses.replace(config, joints=joints))
+
+
+STORY: list[tuple[int, str, Act]] = [
+    (90, "target", move(0.02, 0.03, -0.03)),
+    (333, "a target before the end of the last", move(-0.03, 0.01, 0.02)),
+    (117, "gains", retune),
+    (60, "power off", power(False)),
+    (150, "power on", power(True)),
+    (260, "target", move(0.01, -0.02, 0.01)),
+    (41, "machine set", push),
+    (320, "target", move(-0.01, 0.02, -0.01)),
+    (180, "path", path),
+    (330, "trajectory", trajectory),
+    (260, "jog", jog),
+    (15, "jog", jog),
+]
+
+
+def straight(scene: str, story: list[tuple[int, str, Act]], ends: int) -> dict[int, Any]:
+    """Every 7th tick of a run without a timeline, and those after changes."""
+    run = load_offline_run(scene)
+    seen: dict[int, Any] = {}
+    for ticks, _, act in [*story, (ends, "", lambda _: None)]:
+        end = run.tick + ticks
+        while run.tick < end:
+            run.advance(min(7 - run.tick % 7, end - run.tick))
+            seen[run.tick] = whole(run)
+        act(run)
+        seen[run.tick] = whole(run)
+    return seen
+
+
+@pytest.mark.parametrize("scene", some(("ur5", "three_axis", "panda"), 2))
+def test_any_tick_of_the_past_equals_the_straight_run(scene: str) -> None:
+    seen = straight(scene, STORY, 200)
+    line = Timeline(load_offline_run(scene), every=100)
+    for ticks, name, act in STORY:
+        line.advance(ticks)
+        line.change(name, act)
+    line.advance(200)
+    assert [one.name for one in line.changes] == [name for _, name, _ in STORY]
+    ticks = [one.tick for one in line.changes]
+    for (begin, name), end in zip(line.changes, [*ticks[1:], line.newest], strict=True):
+        if name in ("target", "path", "trajectory", "jog"):
+            assert seen[begin][4] != seen[end][4], f"joint targets during: {name}"
+    rng = np.random.default_rng(3)
+    for tick in rng.permutation(list(seen)).tolist():
+        line.go_to(tick)
+        assert whole(line.run) == seen[tick], f"tick {tick} visited"
+    # Driving on from the past leads through the changes, too.
+    line.go_to(5)
+    line.advance(line.newest - 5)
+    assert whole(line.run) == seen[line.newest], "end, driven from the past"
+
+
+def test_forks_of_forks_are_straight_runs_of_their_own_story() -> None:
+    one, two, three = move(0.02, 0.0, -0.02), move(0.0, 0.03, 0.0), retune
+    line = Timeline(load_offline_run("three_axis"), every=64)
+    line.advance(50)
+    line.change("one", one)
+    line.advance(450)
+    line.go_to(170)
+    fork = line.fork()
+    fork.change("two", two)
+    fork.advance(230)
+    fork.go_to(290)
+    of_fork = fork.fork()
+    of_fork.change("three", three)
+    of_fork.advance(140)
+    stories = {
+        line: ([(50, "one", one)], 500),
+        fork: ([(50, "one", one), (120, "two", two)], 400),
+        of_fork: ([(50, "one", one), (120, "two", two), (120, "three", three)], 430),
+    }
+    assert of_fork.parent is fork and fork.parent is line and line.parent is None
+    assert (fork.begins, of_fork.begins) == (170, 290), "where they fork"
+    for timeline, (story, newest) in stories.items():
+        assert timeline.newest == newest, "a fork changes no other"
+        seen = straight("three_axis", story, newest - sum(ticks for ticks, *_ in story))
+        for tick in sorted(seen, key=lambda tick: tick * 7919 % 101):
+            for other in (line, of_fork, timeline):  # they share one run
+                other.go_to(min(tick, other.newest))
+            assert whole(timeline.run) == seen[tick], f"{timeline}, tick {tick}"
+
+
+def test_a_change_that_is_refused_leaves_no_trace() -> None:
+    line = Timeline(load_offline_run("three_axis"))
+    line.advance(20)
+    before = whole(line.run)
+
+    def half(run: OfflineRun) -> None:
+        run.session.powered = False
+        run.session.set_state(["no such joint"], {"q": [0.0]})
+
+    with pytest.raises(Refusal, match="joint names must name joints"):
+        line.change("half", half)
+    assert whole(line.run) == before and not line.changes
+    line.advance(5)
+    line.go_to(20)
+    with pytest.raises(Refusal, match="tick must be 25, the newest, got 20"):
+        line.change("late", power(False))
+    for tick in (-1, 26, 1.5, True):
+        with pytest.raises(Refusal, match=r"Timeline.go_to: tick must be"):
+            line.go_to(tick)  # type: ignore[arg-type]
+    other = load_offline_run("three_axis")
+    with pytest.raises(Refusal, match=r"what `save` of the same run returned"):
+        other.restore(line.run.save())
+
+
+def test_checkpoints_cost_no_more_than_their_number() -> None:
+    few, many = (Timeline(load_offline_run("three_axis"), every) for every in (500, 50))
+    for line in (few, many):
+        line.advance(500)
+    assert 4 * few.bytes < many.bytes < 7 * few.bytes  # 2 and 11 checkpoints
