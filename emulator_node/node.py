@@ -90,7 +90,6 @@ class EmulatorNode(Node):
 
     Attributes:
         hot: its messages in C; None: nothing.
-        real_time: whether its threads go ahead of other processes.
     """
 
     def __init__(self) -> None:
@@ -151,7 +150,6 @@ class EmulatorNode(Node):
             f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
             f"clock {config.clock}"
         )
-        self.real_time = session.by_itself
         self._pacer.start()
 
     def close(self) -> None:

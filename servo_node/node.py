@@ -81,7 +81,6 @@ class ServoNode(Node):
 
     Attributes:
         hot: its messages in C.
-        real_time: whether its threads go ahead of other processes.
     """
 
     def __init__(self) -> None:
@@ -167,7 +166,6 @@ class ServoNode(Node):
         self.takes, self.outgoing = hot.takes, hot.outgoing
         self.create_service(Trigger, "~/reset", self._on_reset)
         wall_timer(self, SILENCE_CHECK, self._on_silence_check)
-        self.real_time = not self._lockstep
 
     def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the servo's parameters, with some changed."""

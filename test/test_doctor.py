@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -115,3 +116,27 @@ def test_shared_memory_of_the_dead_is_counted_and_stays(
         one = found("shared memory")
         assert one.level == "note" and one.text.startswith("2 segments")
         assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"
+
+
+def permits_real_time() -> bool:
+    words = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))"
+    done = subprocess.run([sys.executable, "-c", words], stderr=subprocess.DEVNULL, check=False)
+    return done.returncode == 0
+
+
+def test_wake_ups_that_are_later_than_a_period_are_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if not permits_real_time():
+        pytest.skip("the system permits no SCHED_FIFO")
+    for late, level in ((2e-4, "ok"), (3e-3, "note")):
+        now = 0.0
+
+        def sleep(seconds: float, late: float = late) -> None:
+            nonlocal now
+            now += seconds + late
+
+        clock = SimpleNamespace(monotonic=lambda: now, sleep=sleep)  # noqa: B023
+        monkeypatch.setattr("arm_emulator.cli.commands.doctor.time", clock)
+        one = found("priority")
+        assert one.level == level and f"{late * 1e6:.0f} us at worst" in one.text, one

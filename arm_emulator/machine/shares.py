@@ -55,9 +55,12 @@ class Shares:
         self._pool = ThreadPoolExecutor(self.workers - 1) if self.workers > 1 else None
 
     def end(self) -> None:
-        """End the threads."""
+        """Let the threads end; none works between two calls of `do`.
+
+        Does not wait for them: the collector of garbage may call from one of them.
+        """
         if self._pool:
-            self._pool.shutdown()
+            self._pool.shutdown(wait=False)
 
     def do(self, worth: int, work: Callable[[int, int], object]) -> None:
         """Do work(first, arms) on all arms.

@@ -31,7 +31,6 @@ from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.number import Number
 from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, parameters_of, perhaps
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.ahead_of_others import go_ahead_of_others
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.end_with_parent import end_with_parent
@@ -341,8 +340,6 @@ def run_node(create: Callable[[], Closable]) -> None:
                 node = create()
                 ctrl_c.leave_to_rclpy()
                 try:
-                    if getattr(node, "real_time", False):
-                        go_ahead_of_others()  # the emulator's status reports the permission
                     hot = getattr(node, "hot", None)
                     LeanExecutor(node, hot, getattr(node, "housekeeping", HOUSEKEEPING)).spin()
                 except StartAnew:

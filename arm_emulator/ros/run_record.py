@@ -18,7 +18,9 @@ from arm_emulator.ros.bag_writer import BagWriter
 
 CAPACITY = 10_000  # messages between the machine and the disk: some seconds
 SMALL = 10  # messages written at a time at least, some 0.1 ms of Python's lock
-PART = 0.01  # share of the queue written at a time: the longer it is, the less the machine is spared
+PART = (
+    0.01  # share of the queue written at a time: the longer it is, the less the machine is spared
+)
 BREATH = 1e-4  # s, after each small step: lets the machine have Python's lock
 IDLE = 0.02  # s, wall: interval of checks of an empty queue
 FLUSH_PERIOD = 0.5  # s, wall: largest loss in a crash
