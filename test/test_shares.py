@@ -106,6 +106,6 @@ def test_large_work_begins_on_all_threads() -> None:
 def test_the_last_work_may_end_the_threads() -> None:
     """As where the collector of garbage deletes a fleet in a thread of its shares."""
     shares = Shares(ALL, 8, 2)
-    pool = shares._pool  # noqa: SLF001
+    pool = shares._pool
     assert pool is not None
     assert pool.submit(shares.end).result(timeout=60.0) is None
