@@ -14,6 +14,7 @@ want arm-none-eabi-gcc gcc-arm-none-eabi libnewlib-arm-none-eabi
 want clang++-19 clang-19
 want gdb-multiarch gdb-multiarch
 want ip iproute2
+want chromium chromium
 want x86_64-w64-mingw32-g++ g++-mingw-w64-x86-64
 want wine wine wine64
 command -v cargo > /dev/null || missing="$missing cargo (rustup, or the package cargo);"
