@@ -41,7 +41,7 @@ ENDS: dict[str, list[list[str]]] = {
     "firmware": [["{}/none.yaml", "{}/none.elf"]],
     "fmu": [[ARM, "--out", "{}/arm.fmu", "--target", "native"], [ARM, "--out", "{}/arm.zip"]],
     "identify": [[ARM, "{}/none.csv"]],
-    "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"]],
+    "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"], ["{}/bag", "{}/none"]],
     "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],
     "move": [["--joints", "waist"]],
     "new": [["{}/arm.urdf", "--out", "{}/new"], ["{}/none.urdf"]],

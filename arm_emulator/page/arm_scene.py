@@ -15,6 +15,8 @@ from arm_emulator.motion.package_folders import package_folders
 Array = NDArray[np.float64]
 GREY = (0.75, 0.76, 0.78)
 WAY = (31, 119, 180)
+OVER, OVER_WAY = (1.0, 0.5, 0.05), (255, 127, 14)  # of an arm that is laid over another
+OPACITY = 0.35  # of its shapes
 
 
 class ArmScene:
@@ -28,10 +30,14 @@ class ArmScene:
         server: of viser.
         scene: the machine.
         name: of the arm in the tree of the browser's scene.
+        over: whether it is laid over another arm: in a colour of its own, and translucent.
     """
 
-    def __init__(self, server: Any, scene: Scene, name: str = "/arm") -> None:
-        self._server, self._name = server, name
+    def __init__(
+        self, server: Any, scene: Scene, name: str = "/arm", *, over: bool = False
+    ) -> None:
+        self._server, self._name, self._over = server, name, over
+        self._way: Any = None
         self._shafts = Shafts(scene.urdf, scene.joint_names)
         self._model = pin.buildModelFromXML(scene.urdf)
         self._data = self._model.createData()
@@ -63,6 +69,17 @@ class ArmScene:
                 _put(handle, place)
             _put(self._frame, tool)
 
+    @property
+    def p_WT(self) -> Array:
+        """The tool's position (3,) [m] as it is shown."""
+        return np.array(self._data.oMf[self._tool].translation)
+
+    def remove(self) -> None:
+        """Take the arm and its way out of the scene."""
+        for one in (*self._handles, self._frame, self._way):
+            if one is not None:
+                one.remove()
+
     def tool_way(self, q: Array) -> Array:
         """Return the tool's positions (K, 3) [m] at positions of the shafts (K, N)."""
         way = np.empty((len(q), 3))
@@ -77,8 +94,9 @@ class ArmScene:
         pieces = np.stack([way[:-1], way[1:]], axis=1)
         moving = pieces[np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) > 1e-6]
         if len(moving):
-            self._server.scene.add_line_segments(
-                f"{self._name}/way", moving, WAY, thickness=2.0, thickness_units="screen"
+            color = OVER_WAY if self._over else WAY
+            self._way = self._server.scene.add_line_segments(
+                f"{self._name}/way", moving, color, thickness=2.0, thickness_units="screen"
             )
 
     def _whole(self, q: Array) -> Array:
@@ -93,8 +111,9 @@ class ArmScene:
     def _added(self, number: int, shape: Any) -> Any:
         vertices, faces = _mesh(shape.geometry)
         color = tuple(float(one) for one in shape.meshColor[:3]) if shape.overrideMaterial else GREY
+        look = {"color": OVER, "opacity": OPACITY} if self._over else {"color": color}
         return self._server.scene.add_mesh_simple(
-            f"{self._name}/{number}_{shape.name}", vertices, faces, color=color, side="double"
+            f"{self._name}/{number}_{shape.name}", vertices, faces, side="double", **look
         )
 
 

@@ -28,6 +28,7 @@ FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 FIRST = "q"  # quantity of the first plot
+THIS, OTHER, DIFFERENCE = "this run", "the other run", "difference"
 
 
 class RunPage:
@@ -46,9 +47,10 @@ class RunPage:
         subject: the run.
         explain: returns the torques at the moment at which the run is, and what is active there.
         port: TCP port; 0: any that is free.
+        over: a run that is laid over it.
 
     Raises:
-        Refusal: viser is missing, or the port is taken.
+        Refusal: viser is missing, the port is taken, or the runs are of different joints.
     """
 
     def __init__(
@@ -56,12 +58,17 @@ class RunPage:
         subject: Subject,
         explain: Callable[[], tuple[TermsNow, list[str]]],
         port: int = 0,
+        over: Subject | None = None,
     ) -> None:
         need_wheel("the page", "viser", "viser")
+        if over is not None:
+            _check_alike(subject, over)
         check_count("page", "port", port, 0, 65535)
         import viser
 
         self._subject, self._explain = subject, explain
+        self._over: Subject | None = None
+        self._arm_over: ArmScene | None = None
         self.exclusive = threading.RLock()
         self._playing, self._closing = False, threading.Event()
         self.changing = False
@@ -86,7 +93,7 @@ class RunPage:
         self._build(server, scene.name)
         if self._arm.missing:
             server.gui.add_markdown(f"The arm's shapes are not shown. {self._arm.missing}")
-        self._show()
+        self.lay_over(over)
         self._thread = threading.Thread(target=self._play, name="page", daemon=True)
         self._thread.start()
 
@@ -105,6 +112,12 @@ class RunPage:
         session: Session = self.line.run.session
         return session
 
+    @property
+    def plotted(self) -> tuple[Any, ...]:
+        """Times [s] and the columns that are plotted over them."""
+        data: tuple[Any, ...] = self._chart.data
+        return data
+
     def new_tab(self, name: str) -> Any:
         """Return a new tab as a context for its controls."""
         return self._tabs.add_tab(name)
@@ -121,8 +134,41 @@ class RunPage:
                 self._slider.max = max(1, subject.last)
             finally:
                 self.changing = False
+            self._choose_plots()
             self._plot()
             self._show()
+
+    def lay_over(self, subject: Subject | None) -> None:
+        """Show a second run over this one, at the same ticks, or none any more.
+
+        Raises:
+            Refusal: it is of other joints or another servo period.
+        """
+        with self.exclusive:
+            if subject is not None:
+                _check_alike(self._subject, subject)
+            if self._arm_over is not None:
+                self._arm_over.remove()
+                self._arm_over = None
+            self._over = subject
+            if subject is not None:
+                scene = subject.line.run.session.scene
+                self._arm_over = ArmScene(self._server, scene, "/over", over=True)
+                self._arm_over.show_way(subject.history.values("q"))
+            self._choose_plots()
+            self._plot()
+            self._show()
+
+    def _choose_plots(self) -> None:
+        """Offer the quantities that all shown runs have."""
+        here, now = self._subject.history, self._group.value
+        groups = tuple(here.groups)
+        if self._over is not None:
+            there = self._over.history
+            groups = tuple(one for one in groups if here.paths(one) == there.paths(one))
+        self.put(self._group, groups, now if now in groups else None)
+        plots = (THIS,) if self._over is None else (THIS, OTHER, DIFFERENCE)
+        self.put(self._of, plots, self._of.value if self._of.value in plots else None)
 
     def put(self, control: Any, options: tuple[str, ...], value: str | None) -> None:
         """Give a dropdown other options, and a value, without any action."""
@@ -164,7 +210,9 @@ class RunPage:
         with tabs.add_tab("Plot"):
             groups = tuple(self._subject.history.groups)
             self._group = gui.add_dropdown("Signal", groups, initial_value=FIRST)
-            self._group.on_update(lambda _: self._plot())
+            self._group.on_update(lambda _: None if self.changing else self._plot())
+            self._of = gui.add_dropdown("Of", (THIS,))
+            self._of.on_update(lambda _: None if self.changing else self._plot())
             # Of seconds, which are no date.
             scales = {"x": {"time": False}}
             self._chart = gui.add_uplot(*self._series(FIRST), scales=scales, height=260)
@@ -256,17 +304,27 @@ class RunPage:
 
     def _show(self) -> None:
         """Show the moment at which the run is."""
+        tick, apart = self.line.tick, ""
+        if self._over is not None and self._arm_over is not None:
+            other = self._over.line
+            other.go_to(min(tick, self._over.last))
+            self._arm_over.show(other.run.session.state.q)
+            self.line.go_to(tick)  # forks take turns in one machine
         session = self._session
         state, names = session.state, session.scene.joint_names
-        tick = self.line.tick
         self._arm.show(state.q)
+        if self._arm_over is not None:
+            away = 1e3 * float(np.linalg.norm(self._arm.p_WT - self._arm_over.p_WT))
+            apart = f", tools {away:.4g} mm apart"
         self.changing = True
         try:
             self._slider.value = tick
         finally:
             self.changing = False
         power = "" if session.powered else ", **no power**"
-        self._moment.content = f"tick {tick}, {tick * session.scene.servo_period:.4f} s{power}"
+        self._moment.content = (
+            f"tick {tick}, {tick * session.scene.servo_period:.4f} s{apart}{power}"
+        )
         measured = session.measured
         # In a line below, as units as headings would make it too wide for a narrow window.
         units = "rad, rad/s, N m (slides: m, m/s, N), A, and what the motor got"
@@ -283,9 +341,14 @@ class RunPage:
         )
 
     def _series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        values = self._subject.history.values(group)
-        t = self._subject.history.ticks * self._session.scene.servo_period
-        columns = self._subject.history.groups[group]
+        history = self._subject.history
+        ticks, values = history.ticks, history.values(group)
+        if self._over is not None and self._of.value == OTHER:
+            ticks, values = self._over.history.ticks, self._over.history.values(group)
+        elif self._over is not None and self._of.value == DIFFERENCE:
+            ticks, values = history.minus(self._over.history, group)
+        t = ticks * self._session.scene.servo_period
+        columns = history.groups[group]
         series: list[dict[str, Any]] = [{"label": "t [s]"}]
         series += [
             {"label": f"{one.path[-1]} [{one.unit}]", "stroke": color, "width": 1.5}
@@ -296,6 +359,16 @@ class RunPage:
     def _plot(self) -> None:
         with self.exclusive:
             self._chart.data, self._chart.series = self._series(self._group.value)
+
+
+def _check_alike(one: Subject, other: Subject) -> None:
+    first, second = (each.line.run.session.scene for each in (one, other))
+    if first.joint_names != second.joint_names:
+        names = list(second.joint_names)
+        raise Refusal("page", "joints of the other run", f"be {list(first.joint_names)}", names)
+    if first.servo_period != second.servo_period:
+        rule = f"be {first.servo_period:g} [s]"
+        raise Refusal("page", "servo period of the other run", rule, second.servo_period)
 
 
 def _free(port: int) -> int:

@@ -50,3 +50,12 @@ class SignalHistory:
         """Return a quantity at all samples (K, columns)."""
         columns = [one.of(self._rows).astype(np.float64) for one in self.groups[group]]
         return np.stack(columns, axis=1)
+
+    def paths(self, group: str) -> list[tuple[str, ...]]:
+        """Return the names of a quantity's columns; empty: the run has no such quantity."""
+        return [tuple(one.path) for one in self.groups.get(group, ())]
+
+    def minus(self, other: SignalHistory, group: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Return ticks that both have (K,), and the quantity there minus that of the other."""
+        ticks, here, there = np.intersect1d(self.ticks, other.ticks, return_indices=True)
+        return ticks, self.values(group)[here] - other.values(group)[there]

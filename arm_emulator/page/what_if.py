@@ -17,6 +17,7 @@ from arm_emulator.page.subject import Subject
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.timeline import Timeline
 
+NOTHING = "nothing"
 LONGEST = 600.0  # s that one press of the button may last
 
 
@@ -36,6 +37,8 @@ class WhatIf:
         with page.new_tab("What if"):
             self._which = gui.add_dropdown("Timeline", tuple(self._lines))
             self._which.on_update(lambda _: self._turn_to(self._which.value))
+            self._over = gui.add_dropdown("Laid over it", (NOTHING, *self._lines))
+            self._over.on_update(lambda _: self._lay_over(self._over.value))
             self._by = gui.add_vector3("Move the tool by [m]", (0.0, 0.0, 0.0), step=0.01)
             self._power = gui.add_checkbox("Power", run.session.powered)
             self._gains = gui.add_number("Position gains times", 1.0, min=0.0, step=0.1)
@@ -53,6 +56,16 @@ class WhatIf:
             if not self._page.changing:
                 line = self._lines[name]
                 self._page.turn_to(Subject.of(line, line.newest), line.tick)
+
+    def _lay_over(self, name: str) -> None:
+        with self._page.exclusive:
+            if self._page.changing:
+                return
+            line = self._lines.get(name)
+            at = self._page.line.tick
+            over = None if line is None else Subject.of(line, line.newest)
+            self._page.line.go_to(at)  # forks take turns in one machine
+            self._page.lay_over(over)
 
     def _go_on(self) -> None:
         with self._page.exclusive:
@@ -79,6 +92,7 @@ class WhatIf:
             if forked:
                 self._lines[name] = line
                 self._page.put(self._which, tuple(self._lines), name)
+                self._page.put(self._over, (NOTHING, *self._lines), self._over.value)
             self._page.turn_to(Subject.of(line, line.newest), begin)
 
     def _change(self, line: Timeline[OfflineRun]) -> str:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import shutil
 import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -215,3 +218,98 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
         page.close()
     finally:
         shown.close()
+
+
+def choose(page: Any, label: str, option: str) -> None:
+    page.locator(f"xpath=//*[text()='{label}']/following::input[1]").click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def tool_of(run: Any) -> Any:
+    scene = run.session.scene
+    model = pin.buildModelFromXML(scene.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, run.session.state.q)
+    return data.oMf[model.getFrameId(scene.tool)].translation.copy()
+
+
+def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Path) -> None:
+    """The page shows the tools' distance and differences of signals, as straight runs have them."""
+    line = Timeline(load_offline_run("three_axis"), every=100)
+    line.advance(200)
+    fork = line.fork()
+    line.advance(200)
+    fork.change("power off", lambda run: setattr(run.session, "powered", False))
+    fork.advance(100)
+    straight, cut = load_offline_run("three_axis"), load_offline_run("three_axis")
+    for run in (straight, cut):
+        run.advance(200)
+    cut.session.powered = False
+    for run in (straight, cut):
+        run.advance(60)
+    apart = 1e3 * float(np.linalg.norm(tool_of(straight) - tool_of(cut)))
+    assert apart > 1.0
+    shown = RunPage(
+        Subject.of(line, 400), lambda: (TermsNow({}, {}), []), over=Subject.of(fork, 300)
+    )
+    try:
+        page = opened(browser, shown.url)
+        box = page.locator("input[type=text]").first
+        box.fill("260")
+        box.press("Enter")
+        shows(page, f"tools {apart:.4g} mm apart")
+        assert line.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
+        box.fill("100")
+        box.press("Enter")
+        shows(page, "tools 0 mm apart")
+        page.get_by_role("tab", name="Plot").click()
+        page.locator(".uplot canvas").first.wait_for()
+        choose(page, "Of", "difference")
+        by = straight.session.state.q - cut.session.state.q
+        deadline = time.monotonic() + PATIENCE / 1e3
+        while len(shown.plotted[0]) != 301 and time.monotonic() < deadline:
+            page.wait_for_timeout(50)
+        t, *differences = shown.plotted
+        assert t[260] == pytest.approx(0.26) and len(t) == 301, "where both runs are"
+        np.testing.assert_array_equal([one[260] for one in differences], by)
+        page.screenshot(path=tmp_path / "over.png")
+        box.fill("400")  # the other run stays at its end
+        box.press("Enter")
+        shows(page, "tick 400,")
+        shown.lay_over(None)
+        page.wait_for_function("!/mm apart/.test(document.body.innerText)")
+        assert len(shown.plotted[0]) == 401
+        page.close()
+    finally:
+        shown.close()
+
+
+def test_what_if_lays_its_futures_over_each_other(browser: Any) -> None:
+    line = Timeline(load_offline_run("three_axis"), every=100)
+    line.advance(300)
+    shown = RunPage(Subject.of(line, 300), lambda: (TermsNow({}, {}), []))
+    WhatIf(shown, line)
+    try:
+        page = opened(browser, shown.url)
+        page.get_by_role("tab", name="What if").click()
+        choose(page, "Laid over it", "the run")
+        shows(page, "tools 0 mm apart")
+        choose(page, "Laid over it", "nothing")
+        page.wait_for_function("!/mm apart/.test(document.body.innerText)")
+        page.close()
+    finally:
+        shown.close()
+
+
+def test_runs_of_other_joints_are_not_laid_over_each_other(shown: Shown) -> None:
+    other = Timeline(load_offline_run("panda"))
+    other.advance(1)
+    with pytest.raises(Refusal, match="joints of the other run must be"):
+        shown.page.lay_over(Subject.of(other, 1))
+    scene = SimpleNamespace(joint_names=shown.machine.scene.joint_names, servo_period=0.5)
+    run = SimpleNamespace(session=SimpleNamespace(scene=scene))
+    slow: Any = SimpleNamespace(line=SimpleNamespace(run=run))
+    with pytest.raises(
+        Refusal, match=r"servo period of the other run must be 0.001 \[s\], got 0.5"
+    ):
+        shown.page.lay_over(slow)

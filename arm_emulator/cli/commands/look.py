@@ -1,4 +1,4 @@
-"""Look at a recorded run in the browser."""
+"""Look at a recorded run in the browser, or at two, one over the other."""
 
 from __future__ import annotations
 
@@ -26,34 +26,42 @@ from arm_emulator.runs.timeline import Timeline
 @command(of_ros=True, until_stopped=True)
 def look(
     bag: Path,
+    other: Path | None = None,
     /,
     *,
     scene: SceneName | None = None,
+    other_scene: SceneName | None = None,
     run: RunNumber = -1,
+    other_run: RunNumber = -1,
     port: Annotated[int, Parameter(metavar="PORT")] = 0,
 ) -> int:
     """Serve a page with a recorded run to browsers on this machine, until Ctrl-C.
 
+    A second run is laid over the first, at the same ticks, and its signals can be subtracted.
+
     Args:
         bag: folder of the bag.
+        other: folder of the bag whose run is laid over it.
         scene: scene file or name (default: the one that the bag names).
+        other_scene: likewise of the other bag.
         run: which run of the bag, from 1 on (default: the last).
+        other_run: likewise of the other bag.
         port: TCP port (default: any that is free).
     """
     topics = RecordedTopics(Bag(bag))
     machine = RecordedMachine(topics, load_scene(scene or topics.scene), run)
-    line = Timeline(machine)
-    events = tuple(
-        (tick, ", ".join(str(KINDS.get(one.kind, one.kind)) for one in made))
-        for tick, made in sorted(machine.changes.items())
-    )
-    subject = Subject.of(line, machine.last, events)
+    subject = _subject(machine)
+    over = None
+    if other is not None:
+        others = RecordedTopics(Bag(other))
+        of_it = load_scene(other_scene or others.scene)
+        over = _subject(RecordedMachine(others, of_it, other_run))
 
     def explained() -> tuple[TermsNow, list[str]]:
         now = explain_moment(machine, topics)
         return now.terms, now.active
 
-    page = RunPage(subject, explained, port)
+    page = RunPage(subject, explained, port, over)
     output.line(page.url)
     output.facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
     try:
@@ -61,3 +69,11 @@ def look(
     finally:
         page.close()
     return 0
+
+
+def _subject(machine: RecordedMachine) -> Subject:
+    events = tuple(
+        (tick, ", ".join(str(KINDS.get(one.kind, one.kind)) for one in made))
+        for tick, made in sorted(machine.changes.items())
+    )
+    return Subject.of(Timeline(machine), machine.last, events)
