@@ -229,7 +229,8 @@ def tool_of(run: Any) -> Any:
     scene = run.session.scene
     model = pin.buildModelFromXML(scene.urdf)
     data = model.createData()
-    pin.framesForwardKinematics(model, data, run.session.state.q)
+    q = pin.integrate(model, pin.neutral(model), run.session.state.q)  # joints without an end, too
+    pin.framesForwardKinematics(model, data, q)
     return data.oMf[model.getFrameId(scene.tool)].translation.copy()
 
 
