@@ -29,6 +29,7 @@ from arm_emulator.page.subject import Subject
 from arm_emulator.page.what_if import WhatIf
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.timeline import Timeline
+from bench.rewind import new_target
 
 viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
 LAST = 400
@@ -234,29 +235,33 @@ def tool_of(run: Any) -> Any:
     return data.oMf[model.getFrameId(scene.tool)].translation.copy()
 
 
+def moved(run: Any) -> None:
+    new_target(run, np.array([0.0, 0.05, -0.05]))
+
+
 def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Path) -> None:
     """The page shows the tools' distance and differences of signals, as straight runs have them."""
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(200)
     fork = line.fork()
-    line.advance(200)
-    fork.change("power off", lambda run: setattr(run.session, "powered", False))
-    fork.advance(100)
-    straight, cut = load_offline_run("three_axis"), load_offline_run("three_axis")
-    for run in (straight, cut):
+    line.change("move", moved)
+    line.advance(300)
+    fork.advance(280)
+    straight, left = load_offline_run("three_axis"), load_offline_run("three_axis")
+    for run in (straight, left):
         run.advance(200)
-    cut.session.powered = False
-    for run in (straight, cut):
-        run.advance(60)
-    apart = 1e3 * float(np.linalg.norm(tool_of(straight) - tool_of(cut)))
+    moved(straight)
+    for run in (straight, left):
+        run.advance(260)
+    apart = 1e3 * float(np.linalg.norm(tool_of(straight) - tool_of(left)))
     assert apart > 1.0
     shown = RunPage(
-        Subject.of(line, 400), lambda: (TermsNow({}, {}), []), over=Subject.of(fork, 300)
+        Subject.of(line, 500), lambda: (TermsNow({}, {}), []), over=Subject.of(fork, 480)
     )
     try:
         page = opened(browser, shown.url)
         box = page.locator("input[type=text]").first
-        box.fill("260")
+        box.fill("460")
         box.press("Enter")
         shows(page, f"tools {apart:.4g} mm apart")
         assert line.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
@@ -266,20 +271,20 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         page.get_by_role("tab", name="Plot").click()
         page.locator(".uplot canvas").first.wait_for()
         choose(page, "Of", "difference")
-        by = straight.session.state.q - cut.session.state.q
+        by = straight.session.state.q - left.session.state.q
         deadline = time.monotonic() + PATIENCE / 1e3
-        while len(shown.plotted[0]) != 301 and time.monotonic() < deadline:
+        while len(shown.plotted[0]) != 481 and time.monotonic() < deadline:
             page.wait_for_timeout(50)
         t, *differences = shown.plotted
-        assert t[260] == pytest.approx(0.26) and len(t) == 301, "where both runs are"
-        np.testing.assert_array_equal([one[260] for one in differences], by)
+        assert t[460] == pytest.approx(0.46) and len(t) == 481, "where both runs are"
+        np.testing.assert_array_equal([one[460] for one in differences], by)
         page.screenshot(path=tmp_path / "over.png")
-        box.fill("400")  # the other run stays at its end
+        box.fill("500")  # the other run stays at its end
         box.press("Enter")
-        shows(page, "tick 400,")
+        shows(page, "tick 500,")
         shown.lay_over(None)
         page.wait_for_function("!/mm apart/.test(document.body.innerText)")
-        assert len(shown.plotted[0]) == 401
+        assert len(shown.plotted[0]) == 501
         page.close()
     finally:
         shown.close()
