@@ -86,19 +86,19 @@ struct Scene {{
   static constexpr bool external_wrench = {"true" if scene.external_wrench else "false"};
 {axes}\
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
-  static constexpr double supply_voltage = {number(scene.supply_voltage)};
-  static constexpr arm::Vec3<double> gravity = {vector(gravity)};
+  static constexpr arm::Real supply_voltage = {number(scene.supply_voltage)};
+  static constexpr arm::Vec3<arm::Real> gravity = {vector(gravity)};
 {around}\
   static constexpr int brakes = {len(braked)};
 {_brakes(scene)}\
   static constexpr int parameters = {len(scene.varied)};
   static constexpr arm::Parameter parameter[parameters + 1] = {{
 {parameters}  }};
-  static constexpr arm::LinkRow<L> links([[maybe_unused]] const double* p) {{
+  static constexpr arm::LinkRow<L> links([[maybe_unused]] const arm::Real* p) {{
     return {{{{
 {links}}}}};
   }}
-  static constexpr auto drives([[maybe_unused]] const double* p) {{
+  static constexpr auto drives([[maybe_unused]] const arm::Real* p) {{
     return std::tuple{{
 {drives}}};
   }}
@@ -116,13 +116,13 @@ def _surroundings(scene: Scene, places: Mapping[str, str]) -> str:
     if tilt := places.get("base.tilt"):
         axis = vector(scene.chain.R_BW @ (1.0, 0.0, 0.0))
         text += f"""\
-  static constexpr arm::Vec3<double> field(const double* p) {{
+  static constexpr arm::Vec3<arm::Real> field(const arm::Real* p) {{
     return arm::turned(gravity, {axis}, {tilt});
   }}
 """
     if share := places.get("supply.share"):
         text += f"""\
-  static constexpr double supply(const double* p) {{ return supply_voltage * {share}; }}
+  static constexpr arm::Real supply(const arm::Real* p) {{ return supply_voltage * {share}; }}
 """
     return text
 
@@ -165,9 +165,9 @@ def _coupling(chain: Chain) -> str:
         return ""
     rows = ",\n".join(f"      {{{', '.join(map(number, row))}}}" for row in coupling.C)
     return f"""\
-  static constexpr double coupling[L][N] = {{
+  static constexpr arm::Real coupling[L][N] = {{
 {rows}}};
-  static constexpr double coupling_offset[L] = {{{", ".join(map(number, coupling.offset))}}};
+  static constexpr arm::Real coupling_offset[L] = {{{", ".join(map(number, coupling.offset))}}};
   static constexpr int link_of[N] = {{{", ".join(map(str, chain.link_of))}}};
 """
 
@@ -176,9 +176,9 @@ def _axes(chain: Chain) -> str:
     """Return rotations of vectors from the URDF's links and the world to the core."""
     links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.joints)
     return f"""\
-  static constexpr double link_axes[N][3][3] = {{
+  static constexpr arm::Real link_axes[N][3][3] = {{
 {links}}};
-  static constexpr double world_axes[3][3] = {{{_matrix(chain.R_BW)}}};
+  static constexpr arm::Real world_axes[3][3] = {{{_matrix(chain.R_BW)}}};
 """
 
 
@@ -197,7 +197,7 @@ def _body(body: Body) -> str:
     tensor = dict(zip(("xx", "yy", "zz"), np.diag(I), strict=True))
     tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
     m, h = number(body.mass), vector(body.moment)
-    return f"arm::Body<double>{{.m = {m}, .h = {h}, .I = {{{fields(tensor)}}}}}"
+    return f"arm::Body<arm::Real>{{.m = {m}, .h = {h}, .I = {{{fields(tensor)}}}}}"
 
 
 def _link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
@@ -206,7 +206,7 @@ def _link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
         return _body(geometry.body)
     h = ", ".join(of[f"moment_{x}"] for x in AXES)
     tensor = ", ".join(f".{xx} = {of[f'inertia_{xx}']}" for xx in TENSOR)
-    return f"arm::Body<double>{{.m = {of['mass']}, .h = {{{h}}}, .I = {{{tensor}}}}}"
+    return f"arm::Body<arm::Real>{{.m = {of['mass']}, .h = {{{h}}}, .I = {{{tensor}}}}}"
 
 
 def _link(geometry: ChainJoint, body: str) -> str:
@@ -231,7 +231,7 @@ def _brakes(scene: Scene) -> str:
     delays = (f"{{{number(b.close_delay)}, {number(b.release_delay)}}}" for b in brakes.values())
     return f"""\
   static constexpr int braked[brakes + 1] = {{{", ".join(map(str, brakes))}}};
-  static constexpr double brake_delays[brakes + 1][2] = {{{", ".join(delays)}}};
+  static constexpr arm::Real brake_delays[brakes + 1][2] = {{{", ".join(delays)}}};
 """
 
 

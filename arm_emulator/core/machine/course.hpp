@@ -15,7 +15,7 @@ class Course {
 
   // For each lane the first row of its commands, and where its positions after that row go, if not
   // null. `stride`: numbers from one row to the next, of both.
-  Course(const double* const (&given)[width], double* const (&positions)[width],
+  Course(const Real* const (&given)[width], Real* const (&positions)[width],
          std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
       : steps(steps_per_row), step_over_(stride), left_(left_of_this) {
     for (int lane = 0; lane < width; ++lane)
@@ -24,7 +24,7 @@ class Course {
 
   // The remaining course of one lane.
   template <int single>
-  Course<S, double, single> of_lane(int lane) const {
+  Course<S, Real, single> of_lane(int lane) const {
     return {{command_[lane]}, {q_[lane]}, step_over_, steps, left_};
   }
 
@@ -41,7 +41,7 @@ class Course {
       differ |= wanted[j] != u[j];
       u[j] = wanted[j];
     });
-    for (const double*& next : command_) {
+    for (const Real*& next : command_) {
       next += step_over_;
       if (width > 1) __builtin_prefetch(next + kAhead * step_over_);
     }
@@ -61,7 +61,7 @@ class Course {
   // Take `count` steps. `power` is what the motors can be given at most under u, of which `most`
   // is the sum.
   template <class Threads>
-  ARM_INLINE void march(const Numbers<S, X>& numbers, Threads& threads, double h, int count,
+  ARM_INLINE void march(const Numbers<S, X>& numbers, Threads& threads, Real h, int count,
                         State<S, X>& y, X (&u)[row], X& power, X& most) {
     X given = h * power;
     for (int s = 0; s < count; ++s) {
@@ -88,8 +88,8 @@ class Course {
  private:
   // Rows of many machines lie far apart: those to come are fetched so many ahead.
   static constexpr int kAhead = 8;
-  const double* command_[width];  // of the next row
-  double* q_[width];              // for the positions after this row
+  const Real* command_[width];  // of the next row
+  Real* q_[width];              // for the positions after this row
   std::int64_t step_over_;
   std::int64_t left_;  // steps of this row
 };

@@ -16,8 +16,8 @@ struct Instant {
   Memory past;
   EnergyBalance<S> balance;
   ExternalWork<S> work;
-  double u[row];  // the commands of the step before, within the supply
-  double power;   // W, that the motors are given at most
+  Real u[row];  // the commands of the step before, within the supply
+  Real power;   // W, that the motors are given at most
   std::int64_t steps_taken;
 
   // number(x) for all of its numbers, in a fixed order.

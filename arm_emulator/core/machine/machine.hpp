@@ -21,22 +21,22 @@ class Machine {
   static constexpr int N = S::N;
 
   static constexpr bool locates = kLocates<S>;
-  using Method = MethodOf<S, double>;
+  using Method = MethodOf<S, Real>;
   using Stepper = std::conditional_t<locates, Located<S>, Method>;
 
   using Threads = typename S::template Threads<Stepper>;
 
   // `core`: of the second thread, if there is one; -1: any.
   // `parameters`: values of the varied numbers.
-  Machine(double dt, int core, const double* parameters)
+  Machine(Real dt, int core, const Real* parameters)
       : h_(dt), numbers_(parameters), threads_(dt, core, numbers_) {
     for (int k = 0; k < S::brakes; ++k)
       for (int way = 0; way < 2; ++way)
-        delay_[k][way] = static_cast<std::int64_t>(S::brake_delays[k][way] / dt + 0.5);
+        delay_[k][way] = static_cast<std::int64_t>(value_of(S::brake_delays[k][way] / dt) + 0.5);
   }
 
   // One step by itself, of a machine that is in a lane beside others.
-  ARM_APART void step_alone(State<S>& x, const double (&u)[Stepper::row],
+  ARM_APART void step_alone(State<S>& x, const Real (&u)[Stepper::row],
                             typename Threads::Memory& past) {
     renew();
     threads_.restore(past);
@@ -66,7 +66,7 @@ class Machine {
   }
 
   // Set a varied number, between two steps. The motion goes on from where it is.
-  ARM_ONCE void set_parameter(int k, double value) {
+  ARM_ONCE void set_parameter(int k, Real value) {
     change([&] {
       numbers_.set(k, value);
       ++edition_;
@@ -77,7 +77,7 @@ class Machine {
     checked_ = instant();
   }
   // Set the external wrench on link i, between two steps.
-  ARM_ONCE void set_external_wrench(int i, const ExternalWrench<double>& wrench) {
+  ARM_ONCE void set_external_wrench(int i, const ExternalWrench<Real>& wrench) {
     account_for_work();
     change([&] { numbers_.set_external_wrench(i, wrench); });
   }
@@ -105,7 +105,7 @@ class Machine {
     return fault_ < 0 ? brakes_.next() - steps_taken_ : Brakes<S>::never;
   }
 
-  double parameter(int k) const { return numbers_.value(k); }
+  Real parameter(int k) const { return numbers_.value(k); }
   const Numbers<S>& numbers_now() const { return numbers_; }
   // It changes whenever the numbers do.
   std::int64_t numbers_edition() const { return edition_; }
@@ -117,14 +117,14 @@ class Machine {
     balance_.reset(numbers_, x_);
     work_.reset(x_);
     fault_ = -1;
-    for (double& u : applied_) u = 0.0;
+    for (Real& u : applied_) u = 0.0;
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
     if (anew) steps_taken_ = 0;
     checked_ = instant();
   }
 
   // Set the links to (q, v) and the motors to match, at time 0, without current or gear torque.
-  void reset(const double* q, const double* v) {
+  void reset(const Real* q, const Real* v) {
     State<S> at = {};
     numbers_.for_each_drive([&](const auto& drive, int j) {
       const auto behind = drive.at_rest_behind(q[j], v[j]);
@@ -137,13 +137,13 @@ class Machine {
 
   // Take `steps` steps with the commands held, clamped as the drives do. Returns -1, or the joint
   // that went out of bounds: then the state is the last one within, until reset.
-  int advance(const double* command, std::int64_t steps) {
-    double q[N];
+  int advance(const Real* command, std::int64_t steps) {
+    Real q[N];
     return follow(command, 1, steps, q);
   }
 
   // The same for `rows` rows of commands. The links' positions after each row go to `q`.
-  int follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
+  int follow(const Real* command, std::int64_t rows, std::int64_t steps, Real* q) {
     Course course({command}, {q}, N, steps);
     if (steps == 0 && fault_ < 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x_);
@@ -151,7 +151,7 @@ class Machine {
   }
 
   // The same for the next `count` steps of a course.
-  using Course = arm::Course<S, double, Stepper::row>;
+  using Course = arm::Course<S, Real, Stepper::row>;
   int follow(Course& course, std::int64_t count) {
     if (fault_ >= 0) return fault_;
     renew();
@@ -186,9 +186,9 @@ class Machine {
   }
 
   // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
-  int advance_metered(const double* command, std::int64_t steps, EnergyFlow<S>& flow) {
+  int advance_metered(const Real* command, std::int64_t steps, EnergyFlow<S>& flow) {
     EnergyMeter<S> meter(numbers_);
-    double u[Stepper::row] = {};
+    Real u[Stepper::row] = {};
     for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
     if constexpr (locates) threads_.watch(&meter);
@@ -205,7 +205,7 @@ class Machine {
   }
 
   // Set the motors' further inputs, rows as in arm_command, and return the applied values.
-  void put_further(const double* rows) {
+  void put_further(const Real* rows) {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       auto at = input_of(drive, j, x_, 0.0);
       for (int r = 0; r < S::inputs; ++r)
@@ -215,7 +215,7 @@ class Machine {
     });
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
   }
-  void further_got(double* rows) const {
+  void further_got(Real* rows) const {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       for (int r = 0; r < S::inputs; ++r) {
         const int k = S::input[r].of[j];
@@ -223,7 +223,7 @@ class Machine {
       }
     });
   }
-  void currents_d(double* current) const {
+  void currents_d(Real* current) const {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       current[j] = drive.current_d(input_of(drive, j, x_, 0.0));
     });
@@ -231,7 +231,7 @@ class Machine {
 
   // The temperatures of the windings [degC], NaN where none is known, and which are too hot.
   static constexpr bool heats = any_drive<S>([](const auto& drive) { return drive.heats; });
-  void winding_temperatures(double* temperature) const {
+  void winding_temperatures(Real* temperature) const {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       temperature[j] = drive.winding_temperature(input_of(drive, j, x_, 0.0));
     });
@@ -242,11 +242,11 @@ class Machine {
   }
 
   // Put commands within the bounds of their motors.
-  void bound(double* u) const { bound_commands(numbers_, x_, u); }
+  void bound(Real* u) const { bound_commands(numbers_, x_, u); }
 
   // Power supplied to and dissipated by each joint now, under these commands [W].
-  EnergyFlow<S> powers(const double* command) const {
-    double u[N];
+  EnergyFlow<S> powers(const Real* command) const {
+    Real u[N];
     for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
     State<S> at = x_;
@@ -257,7 +257,7 @@ class Machine {
   // Whether the state of joint j is finite, and one step turns it by so little that the result has
   // a meaning.
   template <class Drive, class X>
-  static Mask<X> within_bounds(const Drive& drive, int j, const State<S, X>& s, double h) {
+  static Mask<X> within_bounds(const Drive& drive, int j, const State<S, X>& s, Real h) {
     const auto at = input_of(drive, j, s, X{});
     const X turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
     Mask<X> sound = is_finite(at.q);
@@ -274,12 +274,12 @@ class Machine {
   }
 
   std::int64_t steps() const { return steps_taken_; }
-  double time() const { return static_cast<double>(steps_taken_) * h_; }
+  double time() const { return static_cast<double>(steps_taken_) * value_of(h_); }
   int faulty_joint() const { return fault_; }
   const State<S>& state() const { return x_; }
 
   // Current [A], angle [rad] and speed [rad/s] of each motor.
-  void report(double* current, double* angle, double* speed) const {
+  void report(Real* current, Real* angle, Real* speed) const {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       const auto at = input_of(drive, j, x_, 0.0);
       current[j] = drive.current(at);
@@ -289,18 +289,18 @@ class Machine {
   }
 
   // Accelerations of the joints under what acts on them now [rad/s2].
-  void accelerations(double (&a)[N]) const {
+  void accelerations(Real (&a)[N]) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(numbers_, x_.q, x_.v, links);
-    Coulomb<S, double> coulomb(numbers_);
-    const double none[N] = {};
+    Coulomb<S, Real> coulomb(numbers_);
+    const Real none[N] = {};
     Modes<S>(numbers_, x_, none, links).accelerations(x_, none, links, a, coulomb);
   }
 
   // Torque that each gear puts on its link [N m]; of a rigid gear, the motor's torque less that of
   // its rotor's acceleration. A function of its own: true state and sensors get the same bits.
-  ARM_APART void gear_torques(double* T) const {
-    double a[N] = {};
+  ARM_APART void gear_torques(Real* T) const {
+    Real a[N] = {};
     if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; }))
       accelerations(a);
     numbers_.for_each_drive([&](const auto& drive, int j) {
@@ -309,7 +309,7 @@ class Machine {
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
-  double energy() const { return energy_of<S>(numbers_, x_).total(); }
+  Real energy() const { return energy_of<S>(numbers_, x_).total(); }
 
  private:
   // Update the scheme's tables. A machine in a lane needs none.
@@ -333,7 +333,7 @@ class Machine {
     typename Threads::Memory past = threads_.memory();
     if constexpr (S::Scheme::extrapolates) {
       auto& kept = scheme_of(past);
-      double before[N], after[N];
+      Real before[N], after[N];
       torques_for(kept.a, before);
       set();
       torques_for(kept.a, after);
@@ -350,21 +350,21 @@ class Machine {
       return past;
   }
   // Torques of links and rotors for the accelerations `a`.
-  void torques_for(const double* a, double (&torque)[N]) const {
+  void torques_for(const Real* a, Real (&torque)[N]) const {
     typename Links<S>::Kinematics kinematics;
     Links<S>::kinematics(x_.q, kinematics);
     Links<S>::inverse_dynamics(numbers_, kinematics, x_.v, a, torque);
     for (int j = 0; j < N; ++j) torque[j] += numbers_.carried(j) * a[j];
   }
 
-  Modes<S> modes_at(State<S> x, const double* u) const {
+  Modes<S> modes_at(State<S> x, const Real* u) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(numbers_, x.q, x.v, links);
     follow_at_once(numbers_, x, u);
     return Modes<S>(numbers_, x, u, links);
   }
 
-  static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
+  static constexpr Real kLargestTurn = 3.14159265358979;  // rad (or m) in one step
 
   // Take `count` steps. Returns -1, or the joint that went out of bounds: then the state is
   // unchanged. Neither inlined nor cloned: every step runs the same instructions and gives the same
@@ -373,10 +373,10 @@ class Machine {
     const typename Threads::Memory past = threads_.memory();
     Course there = course;
     State<S> y = x_;  // local, so that the compiler may keep it in registers
-    alignas(64) double u[Stepper::row];
+    alignas(64) Real u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
-    double most = balance_.most();
-    double given =
+    Real most = balance_.most();
+    Real given =
         is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
     there.march(numbers_, threads_, h_, count, y, u, given, most);
     const int joint = joint_out_of_bounds(y);
@@ -426,7 +426,7 @@ class Machine {
     return found;
   }
 
-  double h_;
+  Real h_;
   Numbers<S> numbers_;
   Threads threads_;
   State<S> x_ = {};
@@ -434,8 +434,8 @@ class Machine {
   ExternalWork<S> work_;
   Brakes<S> brakes_;
   std::int64_t delay_[S::brakes + 1][2] = {};  // of brakes, in steps: to close, to open
-  double applied_[Stepper::row] = {};
-  double power_ = 0.0;
+  Real applied_[Stepper::row] = {};
+  Real power_ = 0.0;
   std::int64_t steps_taken_ = 0;
   std::int64_t edition_ = 0;
   bool stale_ = false;  // the scheme's tables are older than the numbers

@@ -9,7 +9,7 @@ namespace arm {
 
 // Of all drives.
 template <class S>
-void follow_at_once(const Numbers<S>& n, State<S>& x, const double* u) {
+void follow_at_once(const Numbers<S>& n, State<S>& x, const Real* u) {
   n.for_each_drive([&](const auto& drive, int j) {
     auto at = input_of(drive, j, x, u[j]);
     drive.follow(at);
@@ -20,9 +20,9 @@ void follow_at_once(const Numbers<S>& n, State<S>& x, const double* u) {
 // Whether a drive whose nonlinear parts depend on the motor's states has an algebraic state, or may
 // have one if it is varied.
 template <class S>
-constexpr bool jumps_with(double varied) {
-  double p[kOwnNumbers<S> + 1] = {};
-  for (double& value : p) value = varied;
+constexpr bool jumps_with(Real varied) {
+  Real p[kOwnNumbers<S> + 1] = {};
+  for (Real& value : p) value = varied;
   return std::apply(
       [](const auto&... drive) { return (... || (drive.bends_motor && drive.follows_at_once())); },
       S::drives(p));

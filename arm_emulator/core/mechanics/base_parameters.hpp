@@ -14,15 +14,15 @@ namespace arm {
 
 template <int N>
 struct BaseParameters {
-  Body<double> body[N];
-  Body<double> fixed = {};  // with the base
+  Body<Real> body[N];
+  Body<Real> fixed = {};  // with the base
 
   constexpr explicit BaseParameters(const Link (&link)[N]) : body() {
     for (int j = 0; j < N; ++j) body[j] = link[j].body;
     for (int j = N - 1; j >= 0; --j) {
       const bool turns = link[j].kind == JointKind::revolute;
-      Body<double>& own = body[j];
-      Body<double> moving = {};
+      Body<Real>& own = body[j];
+      Body<Real> moving = {};
       if (turns) {
         moving = {own.m, {0.0, 0.0, own.h.z}, {own.I.yy, own.I.yy, 0.0, 0.0, 0.0, 0.0}};
         own = {0.0,
@@ -33,9 +33,9 @@ struct BaseParameters {
         own.I = {};
       }
       // The moved part is invariant under turns about z, the tensor alone under shifts along it.
-      const double sin = turns ? 0.0 : link[j].sin_theta_0, cos = turns ? 1.0 : link[j].cos_theta_0;
-      const Placement<double> at = {sin, cos, link[j].cos_alpha, link[j].sin_alpha, link[j].p};
-      Body<double>& parent = j > 0 ? body[j - 1] : fixed;
+      const Real sin = turns ? 0.0 : link[j].sin_theta_0, cos = turns ? 1.0 : link[j].cos_theta_0;
+      const Placement<Real> at = {sin, cos, link[j].cos_alpha, link[j].sin_alpha, link[j].p};
+      Body<Real>& parent = j > 0 ? body[j - 1] : fixed;
       parent = joined(parent, at, moving);
     }
   }

@@ -63,7 +63,7 @@ class Coulomb {
           return;
         const auto now = modes(drive, j, lane);
         const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
-        const double more = drive.sliding(at, now.held()) - lane_of(of_.Dc[j], lane);
+        const Real more = drive.sliding(at, now.held()) - lane_of(of_.Dc[j], lane);
         set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction_[j], lane));
       });
   }
@@ -228,7 +228,7 @@ class Coulomb {
       part = select(sooner, along, part);
     }
     for (int j = 0; j < N; ++j) {
-      const auto stops = first == static_cast<double>(j);
+      const auto stops = first == static_cast<Real>(j);
       const X there = down.x[j] + part * (x[j] - down.x[j]);
       down.x[j] = select(stops, X{}, select(down.broken[j], there, X{}));
       direction_[j] = select(stops, X{}, direction_[j]);
@@ -251,7 +251,7 @@ class Coulomb {
     }
     if (!any(worst >= 0.0) || down.rounds++ == kMostRounds) return false;
     for (int j = 0; j < N; ++j) {
-      const auto freed = worst == static_cast<double>(j);
+      const auto freed = worst == static_cast<Real>(j);
       locked_[j] = locked_[j] & ~as_bits(freed);
       down.broken[j] = down.broken[j] | as_bits(freed);
       direction_[j] = select(freed, way, direction_[j]);

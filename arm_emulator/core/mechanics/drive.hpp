@@ -59,11 +59,11 @@ struct Drive {
   using Modes = DriveModes<modes>;
 
   // Inertia of a rotor that turns with its link, at the link [kg m2].
-  constexpr double carried() const { return carries_rotor ? motor.Mm / (gear.Ng * gear.Ng) : 0.0; }
+  constexpr Real carried() const { return carries_rotor ? motor.Mm / (gear.Ng * gear.Ng) : 0.0; }
 
   // D, with these parts held.
-  constexpr DriveRates<states, double> D(unsigned held) const {
-    DriveRates<states, double> D;
+  constexpr DriveRates<states, Real> D(unsigned held) const {
+    DriveRates<states, Real> D;
     if constexpr (driven)
       for (int k = 0; k < Motor::states; ++k) D.f[k] = motor.inertia(k, motor_held(held));
     if constexpr (elastic) {
@@ -131,15 +131,15 @@ struct Drive {
 
   // The torques that `rates` sums up, each in the direction of its shaft.
   struct Torques {
-    double motor, gear_on_rotor, rotor_friction;  // on a rotor behind an elastic gear
-    double gear, viscous;                         // on the link
-    double extra[sizeof...(Extras) + 1];          // on either, see `on_the_rotor`
+    Real motor, gear_on_rotor, rotor_friction;  // on a rotor behind an elastic gear
+    Real gear, viscous;                         // on the link
+    Real extra[sizeof...(Extras) + 1];          // on either, see `on_the_rotor`
   };
   static constexpr int extra_count = sizeof...(Extras);
-  constexpr Torques torques(const Input<double>& x, unsigned held) const {
+  constexpr Torques torques(const Input<Real>& x, unsigned held) const {
     Torques on = {};
     on.viscous = -friction.Dv * x.v;
-    double shaft = 0.0;
+    Real shaft = 0.0;
     if constexpr (driven) on.motor = shaft = motor.torque(x.z, motor_angle(x));
     int which = 0;
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
@@ -215,13 +215,13 @@ struct Drive {
   }
 
   // Put the current [A], the angle [rad] and the speed [rad/s] of the motor into x.
-  constexpr void put_motor(Input<double>& x, double current, double angle, double speed) const {
+  constexpr void put_motor(Input<Real>& x, Real current, Real angle, Real speed) const {
     if constexpr (driven) motor.put_current(x.z, current);
     if constexpr (elastic) x.z[tm] = angle, x.z[wm] = speed;
   }
   // The states behind a link at (q, v): no current, gear unloaded.
-  constexpr Input<double> at_rest_behind(double q, double v) const {
-    Input<double> x = {};
+  constexpr Input<Real> at_rest_behind(Real q, Real v) const {
+    Input<Real> x = {};
     x.q = q, x.v = v;
     put_motor(x, 0.0, q / gear.Ng, v / gear.Ng);
     if constexpr (elastic && requires { gear.unload(q, v, x.z[0], x.z[0]); })
@@ -245,7 +245,7 @@ struct Drive {
     return x.v / gear.Ng;
   }
   // Torque of the gear on its link, which accelerates at `a` [N m].
-  constexpr double gear_torque(const Input<double>& x, double a) const {
+  constexpr Real gear_torque(const Input<Real>& x, Real a) const {
     const Modes now = modes_at(x);
     return load_on_link(with(x, now), now.held()) - carried() * a;
   }
@@ -264,18 +264,18 @@ struct Drive {
   }
   // Potential energy of extras, which may be negative.
   static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
-  constexpr double potential(const Input<double>& x) const {
-    double U = 0.0;
+  constexpr Real potential(const Input<Real>& x) const {
+    Real U = 0.0;
     for_each_extra([&](const auto& extra, auto, auto) {
       if constexpr (HasPotential<std::remove_cvref_t<decltype(extra)>>)
         U += extra.potential(angle_of(extra, x));
     });
     return U;
   }
-  constexpr double dissipated(const Input<double>& x, unsigned held) const {
+  constexpr Real dissipated(const Input<Real>& x, unsigned held) const {
     // In the given modes, which need not be those of x at the end of a part of a step.
-    const double T = load_on_link(x, held);
-    double P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
+    const Real T = load_on_link(x, held);
+    Real P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
     if constexpr (driven) P += motor.dissipated(x.z);
     if constexpr (elastic)
       P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, Gear::modes > 0 && is_held(held, of_gear));
@@ -288,7 +288,7 @@ struct Drive {
     });
     return P;
   }
-  constexpr double given(const Input<double>& x, unsigned held) const {
+  constexpr Real given(const Input<Real>& x, unsigned held) const {
     if constexpr (driven) return motor.given(x.z, x.u, felt_speed(x), motor_held(held));
     return 0.0;
   }
@@ -304,7 +304,7 @@ struct Drive {
   // its bounds.
   static constexpr bool bounded_by_supply = Motor::takes == Command::voltage;
   template <class X>
-  ARM_INLINE constexpr X command(const Input<X>& x, double supply) const {
+  ARM_INLINE constexpr X command(const Input<X>& x, Real supply) const {
     if constexpr (bounded_by_supply)
       return clamp(x.u, supply);
     else
@@ -313,29 +313,29 @@ struct Drive {
 
   // Set a further input of the motor in x, by its number, and return the applied value.
   static constexpr bool has_further = requires { Motor::further; };
-  constexpr void put_further(int input, Input<double>& x, double value, double supply) const {
+  constexpr void put_further(int input, Input<Real>& x, Real value, Real supply) const {
     if constexpr (has_further) motor.put_further(input, x.z, value, supply);
   }
-  constexpr double further_got(int input, const Input<double>& x) const {
+  constexpr Real further_got(int input, const Input<Real>& x) const {
     if constexpr (has_further) return motor.further_got(input, x.z);
     return 0.0;
   }
 
   // The current along the rotor's flux [A], of motors that have one.
   static constexpr bool has_current_d =
-      requires(const Motor& motor, const double* z) { motor.current_d(z); };
-  constexpr double current_d(const Input<double>& x) const {
+      requires(const Motor& motor, const Real* z) { motor.current_d(z); };
+  constexpr Real current_d(const Input<Real>& x) const {
     if constexpr (has_current_d) return motor.current_d(x.z);
     return 0.0;
   }
 
   // The temperature of the winding [degC], and whether it is beyond its limit (winding.hpp).
-  static constexpr bool heats = requires(Motor motor, const double* z) { motor.temperature(z); };
-  constexpr double winding_temperature(const Input<double>& x) const {
+  static constexpr bool heats = requires(Motor motor, const Real* z) { motor.temperature(z); };
+  constexpr Real winding_temperature(const Input<Real>& x) const {
     if constexpr (heats) return motor.temperature(x.z);
     return no_number();
   }
-  constexpr bool too_hot(const Input<double>& x) const {
+  constexpr bool too_hot(const Input<Real>& x) const {
     if constexpr (heats) return motor.too_hot(x.z);
     return false;
   }
@@ -357,7 +357,7 @@ struct Drive {
   // Whether such an x exists.
   constexpr bool is_ever_usual() const { return may_be_usual && is_rotor_usual(); }
   // The modes that x calls for.
-  constexpr Modes modes_at(const Input<double>& x) const {
+  constexpr Modes modes_at(const Input<Real>& x) const {
     Modes at;
     if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
     put_modes_of_state(x, at);
@@ -367,7 +367,7 @@ struct Drive {
     return at;
   }
   // Those that x, the end of a step in `now` that began at `start`, calls for: `now` if they hold.
-  constexpr Modes wanted(const Input<double>& start, const Input<double>& x,
+  constexpr Modes wanted(const Input<Real>& start, const Input<Real>& x,
                          const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
@@ -380,9 +380,9 @@ struct Drive {
   }
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
   // quantities with different units; only its sign counts.)
-  constexpr double margin(const Input<double>& x, const Modes& now) const {
-    double least = 1.0;
-    const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
+  constexpr Real margin(const Input<Real>& x, const Modes& now) const {
+    Real least = 1.0;
+    const auto at_most = [&least](Real margin) { least = margin < least ? margin : least; };
     if constexpr (driven && Motor::modes > 0)
       at_most(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
     if constexpr (elastic && Gear::modes > 0)
@@ -397,7 +397,7 @@ struct Drive {
     return least;
   }
   // Set x to the values that its modes hold, against rounding.
-  constexpr void settle(Input<double>& x, const Modes& now) const {
+  constexpr void settle(Input<Real>& x, const Modes& now) const {
     if constexpr (driven && Motor::modes > 0) motor.settle(x.z, now.at[0]);
     if constexpr (elastic && Rotor::modes > 0) rotor.settle(x.z[wm], now.at[of_rotor]);
   }
@@ -406,19 +406,19 @@ struct Drive {
     if constexpr (driven) return motor.inertia(0, false) == 0.0;
     return false;
   }
-  constexpr void follow(Input<double>& x) const {
+  constexpr void follow(Input<Real>& x) const {
     if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
   }
 
   // x with the numbers of these modes.
-  constexpr Input<double> with(Input<double> x, const Modes& now) const {
+  constexpr Input<Real> with(Input<Real> x, const Modes& now) const {
     for (int m = 0; m < modes; ++m) x.offset[m] = now.at[m].offset;
     return x;
   }
 
  private:
   // The modes of gear and extras, which go with the state alone.
-  constexpr void put_modes_of_state(const Input<double>& x, Modes& at) const {
+  constexpr void put_modes_of_state(const Input<Real>& x, Modes& at) const {
     if constexpr (elastic && Gear::modes > 0)
       at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
@@ -438,11 +438,11 @@ struct Drive {
 
   static constexpr bool may_be_usual =
       (!driven || Motor::modes == 0 ||
-       requires(const Motor& part, const double* z, double x) { part.is_usual(z, x, x); }) &&
+       requires(const Motor& part, const Real* z, Real x) { part.is_usual(z, x, x); }) &&
       (!elastic || Gear::modes == 0) &&
       (true && ... &&
        (Extras::modes == 0 ||
-        requires(const Extras& part, const double* z, double x) { part.is_usual(x, x, z); }));
+        requires(const Extras& part, const Real* z, Real x) { part.is_usual(x, x, z); }));
   constexpr bool is_rotor_usual() const {
     if constexpr (elastic && Rotor::modes > 0) return rotor.is_usual();
     return true;
@@ -450,8 +450,8 @@ struct Drive {
 
   static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
 
-  constexpr OnRotor shaft(const Input<double>& at, const Modes& now) const {
-    const Input<double> x = with(at, now);
+  constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
+    const Input<Real> x = with(at, now);
     const unsigned held = now.held();
     OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held)),
                   kRounding * magnitude(gear.Ng * gear.Kg * x.q)};

@@ -9,11 +9,11 @@
 namespace arm {
 
 struct Energy {
-  double stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
-  double potential;  // J, of the links in the field of gravity, and of extras
-  double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj, for the bound on dry friction
+  Real stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
+  Real potential;  // J, of the links in the field of gravity, and of extras
+  Real jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj, for the bound on dry friction
 
-  double total() const { return stored + potential; }
+  Real total() const { return stored + potential; }
 };
 
 // `greediest`: set to the joint with the most energy, that of its drive and, with M_jj, its link.
@@ -25,13 +25,13 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
   Links<S>::kinematics(x.q, k);
   Links<S>::mass_matrix(n, k, M);
   Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
-  double most = -1.0;
+  Real most = -1.0;
   n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-    const double own =
+    const Real own =
         0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
     if constexpr (Drive::has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
-    double Dc = n.Dc(j);
+    Real Dc = n.Dc(j);
     if constexpr (Drive::friction_varies) {
       const auto at = input_of(drive, j, x, 0.0);
       const auto modes = drive.modes_at(at);
@@ -74,7 +74,7 @@ class EnergyBalance {
       return power;
     }
     for (int lane = 0; lane < kWidth<X>; ++lane) {
-      double of_lane = 0.0;
+      Real of_lane = 0.0;
       n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
         of_lane += drive.given_at_most(input_in_lane(drive, j, x, u[j], lane));
       });
@@ -84,8 +84,8 @@ class EnergyBalance {
   }
 
   // Upper bound of the energy [J]; each step adds the largest power of the motors.
-  double most() const { return at_most_; }
-  void allow(double E) { at_most_ = E; }
+  Real most() const { return at_most_; }
+  void allow(Real E) { at_most_ = E; }
 
   // Count steps. Returns whether a check is due.
   bool due_after(int count) {
@@ -95,15 +95,15 @@ class EnergyBalance {
     return true;
   }
   // Check the state x. Returns -1, or the joint with most of the energy that the scheme created.
-  int broken_by(const Numbers<S>& n, const State<S>& x, double h) {
+  int broken_by(const Numbers<S>& n, const State<S>& x, Real h) {
     int greediest = 0;
     const Energy E = energy_of<S>(n, x, &greediest);
     if (E.stored > largest_stored_) largest_stored_ = E.stored;
-    const double gained = E.total() - at_most_;
-    const double rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
+    const Real gained = E.total() - at_most_;
+    const Real rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
     // A joint that stops within a step keeps its friction until the step's end (coulomb.hpp): Dc,
     // for h at most, gives the others at most (Dc h)^2 / (2 M).
-    const double jolt = kStops * E.jolt * h * h;
+    const Real jolt = kStops * E.jolt * h * h;
     if (gained > kTolerance * largest_stored_ + rounding + jolt) return greediest;
     if (gained < 0.0) at_most_ = E.total();
     return -1;
@@ -119,12 +119,12 @@ class EnergyBalance {
 
  private:
   static constexpr int kCheckEvery = 64;
-  static constexpr double kTolerance = 0.5;
-  static constexpr double kStops = 10.0;     // stops allowed between two checks
-  static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
+  static constexpr Real kTolerance = 0.5;
+  static constexpr Real kStops = 10.0;     // stops allowed between two checks
+  static constexpr Real kRounding = 1e-9;  // of 1 J, and of the potential energy
 
-  double at_most_ = 0.0;         // J
-  double largest_stored_ = 0.0;  // J
+  Real at_most_ = 0.0;         // J
+  Real largest_stored_ = 0.0;  // J
   std::int64_t steps_ = 0;       // since the last look
 };
 

@@ -13,9 +13,9 @@ namespace arm {
 // In W at an instant, in J over a motion.
 template <class S>
 struct EnergyFlow {
-  double given[S::N] = {}, dissipated[S::N] = {};
+  Real given[S::N] = {}, dissipated[S::N] = {};
 
-  void add(const EnergyFlow& flow, double factor) {
+  void add(const EnergyFlow& flow, Real factor) {
     for (int j = 0; j < S::N; ++j) {
       given[j] += factor * flow.given[j];
       dissipated[j] += factor * flow.dissipated[j];
@@ -25,7 +25,7 @@ struct EnergyFlow {
 
 // The powers at the state x in these modes.
 template <class S>
-EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
+EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
                         const Modes<S>& modes) {
   EnergyFlow<S> power;
   n.for_each_drive([&](const auto& drive, int j) {
@@ -36,7 +36,7 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
   });
   if constexpr (S::external_wrench) {
     typename Links<S>::Kinematics kinematics;
-    double torque[S::N];
+    Real torque[S::N];
     Links<S>::kinematics(x.q, kinematics);
     Links<S>::external_torques(n, kinematics, torque);
     for (int j = 0; j < S::N; ++j) power.given[j] += torque[j] * x.v[j];
@@ -55,7 +55,7 @@ class EnergyMeter {
   explicit EnergyMeter(const Numbers<S>& numbers) : n_(numbers) {}
 
   // A part from x to y, in these modes, t long.
-  void part(State<S> x, State<S> y, const double* u, const Modes<S>& modes, double t) {
+  void part(State<S> x, State<S> y, const Real* u, const Modes<S>& modes, Real t) {
     follow_at_once(n_, x, u);
     follow_at_once(n_, y, u);
     const State<S> middle = middle_of(x, y, u, modes, t);
@@ -69,11 +69,11 @@ class EnergyMeter {
  private:
   const Numbers<S>& n_;
 
-  State<S> middle_of(const State<S>& x, const State<S>& y, const double* u, const Modes<S>& modes,
-                     double t) const {
+  State<S> middle_of(const State<S>& x, const State<S>& y, const Real* u, const Modes<S>& modes,
+                     Real t) const {
     const State<S> before = rates_of(x, u, modes), after = rates_of(y, u, modes);
     State<S> middle = x;
-    const auto put = [t](double& m, double x, double y, double before, double after) {
+    const auto put = [t](Real& m, Real x, Real y, Real before, Real after) {
       m = 0.5 * (x + y) + 0.125 * t * (before - after);
     };
     for (int j = 0; j < N; ++j) {
@@ -87,10 +87,10 @@ class EnergyMeter {
   }
 
   // dx/dt; 0 for algebraic states.
-  State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) const {
+  State<S> rates_of(const State<S>& x, const Real* u, const Modes<S>& modes) const {
     State<S> rates = {};
     modes.for_each_rate(
-        x, u, [&](const auto& drive, int j, const auto&, unsigned held, const double* f, double a) {
+        x, u, [&](const auto& drive, int j, const auto&, unsigned held, const Real* f, Real a) {
           const auto D = drive.D(held);
           for (int k = 0; k < drive.states; ++k)
             if (D.f[k] > 0.0) rates.z[k][j] = f[k] / D.f[k];

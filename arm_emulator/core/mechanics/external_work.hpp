@@ -18,8 +18,8 @@ class ExternalWork {
   }
 
   // From the state before, or the reset, to x.
-  double since(const Numbers<S>& n, const State<S>& x) {
-    double there[N], here[N], work = 0.0;
+  Real since(const Numbers<S>& n, const State<S>& x) {
+    Real there[N], here[N], work = 0.0;
     torques(n, q_, there);
     torques(n, x.q, here);
     for (int j = 0; j < N; ++j) work += 0.5 * (there[j] + here[j]) * (x.q[j] - q_[j]);
@@ -31,17 +31,17 @@ class ExternalWork {
   template <class Number>
   void for_each_number(Number&& number) {
     if constexpr (S::external_wrench)
-      for (double& one : q_) number(one);
+      for (Real& one : q_) number(one);
   }
 
  private:
-  static void torques(const Numbers<S>& n, const double* q, double* tau) {
+  static void torques(const Numbers<S>& n, const Real* q, Real* tau) {
     typename Links<S>::Kinematics kinematics;
     Links<S>::kinematics(q, kinematics);
     Links<S>::external_torques(n, kinematics, tau);
   }
 
-  double q_[S::external_wrench ? N : 1] = {};
+  Real q_[S::external_wrench ? N : 1] = {};
 };
 
 }  // namespace arm

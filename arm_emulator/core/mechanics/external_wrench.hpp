@@ -43,23 +43,23 @@ struct ExternalWrench {
 
 // As it is given (arm_wrench): point, force and moment, and whether their axes are the world's.
 struct GivenWrench {
-  double numbers[10];
+  Real numbers[10];
 };
 
 // The same on the link that joint j of a scene moves, with axes of the core instead of the URDF's.
 template <class S>
-ExternalWrench<double> in_core_axes(int j, const GivenWrench& given) {
-  ExternalWrench<double> wrench = {};
+ExternalWrench<Real> in_core_axes(int j, const GivenWrench& given) {
+  ExternalWrench<Real> wrench = {};
   if constexpr (S::external_wrench) {
-    using Axes = double[3][3];
-    const auto turned = [](const Axes& R, const double* a) {
-      const auto row = [a](const double* r) { return r[0] * a[0] + r[1] * a[1] + r[2] * a[2]; };
-      return Vec3<double>{row(R[0]), row(R[1]), row(R[2])};
+    using Axes = Real[3][3];
+    const auto turned = [](const Axes& R, const Real* a) {
+      const auto row = [a](const Real* r) { return r[0] * a[0] + r[1] * a[1] + r[2] * a[2]; };
+      return Vec3<Real>{row(R[0]), row(R[1]), row(R[2])};
     };
-    const double *point = given.numbers, *f = point + 3, *n = f + 3;
+    const Real *point = given.numbers, *f = point + 3, *n = f + 3;
     const bool of_world = n[3] != 0.0;
     const Axes& axes = of_world ? S::world_axes : S::link_axes[j];
-    const Wrench<double> w = {turned(axes, f), turned(axes, n)};
+    const Wrench<Real> w = {turned(axes, f), turned(axes, n)};
     (of_world ? wrench.with_base : wrench.with_link) = w;
     wrench.point = turned(S::link_axes[j], point);
   }

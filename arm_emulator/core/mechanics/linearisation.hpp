@@ -19,22 +19,22 @@ class Linearisation {
   static constexpr int numbers = (K + 2) * N, rows = (K + 3) * N;
 
   // `slides`: no dry friction, whether joints rest or not.
-  ARM_ONCE Linearisation(const Numbers<S>& numbers, const State<S>& x, const double* u, bool slides)
+  ARM_ONCE Linearisation(const Numbers<S>& numbers, const State<S>& x, const Real* u, bool slides)
       : n(numbers), modes(modes_at(x, u, slides)) {}
 
   // Write an entry of every row for each number of x and each command, and its own value.
-  ARM_ONCE void write(State<S> x, const double* u, double* out) const {
+  ARM_ONCE void write(State<S> x, const Real* u, Real* out) const {
     constexpr int columns = numbers + N + 1;
-    double command[N], value[rows];
+    Real command[N], value[rows];
     for (int j = 0; j < N; ++j) command[j] = u[j];
     rates(x, command, value);
     for (int row = 0; row < rows; ++row) out[row * columns + columns - 1] = value[row];
     for (int column = 0; column < columns - 1; ++column) {
-      double& at = column < numbers ? number(x, column) : command[column - numbers];
+      Real& at = column < numbers ? number(x, column) : command[column - numbers];
       const bool speed = column >= numbers - N && column < numbers;
-      const double middle = at, h = step_at(middle, speed ? 0x1p-14 : 0x1p-12);
-      const double factor[] = {1.0, -8.0, 8.0, -1.0}, place[] = {-2.0, -1.0, 1.0, 2.0};
-      double sum[rows] = {};
+      const Real middle = at, h = step_at(middle, speed ? 0x1p-14 : 0x1p-12);
+      const Real factor[] = {1.0, -8.0, 8.0, -1.0}, place[] = {-2.0, -1.0, 1.0, 2.0};
+      Real sum[rows] = {};
       for (int k = 0; k < 4; ++k) {
         at = middle + place[k] * h;
         rates(x, command, value);
@@ -45,7 +45,7 @@ class Linearisation {
     }
   }
   // D by state and joint, whether each joint sticks, and how many states its drive has.
-  ARM_ONCE void write_structure(double* out) const {
+  ARM_ONCE void write_structure(Real* out) const {
     n.for_each_drive([&](const auto& drive, int j) {
       const auto D = drive.D(modes.of(drive, j).held());
       for (int k = 0; k < drive.states; ++k) out[k * N + j] = D.f[k];
@@ -54,7 +54,7 @@ class Linearisation {
     });
   }
 
-  static double& number(State<S>& x, int place) {
+  static Real& number(State<S>& x, int place) {
     const int k = place / N, j = place % N;
     return k < K ? x.z[k][j] : k == K ? x.q[j] : x.v[j];
   }
@@ -63,12 +63,12 @@ class Linearisation {
   const Numbers<S>& n;
   Modes<S> modes;
 
-  static double step_at(double middle, double h) {
+  static Real step_at(Real middle, Real h) {
     while (h < 1e-8 * magnitude(middle)) h *= 2.0;
     return h;
   }
 
-  Modes<S> modes_at(State<S> x, const double* u, bool slides) const {
+  Modes<S> modes_at(State<S> x, const Real* u, bool slides) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(n, x.q, x.v, links);
     follow_at_once(n, x, u);
@@ -82,9 +82,9 @@ class Linearisation {
     return at;
   }
 
-  ARM_APART void rates(const State<S>& x, const double* u, double* out) const {
+  ARM_APART void rates(const State<S>& x, const Real* u, Real* out) const {
     modes.for_each_rate(
-        x, u, [&](const auto& drive, int j, const auto& at, unsigned, const double* f, double a) {
+        x, u, [&](const auto& drive, int j, const auto& at, unsigned, const Real* f, Real a) {
           for (int k = 0; k < K; ++k) out[k * N + j] = k < drive.states ? f[k] : 0.0;
           out[K * N + j] = a;
           out[(K + 1) * N + j] = drive.current(at);

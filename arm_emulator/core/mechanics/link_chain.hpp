@@ -12,7 +12,7 @@
 
 namespace arm {
 
-template <class S, class X = double>
+template <class S, class X = Real>
 struct LinkChain {
   static constexpr int N = S::L;
   using Numbers = arm::Numbers<S, X>;
@@ -47,7 +47,7 @@ struct LinkChain {
       const Link& joint = kLinks<S>.at[i];
       const X d = revolute(i) ? X{} : q[i];
       k.link[i] = {turn[i].sin, turn[i].cos, joint.cos_alpha, joint.sin_alpha,
-                   joint.p + d * Vec3<double>{0.0, -joint.sin_alpha, joint.cos_alpha}};
+                   joint.p + d * Vec3<Real>{0.0, -joint.sin_alpha, joint.cos_alpha}};
     });
   }
 
@@ -106,7 +106,7 @@ struct LinkChain {
   // every centre of mass at the world's origin.
   static X potential_energy(const Numbers& n, const Kinematics& k) {
     Vec3<X> carried_h;
-    double m = 0.0;
+    Real m = 0.0;
     for (int i = N - 1; i >= 0; --i) {
       m += n.body(i).m;
       carried_h = k.link[i].to_parent(carried_h + n.body(i).h) + m * k.link[i].p;

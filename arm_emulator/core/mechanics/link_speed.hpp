@@ -8,7 +8,7 @@ namespace arm {
 struct LinkSpeed {  // rad/s or m/s
   static constexpr Field field = Field::reading;
   template <class Glance>
-  static void of(const Glance& now, double* row) {
+  static void of(const Glance& now, Real* row) {
     for (int j = 0; j < now.N; ++j) row[j] = now.machine.state().v[j];
   }
 };

@@ -5,7 +5,7 @@
 
 namespace arm {
 
-template <class S, class X = double>
+template <class S, class X = Real>
 using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkChain<S, X>>;
 
 }  // namespace arm

@@ -6,7 +6,7 @@
 
 namespace arm {
 
-template <class S, class X = double>
+template <class S, class X = Real>
 class LinksMemo {
  public:
   using Dynamics = typename Links<S, X>::Dynamics;

@@ -15,7 +15,7 @@ class Modes {
  public:
   static constexpr int N = S::N, M = most_modes<S>();
   using Dynamics = typename Links<S>::Dynamics;
-  using Friction = Coulomb<S, double>;
+  using Friction = Coulomb<S, Real>;
 
   // Whether this scene has more than one mode.
   static constexpr bool present = Friction::present || M > 0;
@@ -24,7 +24,7 @@ class Modes {
   DriveModes<M> drive[N];
 
   // Those of the settled state x (see below) with its links' part.
-  Modes(const Numbers<S>& numbers, const State<S>& x, const double* u, const Dynamics& links)
+  Modes(const Numbers<S>& numbers, const State<S>& x, const Real* u, const Dynamics& links)
       : n_(&numbers) {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0)
@@ -32,7 +32,7 @@ class Modes {
     });
     if constexpr (Friction::present) {
       Friction coulomb(*n_);
-      double a[N];
+      Real a[N];
       torques(x, u, links, a);
       coulomb.take(x, x, u, of_drives());
       coulomb.decide([&] { return loaded(links); }, x.v, a);
@@ -47,7 +47,7 @@ class Modes {
   }
 
   // The links' accelerations at x.
-  void accelerations(const State<S>& x, const double* u, const Dynamics& links, double (&a)[N],
+  void accelerations(const State<S>& x, const Real* u, const Dynamics& links, Real (&a)[N],
                      Friction& coulomb) const {
     torques(x, u, links, a);
     coulomb.take(x, x, u, of_drives());
@@ -58,10 +58,10 @@ class Modes {
   // body(drive, j, its inputs, its held parts, D dz/dt, the link's acceleration) of each joint at
   // x.
   template <class Body>
-  void for_each_rate(const State<S>& x, const double* u, Body&& body) const {
+  void for_each_rate(const State<S>& x, const Real* u, Body&& body) const {
     Dynamics links;
     Links<S>::dynamics_apart(*n_, x.q, x.v, links);
-    double a[N];
+    Real a[N];
     Friction coulomb(*n_);
     accelerations(x, u, links, a, coulomb);
     n_->for_each_drive([&](const auto& drive, int j) {
@@ -77,11 +77,11 @@ class Modes {
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
   // quantities with different units; only its sign counts.) `each` gets that of each condition; 1
   // where there is no such condition, or the lock of a joint while others already fail.
-  double margin(const State<S>& x, const double* u, LinksMemo<S>& memo,
-                double* each = nullptr) const {
-    double least = 1.0;
+  Real margin(const State<S>& x, const Real* u, LinksMemo<S>& memo,
+                Real* each = nullptr) const {
+    Real least = 1.0;
     for (int k = 0; each && k < conditions; ++k) each[k] = 1.0;
-    const auto at_most = [&](int k, double margin) {
+    const auto at_most = [&](int k, Real margin) {
       least = margin < least ? margin : least;
       if (each) each[k] = margin;
     };
@@ -93,7 +93,7 @@ class Modes {
     });
     if (least < 0.0 || !Friction::present || !friction.lock()) return least;
     const Dynamics& links = memo.at(*n_, x);
-    double a[N];
+    Real a[N];
     Friction coulomb(*n_);
     torques(x, u, links, a);
     coulomb.take(x, x, u, of_drives());
@@ -105,7 +105,7 @@ class Modes {
 
   // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a
   // current without inductance follows the voltage.
-  void settle(State<S>& x, const double* u) const {
+  void settle(State<S>& x, const Real* u) const {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;
       if constexpr (Drive::modes > 0) {
@@ -131,7 +131,7 @@ class Modes {
     return M;
   }
   // Torques that accelerate the links, without dry friction.
-  void torques(const State<S>& x, const double* u, const Dynamics& links, double* rhs) const {
+  void torques(const State<S>& x, const Real* u, const Dynamics& links, Real* rhs) const {
     n_->for_each_drive([&](const auto& drive, int j) {
       const auto modes = of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), modes);

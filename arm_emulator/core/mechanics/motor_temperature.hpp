@@ -8,7 +8,7 @@ namespace arm {
 struct MotorTemperature {  // degC
   static constexpr Field field = Field::reading;
   template <class Glance>
-  static void of(const Glance& now, double* row) {
+  static void of(const Glance& now, Real* row) {
     now.machine.winding_temperatures(row);
   }
 };

@@ -12,21 +12,21 @@ namespace arm {
 
 // Whether gravity and the voltage of the supply are data of each machine.
 template <class S>
-inline constexpr bool kFieldVaries = requires(const double* p) { S::field(p); };
+inline constexpr bool kFieldVaries = requires(const Real* p) { S::field(p); };
 template <class S>
-inline constexpr bool kSupplyVaries = requires(const double* p) { S::supply(p); };
+inline constexpr bool kSupplyVaries = requires(const Real* p) { S::supply(p); };
 
 // All numbers that follow from the varied ones.
 template <class S>
 struct Sheet {
   decltype(S::drives(nullptr)) drives;
   BaseParameters<S::L> base;
-  double carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
-  double Dc[S::N] = {}, Ds[S::N] = {};
-  Vec3<double> gravity = S::gravity;
-  double supply = S::supply_voltage;
+  Real carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
+  Real Dc[S::N] = {}, Ds[S::N] = {};
+  Vec3<Real> gravity = S::gravity;
+  Real supply = S::supply_voltage;
 
-  constexpr explicit Sheet(const double* p) : drives(S::drives(p)), base(S::links(p).at) {
+  constexpr explicit Sheet(const Real* p) : drives(S::drives(p)), base(S::links(p).at) {
     [&]<int... j>(std::integer_sequence<int, j...>) {
       (set(j, std::get<j>(drives)), ...);
     }(std::make_integer_sequence<int, S::N>{});
@@ -67,7 +67,7 @@ struct VariedBodies {
     for (int k = 0; k < S::parameters; ++k) {
       const Sheet<S> other = sheet_with<S>(k);
       for (int j = 0; j < S::L; ++j) {
-        const Body<double>&a = one.base.body[j], &b = other.base.body[j];
+        const Body<Real>&a = one.base.body[j], &b = other.base.body[j];
         BodyMask& mask = at[j];
         mask.m |= a.m != b.m;
         mask.hx |= a.h.x != b.h.x, mask.hy |= a.h.y != b.h.y, mask.hz |= a.h.z != b.h.z;
@@ -87,11 +87,11 @@ struct Constants {
   // A link of which `own` has what may vary.
   template <class X, class Index>
   ARM_INLINE static constexpr Body<X> body(Index i, const Body<X>& own) {
-    const Body<double>& constant = sheet.base.body[i];
+    const Body<Real>& constant = sheet.base.body[i];
     const BodyMask& mask = varied.at[i];
-    const auto choose = [](bool mine, const X& a, double b) { return mine ? a : X{} + b; };
-    const Vec3<double>& h = constant.h;
-    const Sym3<double>& I = constant.I;
+    const auto choose = [](bool mine, const X& a, Real b) { return mine ? a : X{} + b; };
+    const Vec3<Real>& h = constant.h;
+    const Sym3<Real>& I = constant.I;
     return {choose(mask.m, own.m, constant.m),
             {choose(mask.hx, own.h.x, h.x), choose(mask.hy, own.h.y, h.y),
              choose(mask.hz, own.h.z, h.z)},
@@ -101,29 +101,29 @@ struct Constants {
   }
 };
 
-template <class S, class X = double>
+template <class S, class X = Real>
 class Numbers;
 struct Nothing {};
 
 // Those of one machine.
 template <class S>
-class Numbers<S, double> {
+class Numbers<S, Real> {
  public:
   static constexpr int N = S::N;
   static constexpr bool varied = kOwnNumbers<S> > 0;
-  using Number = double;
+  using Number = Real;
 
   // Of the values of the varied numbers, the brakes open.
-  constexpr explicit Numbers(const double* values) : p_(values), sheet_(p_.p) {}
+  constexpr explicit Numbers(const Real* values) : p_(values), sheet_(p_.p) {}
 
-  double value(int k) const { return p_.p[k]; }
+  Real value(int k) const { return p_.p[k]; }
   bool brakes_open() const {
     bool open = true;
     for (int k = S::parameters; k < kOwnNumbers<S>; ++k) open = open && p_.p[k] == 0.0;
     return open;
   }
   // Set a varied number; the caller has checked its bounds.
-  void set(int k, double value) {
+  void set(int k, Real value) {
     p_.p[k] = value;
     sheet_ = Sheet<S>(p_.p);
   }
@@ -143,36 +143,36 @@ class Numbers<S, double> {
 
   // A link in base parameters.
   template <class Index>
-  ARM_INLINE constexpr Body<double> body(Index i) const {
+  ARM_INLINE constexpr Body<Real> body(Index i) const {
     if constexpr (varied)
       return Constants<S>::body(i, sheet_.base.body[i]);
     else
       return Constants<S>::sheet.base.body[i];
   }
-  constexpr const Body<double>& fixed() const { return now().base.fixed; }
+  constexpr const Body<Real>& fixed() const { return now().base.fixed; }
 
-  ARM_INLINE constexpr const ExternalWrench<double>& external_wrench(int i) const {
+  ARM_INLINE constexpr const ExternalWrench<Real>& external_wrench(int i) const {
     return outside_.on[i];
   }
-  void set_external_wrench(int i, const ExternalWrench<double>& wrench) { outside_.on[i] = wrench; }
+  void set_external_wrench(int i, const ExternalWrench<Real>& wrench) { outside_.on[i] = wrench; }
 
   // In the base's frame [m/s2].
-  ARM_INLINE constexpr const Vec3<double>& gravity() const {
+  ARM_INLINE constexpr const Vec3<Real>& gravity() const {
     if constexpr (kFieldVaries<S>)
       return sheet_.gravity;
     else
       return S::gravity;
   }
-  ARM_INLINE constexpr double supply() const {
+  ARM_INLINE constexpr Real supply() const {
     if constexpr (kSupplyVaries<S>)
       return sheet_.supply;
     else
       return S::supply_voltage;
   }
 
-  ARM_INLINE constexpr double carried(int j) const { return now().carried[j]; }
-  ARM_INLINE constexpr double Dc(int j) const { return now().Dc[j]; }
-  ARM_INLINE constexpr double Ds(int j) const { return now().Ds[j]; }
+  ARM_INLINE constexpr Real carried(int j) const { return now().carried[j]; }
+  ARM_INLINE constexpr Real Dc(int j) const { return now().Dc[j]; }
+  ARM_INLINE constexpr Real Ds(int j) const { return now().Ds[j]; }
 
  private:
   ARM_INLINE constexpr const Sheet<S>& now() const {
@@ -183,15 +183,15 @@ class Numbers<S, double> {
   }
 
   struct Values {
-    double p[kOwnNumbers<S> + 1] = {};
-    constexpr explicit Values(const double* varied) {
+    Real p[kOwnNumbers<S> + 1] = {};
+    constexpr explicit Values(const Real* varied) {
       for (int k = 0; k < S::parameters; ++k) p[k] = varied[k];
     }
   };
 
   Values p_;
   Sheet<S> sheet_;
-  ExternalWrenches<S, double> outside_;
+  ExternalWrenches<S, Real> outside_;
 };
 
 // Those of machines side by side, one in each lane. A number that is not varied is the same for
@@ -202,7 +202,7 @@ class Numbers {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
   static constexpr bool varied = S::parameters > 0;
-  using Number = std::conditional_t<varied, X, double>;
+  using Number = std::conditional_t<varied, X, Real>;
 
   // All lanes as `first`.
   explicit Numbers(const Numbers<S>& first) {
@@ -215,7 +215,7 @@ class Numbers {
     open_[lane] = one.brakes_open() ? -1 : 0;
     if constexpr (varied) {
       for (int j = 0; j < S::L; ++j) {
-        const Body<double> from = one.body(j);
+        const Body<Real> from = one.body(j);
         Body<X>& to = bodies_[j];
         set_lane(to.m, lane, from.m);
         set_lane(to.h.x, lane, from.h.x), set_lane(to.h.y, lane, from.h.y);
@@ -229,7 +229,7 @@ class Numbers {
         set_lane(coulomb_[j], lane, one.Dc(j)), set_lane(breakaway_[j], lane, one.Ds(j));
       }
       if constexpr (kFieldVaries<S>) {
-        const Vec3<double>& g = one.gravity();
+        const Vec3<Real>& g = one.gravity();
         set_lane(field_.x, lane, g.x), set_lane(field_.y, lane, g.y), set_lane(field_.z, lane, g.z);
       }
       if constexpr (kSupplyVaries<S>) set_lane(supply_, lane, one.supply());
@@ -267,10 +267,10 @@ class Numbers {
   // Take what acts on the links of a machine.
   void set_external_wrenches(int lane, const Numbers<S>& one) {
     for (int i = 0; i < N; ++i) {
-      ExternalWrench<double> given = one.external_wrench(i);
-      double numbers[sizeof given / sizeof(double)];
-      double *to = numbers, *from = numbers;
-      given.for_each_number([&](double number) { *to++ = number; });
+      ExternalWrench<Real> given = one.external_wrench(i);
+      Real numbers[sizeof given / sizeof(Real)];
+      Real *to = numbers, *from = numbers;
+      given.for_each_number([&](Real number) { *to++ = number; });
       outside_.on[i].for_each_number([&](X& number) { set_lane(number, lane, *from++); });
     }
   }
@@ -290,7 +290,7 @@ class Numbers {
     else
       return S::supply_voltage;
   }
-  double supply_of(int lane) const { return of_[lane]->supply(); }
+  Real supply_of(int lane) const { return of_[lane]->supply(); }
 
   ARM_INLINE constexpr Number carried(int j) const { return number(rotor_, j, &Sheet<S>::carried); }
   ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb_, j, &Sheet<S>::Dc); }
@@ -299,7 +299,7 @@ class Numbers {
  private:
   using Row = Number[varied ? N : 1];
 
-  ARM_INLINE static constexpr Number number(const Row& own, int j, double (Sheet<S>::*row)[N]) {
+  ARM_INLINE static constexpr Number number(const Row& own, int j, Real (Sheet<S>::*row)[N]) {
     if constexpr (varied)
       return own[j];
     else

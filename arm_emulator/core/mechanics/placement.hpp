@@ -9,7 +9,7 @@ namespace arm {
 template <class X>
 struct Placement {
   X sin, cos;                   // of the turn about z
-  double cos_alpha, sin_alpha;  // of the fixed turn about x
+  Real cos_alpha, sin_alpha;  // of the fixed turn about x
   Vec3<X> p;                    // origin, in the parent's frame
 
   ARM_INLINE constexpr Vec3<X> to_child(const Vec3<X>& u) const {
@@ -29,7 +29,7 @@ struct Placement {
     const X xy = cs * (a.xx - a.yy) + (cc - ss) * a.xy;
     const X xz = cos * a.xz - sin * a.yz;
     const X yz = sin * a.xz + cos * a.yz;
-    const double ca = cos_alpha, sa = sin_alpha;
+    const Real ca = cos_alpha, sa = sin_alpha;
     return {xx,
             ca * ca * yy + sa * sa * a.zz - 2.0 * ca * sa * yz,
             sa * sa * yy + ca * ca * a.zz + 2.0 * ca * sa * yz,

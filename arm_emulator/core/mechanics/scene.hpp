@@ -24,7 +24,7 @@ struct Body {
 };
 
 // A body that carries m times what 1 kg of load is.
-constexpr Body<double> loaded(const Body<double>& bare, double m, const Body<double>& per_kg) {
+constexpr Body<Real> loaded(const Body<Real>& bare, Real m, const Body<Real>& per_kg) {
   const auto &I = bare.I, &J = per_kg.I;
   return {bare.m + m * per_kg.m,
           bare.h + m * per_kg.h,
@@ -36,22 +36,22 @@ constexpr Body<double> loaded(const Body<double>& bare, double m, const Body<dou
 // along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0).
 struct Link {
   JointKind kind;
-  double cos_alpha, sin_alpha;
-  double theta_0;                   // rad
-  double cos_theta_0, sin_theta_0;  // of it
-  Vec3<double> p;  // m, origin in the parent's frame (at q = 0 of a prismatic joint)
-  Body<double> body;
+  Real cos_alpha, sin_alpha;
+  Real theta_0;                   // rad
+  Real cos_theta_0, sin_theta_0;  // of it
+  Vec3<Real> p;  // m, origin in the parent's frame (at q = 0 of a prismatic joint)
+  Body<Real> body;
 };
 
 // A field g as seen from a base that is turned by an angle [rad], at most 1, about a unit vector.
-constexpr Vec3<double> turned(const Vec3<double>& g, const Vec3<double>& axis, double angle) {
-  double sin = 1.0, cos = 1.0;
+constexpr Vec3<Real> turned(const Vec3<Real>& g, const Vec3<Real>& axis, Real angle) {
+  Real sin = 1.0, cos = 1.0;
   for (int k = 17; k > 0; k -= 2) {  // Horner's scheme of both series
     sin = 1.0 - sin * angle * angle / ((k + 1) * (k + 2));
     cos = 1.0 - cos * angle * angle / (k * (k + 1));
   }
   sin *= angle;
-  const Vec3<double> across = cross(axis, g);
+  const Vec3<Real> across = cross(axis, g);
   return dot(axis, g) * axis + cos * (g + (-dot(axis, g)) * axis) + (-sin) * across;
 }
 
@@ -64,7 +64,7 @@ struct LinkRow {
 // library: every machine brings its own.
 struct Parameter {
   const char* name;
-  double least, most;
+  Real least, most;
 };
 
 // Numbers of each machine: the scene's varied ones, then whether its brakes are closed
@@ -76,7 +76,7 @@ inline constexpr int kOwnNumbers = S::parameters + S::brakes;
 // that share.
 template <class S>
 struct SomeValues {
-  double p[kOwnNumbers<S> + 1] = {};
+  Real p[kOwnNumbers<S> + 1] = {};
   constexpr SomeValues() {
     for (int k = 0; k < kOwnNumbers<S>; ++k) p[k] = 0.5;
   }

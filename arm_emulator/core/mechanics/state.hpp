@@ -8,7 +8,7 @@ namespace arm {
 
 // The drives' states z, one row for each (listed in drive.hpp), link angle q [rad] and speed v
 // [rad/s] (m and m/s for prismatic joints).
-template <class S, class X = double>
+template <class S, class X = Real>
 struct State {
   static constexpr int K = most_states<S>();
   static constexpr int row = kRow<S::N, X>;
@@ -30,7 +30,7 @@ constexpr void for_each_number(State<S, X>& x, Number&& number) {
 template <class Drive, class S, class X>
 ARM_INLINE constexpr auto input_in_lane(const Drive&, int j, const State<S, X>& x, const X& u,
                                         int lane) {
-  typename Drive::template Input<double> in = {
+  typename Drive::template Input<Real> in = {
       {}, lane_of(x.q[j], lane), lane_of(x.v[j], lane), lane_of(u, lane), {}};
   for (int k = 0; k < Drive::states; ++k) in.z[k] = lane_of(x.z[k][j], lane);
   return in;
@@ -38,7 +38,8 @@ ARM_INLINE constexpr auto input_in_lane(const Drive&, int j, const State<S, X>& 
 
 // Inputs of the drive of joint j.
 template <class Drive, class S, class X>
-ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X u) {
+ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x,
+                                   std::type_identity_t<X> u) {
   typename Drive::template Input<X> in = {{}, x.q[j], x.v[j], u, {}};
   for (int k = 0; k < Drive::states; ++k) in.z[k] = x.z[k][j];
   return in;
@@ -47,7 +48,7 @@ ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X 
 // Take over what the drive of joint j has made of its states, in one lane.
 template <class Drive, class S, class X>
 constexpr void put_states(const Drive&, int j, int lane,
-                          const typename Drive::template Input<double>& from, State<S, X>& x) {
+                          const typename Drive::template Input<Real>& from, State<S, X>& x) {
   for (int k = 0; k < Drive::states; ++k) set_lane(x.z[k][j], lane, from.z[k]);
 }
 

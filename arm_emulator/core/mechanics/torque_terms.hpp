@@ -26,13 +26,13 @@ class TorqueTerms {
   static constexpr int fixed = 12, rows = fixed + 2 * extras;
 
   // Write rows of N torques [N m, N at the link of a prismatic joint]; NaN: no such part.
-  static void write(const Numbers<S>& n, State<S> x, const double* u, double* out) {
+  static void write(const Numbers<S>& n, State<S> x, const Real* u, Real* out) {
     typename Links<S>::Dynamics links, still;
-    const double rest[N] = {};
+    const Real rest[N] = {};
     follow_at_once(n, x, u);
     Links<S>::dynamics_apart(n, x.q, x.v, links);
     Links<S>::dynamics_apart(n, x.q, rest, still);
-    double a[N], external[N] = {};
+    Real a[N], external[N] = {};
     const Modes<S> modes(n, x, u, links);
     typename Modes<S>::Friction coulomb(n);
     modes.accelerations(x, u, links, a, coulomb);
@@ -45,10 +45,10 @@ class TorqueTerms {
       const auto now = modes.of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
       const auto on = drive.torques(at, now.held());
-      double inertia = 0.0;
+      Real inertia = 0.0;
       for (int k = 0; k < N; ++k) inertia -= links.M.at[j < k ? j : k][j < k ? k : j] * a[k];
-      const double no = no_number();
-      double row[rows] = {inertia,
+      const Real no = no_number();
+      Real row[rows] = {inertia,
                           still.nle[j] - links.nle[j],
                           -(still.nle[j] + external[j]),
                           S::external_wrench ? external[j] : no,
@@ -75,9 +75,9 @@ class TorqueTerms {
 
  private:
   template <class Drive>
-  static double rotor_acceleration(const Drive& drive,
-                                   const typename Drive::template Input<double>& x, unsigned held) {
-    const double D = drive.D(held).f[Drive::wm];
+  static Real rotor_acceleration(const Drive& drive,
+                                   const typename Drive::template Input<Real>& x, unsigned held) {
+    const Real D = drive.D(held).f[Drive::wm];
     return D > 0.0 ? drive.rates(x, held).f[Drive::wm] / D : 0.0;
   }
 };

@@ -12,7 +12,7 @@ using Symmetric = X[N][kPadded<N>];
 
 // U D U^T, from the tip to the base: the order in which the recursions of the links deliver M and
 // the right-hand side, so that the first eliminations need not wait for the last rows.
-template <int N, class X = double>
+template <int N, class X = Real>
 struct FromTheTip {
   X U[N][N];  // U[k][i] is row i, column k of the factor, i < k
   X inverse_D[N];
@@ -42,7 +42,7 @@ struct FromTheTip {
 };
 
 // L D L^T, from the base to the tip: all loops run along rows, and fill vectors.
-template <int N, class X = double>
+template <int N, class X = Real>
 struct InRows {
   alignas(64) X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
   X inverse_D[N];
@@ -75,7 +75,7 @@ struct InRows {
   }
 };
 
-template <int N, class X = double>
+template <int N, class X = Real>
 using Cholesky = std::conditional_t<N <= kUnrollNested, FromTheTip<N, X>, InRows<N, X>>;
 
 }  // namespace arm

@@ -26,6 +26,11 @@ ARM_INLINE bool is_finite(double x) {
   return (unforeseen(std::bit_cast<std::int64_t>(x)) & kExponent) != kExponent;
 }
 
+template <int directions>
+ARM_INLINE bool is_finite(const Dual<directions>& x) {
+  return is_finite(x.value);
+}
+
 // Of each lane.
 template <class X>
   requires(kWidth<X> > 1)

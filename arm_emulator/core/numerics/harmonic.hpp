@@ -6,9 +6,9 @@
 namespace arm {
 
 struct Harmonic {
-  double k;          // waves per turn
-  double amplitude;  // of the quantity of the part
-  double phase;      // rad
+  Real k;          // waves per turn
+  Real amplitude;  // of the quantity of the part
+  Real phase;      // rad
 
   // Its sine and cosine at an angle, times the amplitude. Compile-time evaluation is only of the
   // machine at rest, where waves do not matter.

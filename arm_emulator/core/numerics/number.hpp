@@ -1,10 +1,11 @@
-// The number types of the core: `double`, and lanes, which are several machines side by side in one
-// vector register. Branches on data are written as `select`, since lanes may differ.
+// The number types of the core: Real (real.hpp), and lanes, which are several machines side by side
+// in one vector register. Branches on data are written as `select`, since lanes may differ.
 #pragma once
 
 #include <type_traits>
 
 #include "numerics/loops.hpp"
+#include "numerics/real.hpp"
 
 // On processors with narrower registers the compiler splits the vectors. Its warning about how
 // vectors are passed does not matter: functions that take or return them are inlined.
@@ -21,6 +22,8 @@ using Lanes = typename LanesOf<width>::type;
 
 template <class X>
 inline constexpr int kWidth = sizeof(X) / sizeof(double);
+template <int directions>
+inline constexpr int kWidth<Dual<directions>> = 1;
 
 // As many lanes as a vector register of this processor has.
 #if defined(__AVX512F__)
@@ -97,6 +100,8 @@ ARM_INLINE X square_root(X x) {
   for (int lane = 0; lane < kWidth<X>; ++lane) x[lane] = __builtin_sqrt(x[lane]);
   return x;
 }
+
+ARM_INLINE double natural_log(double x) { return __builtin_log(x); }
 
 // e^x. At compile time it is evaluated at 0 only, since not every compiler supports it.
 ARM_INLINE constexpr double exponential(double x) {

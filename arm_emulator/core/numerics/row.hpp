@@ -6,11 +6,11 @@
 namespace arm {
 
 // Quantities of drives are computed for all joints at once: a row of doubles is padded to whole
-// vectors, without a remainder. Lanes are vectors by themselves.
+// vectors, without a remainder. Other numbers are vectors by themselves.
 template <int N, class X>
-inline constexpr int kGroup = kWidth<X> > 1 ? 1
-                              : N <= 4      ? 4
-                                            : 8;
+inline constexpr int kGroup = !std::is_same_v<X, double> ? 1
+                              : N <= 4                   ? 4
+                                                         : 8;
 template <int N, class X>
 inline constexpr int kRow = (N + kGroup<N, X> - 1) / kGroup<N, X> * kGroup<N, X>;
 
@@ -19,7 +19,7 @@ template <int N, class X>
 struct Row {
   static constexpr int group = kGroup<N, X>, groups = kRow<N, X> / group;
   using Vector =
-      typename std::conditional_t<(kWidth<X> > 1), std::type_identity<X>, LanesOf<group>>::type;
+      typename std::conditional_t<std::is_same_v<X, double>, LanesOf<group>, std::type_identity<X>>::type;
   Vector at[groups];
 
   ARM_INLINE static Row load(const X* numbers) {
@@ -36,7 +36,7 @@ struct Row {
   }
   // From numbers computed one by one, without a round trip through memory.
   ARM_INLINE static Row gather(const X* numbers) {
-    if constexpr (kWidth<X> > 1 || N > kUnrollLimit) {
+    if constexpr (group == 1 || N > kUnrollLimit) {
       return load(numbers);
     } else {
       Row row;

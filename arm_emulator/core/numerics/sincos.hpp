@@ -103,4 +103,10 @@ ARM_INLINE SinCos<X> sincos(const X& x) {
   return sincos_anywhere(x);
 }
 
+template <int directions>
+ARM_INLINE SinCos<Dual<directions>> sincos(const Dual<directions>& x) {
+  const auto [sin, cos] = sincos(x.value);
+  return {chained(sin, cos, x), chained(cos, -sin, x)};
+}
+
 }  // namespace arm

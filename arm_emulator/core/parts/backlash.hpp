@@ -12,10 +12,10 @@
 namespace arm {
 
 struct BacklashGear {
-  double Ng;    // link turns per motor turn
-  double Kg;    // N m/rad at the link
-  double Dg;    // N m s/rad at the link
-  double play;  // rad at the link, from tooth to tooth
+  Real Ng;    // link turns per motor turn
+  Real Kg;    // N m/rad at the link
+  Real Dg;    // N m s/rad at the link
+  Real play;  // rad at the link, from tooth to tooth
 
   static constexpr bool rigid = false;
   static constexpr int states = ElasticGear::states;
@@ -30,26 +30,26 @@ struct BacklashGear {
   ARM_INLINE constexpr X stored(X tm, X q) const {
     return tooth().stored(magnitude(Ng * tm - q) - gap());
   }
-  constexpr double dissipated(double tm, double wm, double q, double v, bool held) const {
-    const double w = Ng * tm - q, rate = Ng * wm - v;
+  constexpr Real dissipated(Real tm, Real wm, Real q, Real v, bool held) const {
+    const Real w = Ng * tm - q, rate = Ng * wm - v;
     return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, held);
   }
 
-  constexpr Mode mode_at(double tm, double wm, double q, double v) const {
-    const double w = Ng * tm - q, rate = Ng * wm - v, way = w < 0.0 ? -1.0 : 1.0;
+  constexpr Mode mode_at(Real tm, Real wm, Real q, Real v) const {
+    const Real w = Ng * tm - q, rate = Ng * wm - v, way = w < 0.0 ? -1.0 : 1.0;
     if (tooth().pushes(way * w - gap(), way * rate)) return {true, way * gap()};
     return {};
   }
-  constexpr double margin(double tm, double wm, double q, double v, const Mode& mode) const {
-    const double w = Ng * tm - q, rate = Ng * wm - v;
+  constexpr Real margin(Real tm, Real wm, Real q, Real v, const Mode& mode) const {
+    const Real w = Ng * tm - q, rate = Ng * wm - v;
     // While no tooth pushes, the margin is that of the nearer one.
-    const double way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
+    const Real way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
     return tooth().margin(mode.held, way * w - gap(), way * rate,
                           kRounding * Kg * (gap() + magnitude(q)));
   }
 
  private:
-  constexpr double gap() const { return 0.5 * play; }
+  constexpr Real gap() const { return 0.5 * play; }
   constexpr OneSided tooth() const { return {Kg, Dg}; }
 };
 

@@ -12,14 +12,14 @@
 namespace arm {
 
 struct Brake {
-  double torque;                      // N m, at the motor's shaft
-  double close_delay, release_delay;  // s, from the request to the change
+  Real torque;                      // N m, at the motor's shaft
+  Real close_delay, release_delay;  // s, from the request to the change
 };
 
 template <class Law>
 struct Braked : Law {
   Brake brake;
-  double closed;  // 1 or 0
+  Real closed;  // 1 or 0
 
   constexpr auto linear() const {
     using Linear = std::remove_cvref_t<decltype(Law::linear())>;

@@ -38,12 +38,12 @@ struct Cogging {
   ARM_INLINE constexpr X stored(X tm, const X*) const {
     X sum{};
     for (const Harmonic& one : waves) {
-      const double size = one.amplitude < 0.0 ? -one.amplitude : one.amplitude;
+      const Real size = one.amplitude < 0.0 ? -one.amplitude : one.amplitude;
       sum += (size - one.at(tm).cos) / one.k;
     }
     return sum;
   }
-  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 };
 
 }  // namespace arm

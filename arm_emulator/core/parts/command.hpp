@@ -9,10 +9,10 @@ namespace arm {
 enum class Command { voltage = 1, torque = 2, current = 4, voltage_dq = 8 };
 
 // A limit of 0 does not limit.
-constexpr double limit_or_none(double limit) { return limit > 0.0 ? limit : 1e300; }
+constexpr Real limit_or_none(Real limit) { return limit > 0.0 ? limit : 1e300; }
 
 // Rate of a first-order lag of a bandwidth [Hz]; 0: no lag.
-constexpr double time_constant(double bandwidth) {
+constexpr Real time_constant(Real bandwidth) {
   return bandwidth > 0.0 ? 1.0 / (2.0 * 3.14159265358979323846 * bandwidth) : 0.0;
 }
 

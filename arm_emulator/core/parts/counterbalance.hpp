@@ -32,16 +32,16 @@ struct NoSpring {
   ARM_INLINE constexpr X stored(X, const X*) const {
     return X{};
   }
-  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 };
 
 struct Counterbalance {
-  double a, b;  // m
-  double phi;   // rad
-  double F0;    // N, at the length l0
-  double l0;    // m
-  double k;     // N/m
-  double h;     // m; 0: a straight characteristic
+  Real a, b;  // m
+  Real phi;   // rad
+  Real F0;    // N, at the length l0
+  Real l0;    // m
+  Real k;     // N/m
+  Real h;     // m; 0: a straight characteristic
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;
@@ -57,11 +57,11 @@ struct Counterbalance {
   ARM_INLINE constexpr X stored(X q, const X*) const {
     return work(length(sincos(q - phi).cos)) - work(relaxed());
   }
-  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 
  private:
-  constexpr double compressing() const { return F0 < 0.0 ? -1.0 : 1.0; }
-  constexpr double relaxed() const { return F0 < 0.0 ? magnitude(a - b) : a + b; }
+  constexpr Real compressing() const { return F0 < 0.0 ? -1.0 : 1.0; }
+  constexpr Real relaxed() const { return F0 < 0.0 ? magnitude(a - b) : a + b; }
   template <class X>
   ARM_INLINE constexpr X force(X l) const {
     if (h == 0.0) return F0 - k * (l - l0);
@@ -71,11 +71,11 @@ struct Counterbalance {
   ARM_INLINE constexpr X length(X cos) const {
     const X square = (a * a + b * b) - 2.0 * a * b * cos;
     if constexpr (kWidth<X> == 1) {
-      return __builtin_sqrt(square);
+      return square_root(square);
     } else {
       X l;
       for (int lane = 0; lane < kWidth<X>; ++lane)
-        set_lane(l, lane, __builtin_sqrt(lane_of(square, lane)));
+        set_lane(l, lane, square_root(lane_of(square, lane)));
       return l;
     }
   }
@@ -85,10 +85,10 @@ struct Counterbalance {
     if (h == 0.0) return (l - l0) * (0.5 * k * (l - l0) - F0);
     X beside = 1.0 + compressing() * (l - l0) / h;
     if constexpr (kWidth<X> == 1) {
-      beside = __builtin_log(beside);
+      beside = natural_log(beside);
     } else {
       for (int lane = 0; lane < kWidth<X>; ++lane)
-        set_lane(beside, lane, __builtin_log(lane_of(beside, lane)));
+        set_lane(beside, lane, natural_log(lane_of(beside, lane)));
     }
     return -compressing() * F0 * h * beside;
   }

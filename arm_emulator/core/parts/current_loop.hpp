@@ -22,15 +22,15 @@ namespace arm {
 
 // As the scene states it: a bandwidth, or gains.
 struct CurrentControl {
-  double bandwidth = 0.0;    // Hz; 0: gains are given
-  double P = 0.0, I = 0.0;   // V/A, V/(A s)
-  double feedforward = 1.0;  // share of the induced voltage
+  Real bandwidth = 0.0;    // Hz; 0: gains are given
+  Real P = 0.0, I = 0.0;   // V/A, V/(A s)
+  Real feedforward = 1.0;  // share of the induced voltage
 };
 
 // R, L and Kb may vary with faults and heat; the gains follow from the data sheet.
 struct DataSheet {
-  double R, L, Kb;  // ohm, H, V s/rad
-  double supply;    // V
+  Real R, L, Kb;  // ohm, H, V s/rad
+  Real supply;    // V
 };
 
 template <class Motor>
@@ -45,11 +45,11 @@ struct CurrentLoop : Motor {
   constexpr const CurrentLoop& linear() const { return *this; }
 
   template <class X>
-  ARM_INLINE constexpr X largest_command(const X*, double) const {
+  ARM_INLINE constexpr X largest_command(const X*, Real) const {
     return X{} + limit_or_none(this->current_limit);
   }
 
-  constexpr double inertia(int k, bool) const { return k == 0 ? this->L : 1.0; }
+  constexpr Real inertia(int k, bool) const { return k == 0 ? this->L : 1.0; }
   constexpr bool obeys_circuit(bool) const { return true; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool held, X* f) const {
@@ -58,30 +58,30 @@ struct CurrentLoop : Motor {
     f[1] = held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
   }
   // The integral is set to hold a current that is set by hand.
-  constexpr void put_current(double* z, double current) const {
+  constexpr void put_current(Real* z, Real current) const {
     z[0] = current, z[1] = this->R * current;
   }
-  constexpr void follow(double*, double, double) const {}
+  constexpr void follow(Real*, Real, Real) const {}
 
   template <class X>
   ARM_INLINE constexpr Mask<X> is_usual(const X* z, X u, X wm) const {
     return magnitude(asked(z, u, wm)) < nominal.supply;
   }
-  constexpr Mode mode_at(const double* z, double u, double wm) const {
-    const double V = asked(z, u, wm);
+  constexpr Mode mode_at(const Real* z, Real u, Real wm) const {
+    const Real V = asked(z, u, wm);
     if (magnitude(V) <= nominal.supply) return {};
     return {true, V < 0.0 ? -nominal.supply : nominal.supply};
   }
-  constexpr Mode wanted(const double* z, double u, double wm, const Mode& mode) const {
+  constexpr Mode wanted(const Real* z, Real u, Real wm, const Mode& mode) const {
     if (margin(z, u, wm, mode) >= 0.0) return mode;
     return mode.held ? Mode{} : mode_at(z, u, wm);
   }
-  constexpr double margin(const double* z, double u, double wm, const Mode& mode) const {
-    const double V = asked(z, u, wm), rounding = kRounding * nominal.supply;
+  constexpr Real margin(const Real* z, Real u, Real wm, const Mode& mode) const {
+    const Real V = asked(z, u, wm), rounding = kRounding * nominal.supply;
     if (!mode.held) return nominal.supply - magnitude(V) + rounding;
     return (mode.offset < 0.0 ? -V : V) - nominal.supply + rounding;
   }
-  constexpr void settle(double*, const Mode&) const {}
+  constexpr void settle(Real*, const Mode&) const {}
 
   template <class X>
   ARM_INLINE constexpr X given(const X* z, X u, X wm, bool held) const {
@@ -94,10 +94,10 @@ struct CurrentLoop : Motor {
   }
 
  private:
-  constexpr double P() const { return control.bandwidth > 0.0 ? rate() * nominal.L : control.P; }
-  constexpr double I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
-  constexpr double E() const { return control.feedforward * nominal.Kb; }
-  constexpr double rate() const { return 1.0 / time_constant(control.bandwidth); }
+  constexpr Real P() const { return control.bandwidth > 0.0 ? rate() * nominal.L : control.P; }
+  constexpr Real I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
+  constexpr Real E() const { return control.feedforward * nominal.Kb; }
+  constexpr Real rate() const { return 1.0 / time_constant(control.bandwidth); }
   template <class X>
   ARM_INLINE constexpr X asked(const X* z, X u, X wm) const {
     return P() * (u - z[0]) + z[1] + E() * wm;

@@ -11,11 +11,11 @@
 namespace arm {
 
 struct CurrentMotor {
-  double Kt;                   // N m/A
-  double R = 0.0;              // ohm
-  double Mm;                   // kg m2, with the gear's primary side
-  double bandwidth = 0.0;      // Hz; 0: the current follows at once
-  double current_limit = 0.0;  // A; 0: none
+  Real Kt;                   // N m/A
+  Real R = 0.0;              // ohm
+  Real Mm;                   // kg m2, with the gear's primary side
+  Real bandwidth = 0.0;      // Hz; 0: the current follows at once
+  Real current_limit = 0.0;  // A; 0: none
 
   static constexpr bool present = true;
   static constexpr int states = 1;  // i [A]
@@ -26,12 +26,12 @@ struct CurrentMotor {
 
   // A command is within the limit, and so is a current that follows it.
   template <class X>
-  ARM_INLINE constexpr X largest_command(const X*, double) const {
+  ARM_INLINE constexpr X largest_command(const X*, Real) const {
     return X{} + limit_or_none(current_limit);
   }
-  constexpr double largest_current() const { return current_limit; }
+  constexpr Real largest_current() const { return current_limit; }
 
-  constexpr double inertia(int, bool) const { return time_constant(bandwidth); }
+  constexpr Real inertia(int, bool) const { return time_constant(bandwidth); }
   template <class X>
   ARM_INLINE constexpr void rates(const X* i, X u, X, X, X, bool, X* f) const {
     f[0] = u - i[0];
@@ -44,8 +44,8 @@ struct CurrentMotor {
   ARM_INLINE constexpr X current(const X* i) const {
     return i[0];
   }
-  constexpr void put_current(double* i, double current) const { i[0] = current; }
-  constexpr void follow(double* i, double u, double) const {
+  constexpr void put_current(Real* i, Real current) const { i[0] = current; }
+  constexpr void follow(Real* i, Real u, Real) const {
     if (bandwidth == 0.0) i[0] = u;
   }
 

@@ -15,12 +15,12 @@ namespace arm {
 
 template <bool limited>
 struct DcMotorOf {
-  double R;                    // ohm
-  double L;                    // H
-  double Kt;                   // N m/A
-  double Kb;                   // V s/rad
-  double Mm;                   // kg m2, with the gear's primary side
-  double current_limit = 0.0;  // A, of one that has a limit
+  Real R;                    // ohm
+  Real L;                    // H
+  Real Kt;                   // N m/A
+  Real Kb;                   // V s/rad
+  Real Mm;                   // kg m2, with the gear's primary side
+  Real current_limit = 0.0;  // A, of one that has a limit
 
   static constexpr bool present = true;
   static constexpr int states = 1;  // i [A]
@@ -30,10 +30,10 @@ struct DcMotorOf {
   constexpr const DcMotorOf& linear() const { return *this; }
 
   static constexpr Command takes = Command::voltage;  // within the supply's
-  constexpr double largest_current() const { return current_limit; }
+  constexpr Real largest_current() const { return current_limit; }
 
   // Factor of di/dt in (1), and the right-hand side of (1).
-  constexpr double inertia(int, bool held) const { return held ? 0.0 : L; }
+  constexpr Real inertia(int, bool held) const { return held ? 0.0 : L; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool held, X* f) const {
     f[0] = held ? offset - i[0] : V - R * i[0] - Kb * wm;
@@ -46,10 +46,10 @@ struct DcMotorOf {
   ARM_INLINE constexpr X current(const X* i) const {
     return i[0];
   }
-  constexpr void put_current(double* i, double current) const { i[0] = current; }
+  constexpr void put_current(Real* i, Real current) const { i[0] = current; }
 
   // Set the current if it is algebraic.
-  constexpr void follow(double* i, double V, double wm) const {
+  constexpr void follow(Real* i, Real V, Real wm) const {
     if (L == 0.0) i[0] = (V - Kb * wm) / R;
     if constexpr (limited) i[0] = clamp(i[0], current_limit);
   }
@@ -61,24 +61,24 @@ struct DcMotorOf {
   ARM_INLINE constexpr Mask<X> is_usual(const X* i, X, X) const {
     return magnitude(i[0]) < current_limit;
   }
-  constexpr Mode mode_at(const double* i, double V, double wm) const {
+  constexpr Mode mode_at(const Real* i, Real V, Real wm) const {
     const Mode mode = beyond(i[0]);
     return mode.held && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;
   }
-  constexpr Mode wanted(const double* i, double V, double wm, const Mode& mode) const {
+  constexpr Mode wanted(const Real* i, Real V, Real wm, const Mode& mode) const {
     if (!mode.held) return beyond(i[0] * (1.0 - kRounding));
     return surplus(i[0], V, wm) * mode.offset < 0.0 ? Mode{} : mode;
   }
-  constexpr double margin(const double* i, double V, double wm, const Mode& mode) const {
+  constexpr Real margin(const Real* i, Real V, Real wm, const Mode& mode) const {
     if (!mode.held) {
-      const double now = L > 0.0 ? i[0] : (V - Kb * wm) / R;
+      const Real now = L > 0.0 ? i[0] : (V - Kb * wm) / R;
       return current_limit * (1.0 + kRounding) - magnitude(now);
     }
-    const double rounding = kRounding * (magnitude(V) + R * current_limit);
-    const double left = surplus(mode.offset, V, wm);
+    const Real rounding = kRounding * (magnitude(V) + R * current_limit);
+    const Real left = surplus(mode.offset, V, wm);
     return (mode.offset < 0.0 ? -left : left) + rounding;
   }
-  constexpr void settle(double* i, const Mode& mode) const {
+  constexpr void settle(Real* i, const Mode& mode) const {
     i[0] = mode.held ? mode.offset : clamp(i[0], current_limit);
   }
 
@@ -104,14 +104,14 @@ struct DcMotorOf {
   }
 
  private:
-  constexpr Mode beyond(double i) const {
+  constexpr Mode beyond(Real i) const {
     if (i >= current_limit) return {true, current_limit};
     if (i <= -current_limit) return {true, -current_limit};
     return {};
   }
   // The voltage that is left to raise the current [V]. Held at the limit, a current needs some in
   // the limit's way, or it would fall by itself.
-  constexpr double surplus(double i, double V, double wm) const { return V - R * i - Kb * wm; }
+  constexpr Real surplus(Real i, Real V, Real wm) const { return V - R * i - Kb * wm; }
 };
 
 using DcMotor = DcMotorOf<false>;
@@ -121,10 +121,10 @@ using LimitedDcMotor = DcMotorOf<true>;
 struct NoMotor {
   static constexpr bool present = false;
   static constexpr int states = 0, modes = 0;
-  static constexpr double Mm = 0.0;
+  static constexpr Real Mm = 0.0;
   static constexpr Command takes = Command::voltage;
   constexpr const NoMotor& linear() const { return *this; }
-  constexpr double largest_current() const { return 0.0; }
+  constexpr Real largest_current() const { return 0.0; }
 };
 
 }  // namespace arm

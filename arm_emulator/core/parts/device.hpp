@@ -5,7 +5,7 @@ namespace arm {
 
 struct Device {
   const char* name;
-  double counts_per_rad;  // encoder counts at the motor
+  Real counts_per_rad;  // encoder counts at the motor
 };
 
 // A row of arm_command.further: which of the motor's further inputs it is at each joint, from 0 on;

@@ -11,9 +11,9 @@
 namespace arm {
 
 struct EndStops {
-  double lower, upper;  // rad (m)
-  double K;             // N m/rad
-  double D;             // N m s/rad
+  Real lower, upper;  // rad (m)
+  Real K;             // N m/rad
+  Real D;             // N m s/rad
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 1;
@@ -27,7 +27,7 @@ struct EndStops {
   ARM_INLINE constexpr X stored(X q, const X*) const {
     return stop().stored(q - upper) + stop().stored(lower - q);
   }
-  constexpr double dissipated(double q, double v, const double*, bool held) const {
+  constexpr Real dissipated(Real q, Real v, const Real*, bool held) const {
     const bool above = q - upper > lower - q;
     return above ? stop().dissipated(q - upper, v, held) : stop().dissipated(lower - q, -v, held);
   }
@@ -36,16 +36,16 @@ struct EndStops {
   ARM_INLINE constexpr Mask<X> is_usual(X q, X, const X*) const {
     return (q <= upper) & (q >= lower);
   }
-  constexpr Mode mode_at(double q, double v, const double*) const {
+  constexpr Mode mode_at(Real q, Real v, const Real*) const {
     if (stop().pushes(q - upper, v)) return {true, upper};
     if (stop().pushes(lower - q, -v)) return {true, lower};
     return {};
   }
-  constexpr double margin(double q, double v, const double*, const Mode& mode) const {
+  constexpr Real margin(Real q, Real v, const Real*, const Mode& mode) const {
     // While no stop pushes, the margin is that of the nearer one.
     const bool above = mode.held ? mode.offset == upper : q - upper > lower - q;
-    const double u = above ? q - upper : lower - q, du = above ? v : -v;
-    const double size = magnitude(lower) + magnitude(upper);
+    const Real u = above ? q - upper : lower - q, du = above ? v : -v;
+    const Real size = magnitude(lower) + magnitude(upper);
     return stop().margin(mode.held, u, du, kRounding * K * size);
   }
 

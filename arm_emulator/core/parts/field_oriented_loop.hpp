@@ -23,8 +23,8 @@ namespace arm {
 // Numbers of the data sheet, which set up the drive; those of the motor may vary with faults and
 // heat.
 struct SynchronousDataSheet {
-  double R, Ld, Lq, psi, p;
-  double amplitude;  // V
+  Real R, Ld, Lq, psi, p;
+  Real amplitude;  // V
 };
 
 // `whole` false: without limits and products, which is linear.
@@ -41,7 +41,7 @@ struct FieldOrientedLoop : Motor {
     return FieldOrientedLoop<decltype(motor), false>{motor, control, nominal};
   }
 
-  constexpr double inertia(int k, bool held) const { return k < 2 ? Motor::inertia(k, held) : 1.0; }
+  constexpr Real inertia(int k, bool held) const { return k < 2 ? Motor::inertia(k, held) : 1.0; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
     const Voltages<X> asked = this->asked(z, u, wm), V = within(asked);
@@ -51,17 +51,17 @@ struct FieldOrientedLoop : Motor {
     f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - asked.q);
   }
   // The integral is set to hold a current that is set by hand.
-  constexpr void put_current(double* z, double current) const {
+  constexpr void put_current(Real* z, Real current) const {
     z[1] = current, z[4] = this->R * current;
   }
 
   // ud has priority in the circle of the current limit, too.
-  constexpr double largest_current() const { return this->current_limit; }
-  constexpr void put_further(int, double* z, double ud, double) const {
+  constexpr Real largest_current() const { return this->current_limit; }
+  constexpr void put_further(int, Real* z, Real ud, Real) const {
     z[2] = clamp(ud, limit_or_none(this->current_limit));
   }
   template <class X>
-  ARM_INLINE constexpr X largest_command(const X* z, double) const {
+  ARM_INLINE constexpr X largest_command(const X* z, Real) const {
     const X most = X{} + limit_or_none(this->current_limit);
     const X left = (most - z[2]) * (most + z[2]);
     return square_root(select(left > 0.0, left, X{}));
@@ -82,11 +82,11 @@ struct FieldOrientedLoop : Motor {
   struct Voltages {
     X d, q;
   };
-  constexpr double rate() const { return 1.0 / time_constant(control.bandwidth); }
-  constexpr double P(double L) const {
+  constexpr Real rate() const { return 1.0 / time_constant(control.bandwidth); }
+  constexpr Real P(Real L) const {
     return control.bandwidth > 0.0 ? rate() * L : control.P * L / nominal.Lq;
   }
-  constexpr double I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
+  constexpr Real I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
   template <class X>
   ARM_INLINE constexpr Voltages<X> asked(const X* z, X u, X wm) const {
     const X known = control.feedforward * nominal.p * wm;
@@ -98,7 +98,7 @@ struct FieldOrientedLoop : Motor {
   template <class X>
   ARM_INLINE constexpr Voltages<X> within(const Voltages<X>& asked) const {
     if constexpr (!whole) return asked;
-    const double U = nominal.amplitude;
+    const Real U = nominal.amplitude;
     const X d = clamp(asked.d, U), left = (U - d) * (U + d);
     const X most = square_root(select(left > 0.0, left, X{}));
     return {d, clamp(asked.q, most)};

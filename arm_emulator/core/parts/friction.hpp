@@ -10,8 +10,8 @@
 namespace arm {
 
 struct Friction {
-  double Dv = 0.0;            // N m s/rad, viscous
-  double Dc = 0.0, Ds = 0.0;  // N m, while the shaft slides, and what holds it at rest
+  Real Dv = 0.0;            // N m s/rad, viscous
+  Real Dc = 0.0, Ds = 0.0;  // N m, while the shaft slides, and what holds it at rest
 
   // Whether the sliding torque varies. Then its value at a step's start enters the first stage, its
   // change the second.

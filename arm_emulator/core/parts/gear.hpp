@@ -8,9 +8,9 @@ namespace arm {
 
 // A spring and a damper between the rotor, reduced, and the link.
 struct ElasticGear {
-  double Ng;  // link turns per motor turn
-  double Kg;  // N m/rad at the link
-  double Dg;  // N m s/rad at the link
+  Real Ng;  // link turns per motor turn
+  Real Kg;  // N m/rad at the link
+  Real Dg;  // N m s/rad at the link
 
   static constexpr bool rigid = false;
   static constexpr int states = 2;  // tm [rad], wm [rad/s] of the rotor
@@ -38,7 +38,7 @@ struct ElasticGear {
 
 // The rotor turns with its link and has no state of its own.
 struct RigidGear {
-  double Ng = 1.0;
+  Real Ng = 1.0;
 
   static constexpr bool rigid = true;
   static constexpr int states = 0, modes = 0;

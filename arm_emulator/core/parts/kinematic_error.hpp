@@ -17,9 +17,9 @@ namespace arm {
 
 template <int of_motor, int of_link>
 struct KinematicErrorGear {
-  double Ng;                             // link turns per motor turn
-  double Kg;                             // N m/rad at the link
-  double Dg;                             // N m s/rad at the link
+  Real Ng;                             // link turns per motor turn
+  Real Kg;                             // N m/rad at the link
+  Real Dg;                             // N m s/rad at the link
   std::array<Harmonic, of_motor> motor;  // rad at the link
   std::array<Harmonic, of_link> link;
 
@@ -54,10 +54,10 @@ struct KinematicErrorGear {
   }
 
   // Rotor state for a link at (q, v) without wind-up.
-  constexpr void unload(double q, double v, double& tm, double& wm) const {
-    const Turn<double> by_link = error(link, q);
+  constexpr void unload(Real q, Real v, Real& tm, Real& wm) const {
+    const Turn<Real> by_link = error(link, q);
     for (int round = 0; round < 20; ++round) {
-      const Turn<double> by_motor = error(motor, tm);
+      const Turn<Real> by_motor = error(motor, tm);
       tm -= (Ng * tm - q + by_motor.at + by_link.at) / (Ng + by_motor.slope);
     }
     wm = v * (1.0 - by_link.slope) / (Ng + error(motor, tm).slope);

@@ -10,9 +10,9 @@
 namespace arm {
 
 struct LoadFriction {
-  double Dv = 0.0, Dc = 0.0, Ds = 0.0;  // as of Friction
-  double vs = 0.0;                      // as of Stribeck; 0: the torque of sliding is Dc
-  double mu;                            // N m of friction per N m of the gear's torque
+  Real Dv = 0.0, Dc = 0.0, Ds = 0.0;  // as of Friction
+  Real vs = 0.0;                      // as of Stribeck; 0: the torque of sliding is Dc
+  Real mu;                            // N m of friction per N m of the gear's torque
 
   static constexpr bool varies = true, loaded = true;
   constexpr Friction linear() const { return {Dv, Dc, Ds}; }

@@ -19,17 +19,17 @@ namespace arm {
 
 template <Place where>
 struct LuGre {
-  double Dc, Ds;  // N m, of sliding fast, and of breaking away
-  double vs;      // rad/s, as of Stribeck
-  double s0;      // N m/rad, of the bristles
-  double s1;      // N m s/rad
+  Real Dc, Ds;  // N m, of sliding fast, and of breaking away
+  Real vs;      // rad/s, as of Stribeck
+  Real s0;      // N m/rad, of the bristles
+  Real s1;      // N m s/rad
 
   static constexpr Place place = where;
   static constexpr int states = 1, modes = 1;
 
   // Bristles that only bend: the shaft at rest on its spring and damper.
   struct Spring {
-    double s0, s1;
+    Real s0, s1;
 
     static constexpr Place place = where;
     static constexpr int states = 1, modes = 1;
@@ -61,16 +61,16 @@ struct LuGre {
   ARM_INLINE constexpr X stored(X, const X* z) const {
     return 0.5 * s0 * z[0] * z[0];
   }
-  constexpr double dissipated(double, double w, const double* z, bool) const {
-    const double rate = w - slip(w, z[0]);
+  constexpr Real dissipated(Real, Real w, const Real* z, bool) const {
+    const Real rate = w - slip(w, z[0]);
     return (s0 * z[0] + s1 * rate) * w - s0 * z[0] * rate;
   }
 
-  constexpr Mode mode_at(double, double w, const double*) const {
+  constexpr Mode mode_at(Real, Real w, const Real*) const {
     return {false, w < 0.0 ? -1.0 : 1.0};
   }
   // The direction of a shaft that hardly moves is arbitrary.
-  constexpr double margin(double, double w, const double*, const Mode& mode) const {
+  constexpr Real margin(Real, Real w, const Real*, const Mode& mode) const {
     return mode.offset * w + 1e-6 * vs;
   }
 

@@ -16,7 +16,7 @@ namespace arm {
 
 struct Mode {
   bool held = false;    // the equation that takes the place of the usual one
-  double offset = 0.0;  // the number that enters
+  Real offset = 0.0;  // the number that enters
 
   constexpr bool operator==(const Mode&) const = default;
 };
@@ -48,6 +48,6 @@ constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
 constexpr bool is_held(unsigned held, int m) { return held >> m & 1u; }
 
 // Tolerance for rounding.
-inline constexpr double kRounding = 1e-12;
+inline constexpr Real kRounding = 1e-12;
 
 }  // namespace arm

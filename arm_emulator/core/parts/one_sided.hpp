@@ -14,19 +14,19 @@
 namespace arm {
 
 struct OneSided {
-  double K;  // N m/rad
-  double D;  // N m s/rad
+  Real K;  // N m/rad
+  Real D;  // N m s/rad
 
   template <class X>
   ARM_INLINE constexpr X push(X u, X du) const {
     return K * u + D * du;
   }
-  constexpr bool pushes(double u, double du) const { return u > 0.0 && push(u, du) > 0.0; }
+  constexpr bool pushes(Real u, Real du) const { return u > 0.0 && push(u, du) > 0.0; }
 
   // Distance from the change between pushing and not, negative beyond [N m].
-  constexpr double margin(bool pushing, double u, double du, double rounding) const {
-    const double depth = K * u, torque = push(u, du);
-    const double least = depth < torque ? depth : torque;
+  constexpr Real margin(bool pushing, Real u, Real du, Real rounding) const {
+    const Real depth = K * u, torque = push(u, du);
+    const Real least = depth < torque ? depth : torque;
     return (pushing ? least : -least) + rounding;
   }
 
@@ -35,7 +35,7 @@ struct OneSided {
     return select(u > 0.0, 0.5 * K * u * u, X{});
   }
   // While it pushes, and while it does not.
-  constexpr double dissipated(double u, double du, bool pushing) const {
+  constexpr Real dissipated(Real u, Real du, bool pushing) const {
     if (pushing) return D * du * du;
     return u > 0.0 ? -K * u * du : 0.0;
   }

@@ -17,13 +17,13 @@ namespace arm {
 // `whole` false: without the products of speed and currents, which is linear.
 template <bool whole>
 struct PmsmOf {
-  double R;                    // ohm
-  double Ld;                   // H
-  double Lq;                   // H
-  double psi;                  // V s, flux of the magnets
-  double p;                    // pole pairs
-  double Mm;                   // kg m2, with the gear's primary side
-  double current_limit = 0.0;  // A, of its drive's current loops; 0: none
+  Real R;                    // ohm
+  Real Ld;                   // H
+  Real Lq;                   // H
+  Real psi;                  // V s, flux of the magnets
+  Real p;                    // pole pairs
+  Real Mm;                   // kg m2, with the gear's primary side
+  Real current_limit = 0.0;  // A, of its drive's current loops; 0: none
 
   static constexpr bool present = true;
   static constexpr int states = 3;  // id [A], iq [A], ud [V], which rests
@@ -33,7 +33,7 @@ struct PmsmOf {
 
   constexpr PmsmOf<false> linear() const { return {R, Ld, Lq, psi, p, Mm, current_limit}; }
 
-  constexpr double inertia(int k, bool) const { return k == 0 ? Ld : k == 1 ? Lq : 1.0; }
+  constexpr Real inertia(int k, bool) const { return k == 0 ? Ld : k == 1 ? Lq : 1.0; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X uq, X, X wm, X, bool, X* f) const {
     const X id = z[0], iq = z[1], ud = z[2];
@@ -56,18 +56,18 @@ struct PmsmOf {
   ARM_INLINE constexpr X current(const X* z) const {
     return z[1];
   }
-  constexpr void put_current(double* z, double current) const { z[1] = current; }
-  constexpr double current_d(const double* z) const { return z[0]; }
-  constexpr double largest_current() const { return 0.0; }
-  constexpr void follow(double*, double, double) const {}
+  constexpr void put_current(Real* z, Real current) const { z[1] = current; }
+  constexpr Real current_d(const Real* z) const { return z[0]; }
+  constexpr Real largest_current() const { return 0.0; }
+  constexpr void follow(Real*, Real, Real) const {}
 
   // A further input is a constant state: held between commands, and saved with the states.
-  constexpr void put_further(int, double* z, double ud, double supply) const {
+  constexpr void put_further(int, Real* z, Real ud, Real supply) const {
     z[2] = clamp(ud, amplitude(supply));
   }
-  constexpr double further_got(int, const double* z) const { return z[2]; }
+  constexpr Real further_got(int, const Real* z) const { return z[2]; }
   template <class X>
-  ARM_INLINE constexpr X largest_command(const X* z, double supply) const {
+  ARM_INLINE constexpr X largest_command(const X* z, Real supply) const {
     const X left = amplitude(supply) * amplitude(supply) - z[2] * z[2];
     return square_root(select(left > 0.0, left, X{}));
   }
@@ -91,7 +91,7 @@ struct PmsmOf {
   }
 
  private:
-  static constexpr double amplitude(double supply) { return supply / 1.7320508075688772; }
+  static constexpr Real amplitude(Real supply) { return supply / 1.7320508075688772; }
 };
 
 using Pmsm = PmsmOf<true>;

@@ -8,10 +8,10 @@
 namespace arm {
 
 struct ProgressiveGear {
-  double Ng;   // link turns per motor turn
-  double Kg;   // N m/rad at the link
-  double Dg;   // N m s/rad at the link
-  double Kg3;  // N m/rad3 at the link
+  Real Ng;   // link turns per motor turn
+  Real Kg;   // N m/rad at the link
+  Real Dg;   // N m s/rad at the link
+  Real Kg3;  // N m/rad3 at the link
 
   static constexpr bool rigid = false;
   static constexpr int states = ElasticGear::states;

@@ -12,9 +12,9 @@ namespace arm {
 
 // Torques on a rotor, beside its friction.
 struct OnRotor {
-  double torque;    // N m, of all
-  double of_gear;   // N m, of the gear alone
-  double rounding;  // N m, uncertainty by rounding of angles
+  Real torque;    // N m, of all
+  Real of_gear;   // N m, of the gear alone
+  Real rounding;  // N m, uncertainty by rounding of angles
 };
 
 template <class Law = Friction>
@@ -43,12 +43,12 @@ struct RotorFriction {
   }
 
   constexpr bool is_usual() const { return is_free(); }
-  constexpr Mode mode_at(double wm, const OnRotor& on) const {
+  constexpr Mode mode_at(Real wm, const OnRotor& on) const {
     if (is_free()) return {};
     if (wm == 0.0 && spare(on) >= 0.0) return {true, 0.0};
     return slide(wm == 0.0 ? on.torque : wm, wm, on.of_gear);
   }
-  constexpr Mode wanted(double began, double wm, const OnRotor& on, const Mode& mode) const {
+  constexpr Mode wanted(Real began, Real wm, const OnRotor& on, const Mode& mode) const {
     if (mode.held) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
     if (is_free()) return mode;
     // A rotor that reverses rests at the step's end, or in the whole step if it stopped in the
@@ -56,25 +56,25 @@ struct RotorFriction {
     const bool stops_early = magnitude(began) < magnitude(wm);
     return wm * mode.offset < 0.0 && stops_early ? Mode{true, 0.0} : mode;
   }
-  constexpr double margin(double wm, const OnRotor& on, const Mode& mode) const {
+  constexpr Real margin(Real wm, const OnRotor& on, const Mode& mode) const {
     if (mode.held) return spare(on);
     if (is_free()) return 1.0;
     return mode.offset < 0.0 ? -wm : wm;
   }
-  constexpr void settle(double& wm, const Mode& mode) const {
+  constexpr void settle(Real& wm, const Mode& mode) const {
     if (mode.held || (!is_free() && wm * mode.offset < 0.0)) wm = 0.0;
   }
 
  private:
   constexpr bool is_free() const { return !law.is_dry(); }
   // Remaining holding torque, below 0 if it does not hold [N m].
-  constexpr double spare(const OnRotor& on) const {
+  constexpr Real spare(const OnRotor& on) const {
     return law.holding(on.of_gear) * (1.0 + kRounding) + on.rounding - magnitude(on.torque);
   }
-  constexpr Mode slide(double way, double wm, double T) const {
+  constexpr Mode slide(Real way, Real wm, Real T) const {
     // The sign is the direction of motion, also for a torque of 0.
-    const double dry = law.sliding(wm, T);
-    const double some = dry > 0.0 ? dry : 1e-300;
+    const Real dry = law.sliding(wm, T);
+    const Real some = dry > 0.0 ? dry : 1e-300;
     return {false, way < 0.0 ? -some : some};
   }
 };

@@ -9,8 +9,8 @@
 namespace arm {
 
 struct Stribeck {
-  double Dv, Dc, Ds;  // as of Friction
-  double vs;          // rad/s, at 63 % of the fall
+  Real Dv, Dc, Ds;  // as of Friction
+  Real vs;          // rad/s, at 63 % of the fall
 
   static constexpr bool varies = true, loaded = false;
   constexpr Friction linear() const { return {Dv, Dc, Ds}; }

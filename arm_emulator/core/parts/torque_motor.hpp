@@ -12,9 +12,9 @@
 namespace arm {
 
 struct TorqueMotor {
-  double Mm;                  // kg m2, with the gear's primary side
-  double bandwidth = 0.0;     // Hz; 0: the torque follows at once
-  double torque_limit = 0.0;  // N m; 0: none
+  Real Mm;                  // kg m2, with the gear's primary side
+  Real bandwidth = 0.0;     // Hz; 0: the torque follows at once
+  Real torque_limit = 0.0;  // N m; 0: none
 
   static constexpr bool present = true;
   static constexpr int states = 1;  // tau [N m]
@@ -25,12 +25,12 @@ struct TorqueMotor {
 
   // A command is within the limit, and so is a torque that follows it.
   template <class X>
-  ARM_INLINE constexpr X largest_command(const X*, double) const {
+  ARM_INLINE constexpr X largest_command(const X*, Real) const {
     return X{} + limit_or_none(torque_limit);
   }
-  constexpr double largest_current() const { return 0.0; }
+  constexpr Real largest_current() const { return 0.0; }
 
-  constexpr double inertia(int, bool) const { return time_constant(bandwidth); }
+  constexpr Real inertia(int, bool) const { return time_constant(bandwidth); }
   template <class X>
   ARM_INLINE constexpr void rates(const X* tau, X u, X, X, X, bool, X* f) const {
     f[0] = u - tau[0];
@@ -43,8 +43,8 @@ struct TorqueMotor {
   ARM_INLINE constexpr X current(const X*) const {
     return X{};
   }
-  constexpr void put_current(double*, double) const {}
-  constexpr void follow(double* tau, double u, double) const {
+  constexpr void put_current(Real*, Real) const {}
+  constexpr void follow(Real* tau, Real u, Real) const {
     if (bandwidth == 0.0) tau[0] = u;
   }
 

@@ -17,13 +17,13 @@ namespace arm {
 template <int n, bool periodic>
 struct TorqueTable {
   struct Piece {
-    double q0;              // rad (m), where it begins
-    double T0, T1, T2, T3;  // N m/rad^0, 1, 2, 3
-    double U0;              // J, potential at q0
+    Real q0;              // rad (m), where it begins
+    Real T0, T1, T2, T3;  // N m/rad^0, 1, 2, 3
+    Real U0;              // J, potential at q0
   };
   std::array<Piece, n> pieces;
-  double end;    // rad (m), where the last of them ends
-  double U_end;  // J
+  Real end;    // rad (m), where the last of them ends
+  Real U_end;  // J
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;
@@ -41,7 +41,7 @@ struct TorqueTable {
   ARM_INLINE constexpr X stored(X, const X*) const {
     return X{};
   }
-  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 
  private:
   template <class X>
@@ -51,11 +51,11 @@ struct TorqueTable {
 
   template <class X>
   ARM_INLINE constexpr Value<X> at(const X& q) const {
-    const double begin = pieces[0].q0, period = end - begin;
+    const Real begin = pieces[0].q0, period = end - begin;
     X turns{};
     if constexpr (periodic)
       for (int lane = 0; lane < kWidth<X>; ++lane)
-        set_lane(turns, lane, __builtin_floor((lane_of(q, lane) - begin) / period));
+        set_lane(turns, lane, __builtin_floor(value_of((lane_of(q, lane) - begin) / period)));
     const X angle = q - turns * period;
     const X within = select(angle < begin, X{} + begin, select(angle > end, X{} + end, angle));
     X q0{}, T0{}, T1{}, T2{}, T3{}, U0{};
@@ -72,7 +72,7 @@ struct TorqueTable {
     return {torque, U0 - work + beyond};
   }
   // The last piece that begins at or before an angle, by bisection.
-  ARM_INLINE constexpr int piece_of(double angle) const {
+  ARM_INLINE constexpr int piece_of(Real angle) const {
     int first = 0;
     for (int count = n; count > 1;) {
       const int half = count / 2;

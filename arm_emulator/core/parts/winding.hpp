@@ -14,13 +14,13 @@
 namespace arm {
 
 struct Winding {
-  double C;              // J/K
-  double Rth;            // K/W, to the ambient
-  double ambient;        // degC
-  double reference;      // degC, of the motor's numbers
-  double alpha;          // 1/K
-  double beta;           // 1/K, not above 0
-  double limit = 1e300;  // degC, beyond which the drive switches off
+  Real C;              // J/K
+  Real Rth;            // K/W, to the ambient
+  Real ambient;        // degC
+  Real reference;      // degC, of the motor's numbers
+  Real alpha;          // 1/K
+  Real beta;           // 1/K, not above 0
+  Real limit = 1e300;  // degC, beyond which the drive switches off
 };
 
 // `whole` false: at fixed temperatures and without the loss, which is linear.
@@ -32,7 +32,7 @@ struct HeatedMotor : Motor {
 
   // Steps of any length stay stable as long as the resistance is less than 1.17 times that of the
   // matrix, however far below it is (a W-method's stability where currents are fast).
-  static constexpr double kOfMatrix = 150.0;  // degC
+  static constexpr Real kOfMatrix = 150.0;  // degC
   constexpr auto linear() const {
     if constexpr (whole) {
       auto motor = Motor::linear();
@@ -43,7 +43,7 @@ struct HeatedMotor : Motor {
     }
   }
 
-  constexpr double inertia(int k, bool held) const {
+  constexpr Real inertia(int k, bool held) const {
     return k == rise ? winding.C : Motor::inertia(k, held);
   }
   template <class X>
@@ -82,22 +82,22 @@ struct HeatedMotor : Motor {
   }
 
   // `motor` with its numbers at this temperature.
-  constexpr double given(const double* z, double u, double wm, bool held) const {
+  constexpr Real given(const Real* z, Real u, Real wm, bool held) const {
     return now(z).given(z, u, wm, held);
   }
-  constexpr void follow(double* z, double u, double wm) const { now(z).follow(z, u, wm); }
-  constexpr auto mode_at(const double* z, double u, double wm) const {
+  constexpr void follow(Real* z, Real u, Real wm) const { now(z).follow(z, u, wm); }
+  constexpr auto mode_at(const Real* z, Real u, Real wm) const {
     return now(z).mode_at(z, u, wm);
   }
-  constexpr auto wanted(const double* z, double u, double wm, const auto& mode) const {
+  constexpr auto wanted(const Real* z, Real u, Real wm, const auto& mode) const {
     return now(z).wanted(z, u, wm, mode);
   }
-  constexpr double margin(const double* z, double u, double wm, const auto& mode) const {
+  constexpr Real margin(const Real* z, Real u, Real wm, const auto& mode) const {
     return now(z).margin(z, u, wm, mode);
   }
 
-  constexpr double temperature(const double* z) const { return winding.ambient + z[rise]; }
-  constexpr bool too_hot(const double* z) const { return temperature(z) > winding.limit; }
+  constexpr Real temperature(const Real* z) const { return winding.ambient + z[rise]; }
+  constexpr bool too_hot(const Real* z) const { return temperature(z) > winding.limit; }
 
  private:
   // Factors of resistance and constants, relative to the reference.
@@ -110,7 +110,7 @@ struct HeatedMotor : Motor {
     const X left = 1.0 + winding.beta * (winding.ambient - winding.reference + z[rise]);
     return select(left > 0.0, left, X{});
   }
-  constexpr Motor now(const double* z) const {
+  constexpr Motor now(const Real* z) const {
     Motor motor = *this;
     motor.R *= resistance(z);
     if constexpr (requires { motor.psi; })

@@ -36,28 +36,28 @@ template <int K, int M, int R>
 struct DriveTable {
   using In = StepInput<K, M, R>;
   static constexpr int kRows = K > 0 ? K : 1;
-  double rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
-  double rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
-  double dz[kRows][In::count];               // what the step adds to z
-  double diagonal;                           // s b
-  double k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
+  Real rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
+  Real rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
+  Real dz[kRows][In::count];               // what the step adds to z
+  Real diagonal;                           // s b
+  Real k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
 };
 
-inline constexpr double kSqrt2 = 1.4142135623730951;
+inline constexpr Real kSqrt2 = 1.4142135623730951;
 
 // gamma of the scheme with so many stages: implicit Euler's, and ROS2's.
-constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
+constexpr Real gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
 // A stage of a linearly implicit scheme for one joint, or several side by side: the rates of z go
 // into the link's row.
-template <int K, int M, class X = double>
+template <int K, int M, class X = Real>
 struct Elimination {
   using Drive = LinearDrive<K, M, X>;
   static constexpr int n = Drive::kRows;
-  double s;
+  Real s;
   X E[n][n], e[n], b;
 
-  ARM_INLINE static Elimination of(const Drive& drive, double s) {
+  ARM_INLINE static Elimination of(const Drive& drive, Real s) {
     Elimination one = {};
     one.s = s;
     drive.inverse(s, one.E);
@@ -85,16 +85,16 @@ struct Elimination {
 
 // The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp).
 template <int R, int K, int M>
-ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, double h, int stages) {
+ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Real h, int stages) {
   using In = StepInput<K, M, R>;
-  using X = double;
+  using X = Real;
   constexpr int n = LinearDrive<K, M>::kRows;
   const auto whole = Elimination<K, M>::of(drive, gamma_of(stages) * h);
   const auto& [s, E, e, b] = whole;
   DriveTable<K, M, R> table = {};
   table.diagonal = s * b;
   for (int input = 0; input < In::count; ++input) {
-    double x[In::count] = {};
+    Real x[In::count] = {};
     x[input] = 1.0;
     X f[n] = {}, g = {};
     if (input < drive.kColumns) {
@@ -131,7 +131,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, dou
 }
 
 struct MakeImplicit {
-  double h;
+  Real h;
   int stages;
   template <int R, int K, int M>
   auto operator()(const LinearDrive<K, M>& drive) const {
@@ -142,10 +142,10 @@ struct MakeImplicit {
 // The table of the paper's scheme: backward Euler of the drive with the link held; `rhs_1` is the
 // torque on the link at the states after it. The drive's rest is that at the step's start.
 template <int R, int K, int M>
-ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, double h) {
+ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, Real h) {
   using In = StepInput<K, M, R>;
   constexpr int n = LinearDrive<K, M>::kRows;
-  double E[n][n] = {};
+  Real E[n][n] = {};
   drive.inverse(h, E);
   DriveTable<K, M, R> table = {};
   for (int input = 0; input < drive.kColumns; ++input) {
@@ -167,7 +167,7 @@ ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, double 
 }
 
 struct MakePaper {
-  double h;
+  Real h;
   template <int R, int K, int M>
   auto operator()(const LinearDrive<K, M>& drive) const {
     return paper_table<R>(drive, h);

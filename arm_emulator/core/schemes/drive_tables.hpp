@@ -14,7 +14,7 @@ class DriveTables : public ServedDrives<S, X> {
   using Served::N, Served::K, Served::M, Served::R, Served::row, Served::linear, Served::matters;
   using typename Served::In, typename Served::Inputs, typename Served::Modes;
   static constexpr bool own = Served::own;
-  using Number = std::conditional_t<own, X, double>;
+  using Number = std::conditional_t<own, X, Real>;
 
   // For each input a row of numbers.
   using Numbers = Number[In::count][row];
@@ -34,7 +34,7 @@ class DriveTables : public ServedDrives<S, X> {
   // The same for one lane. All parts are in their usual modes.
   void fill_lane(int lane) {
     this->n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-      if constexpr (Served::modal) this->note(j, {});
+      if constexpr (Served::modal) this->note(j, Modes{});
       put_table(drive, 0, j, lane);
     });
   }

@@ -10,7 +10,7 @@ namespace arm {
 
 // F and G of one drive, its states in rows of K; a missing state is constant. Of numbers X that are
 // several joints side by side, those of several drives.
-template <int K, int M, class X = double>
+template <int K, int M, class X = Real>
 struct LinearDrive {
   static constexpr int kRows = K > 0 ? K : 1, kColumns = K + 3 + M;
   X D[kRows], F[kRows][kColumns], G[kColumns];
@@ -37,7 +37,7 @@ struct LinearDrive {
     const auto D = drive.D(held);
     for (int k = 0; k < K; ++k) linear.D[k] = k < TheDrive::states ? D.f[k] : 1.0;
     for (int column = 0; column < kColumns; ++column) {
-      typename TheDrive::template Input<double> one = {};
+      typename TheDrive::template Input<Real> one = {};
       if (!set<TheDrive>(one, column, 1.0)) continue;
       const auto rates = drive.rates(one, held);
       for (int k = 0; k < TheDrive::states; ++k) linear.F[k][column] = rates.f[k];
@@ -56,7 +56,7 @@ struct LinearDrive {
   }
 
   // E = (D - s F_z)^-1, by Gauss and Jordan with pivots.
-  ARM_INLINE constexpr void inverse(double s, X (&E)[kRows][kRows]) const {
+  ARM_INLINE constexpr void inverse(Real s, X (&E)[kRows][kRows]) const {
     X W[kRows][kRows] = {};
     for (int r = 0; r < K; ++r)
       for (int c = 0; c < K; ++c) {
@@ -84,10 +84,10 @@ struct LinearDrive {
 
   // Set the input of a column; false if this drive does not have it.
   template <class TheDrive>
-  ARM_APART static constexpr bool set(typename TheDrive::template Input<double>& x, int column,
-                                      double value) {
+  ARM_APART static constexpr bool set(typename TheDrive::template Input<Real>& x, int column,
+                                      Real value) {
     if (column < K ? column >= TheDrive::states : column >= K + 3 + TheDrive::modes) return false;
-    double* const others[] = {&x.q, &x.v, &x.u};
+    Real* const others[] = {&x.q, &x.v, &x.u};
     if (column < K)
       x.z[column] = value;
     else if (column < K + 3)
@@ -107,13 +107,13 @@ struct LinearDrive {
   template <class TheDrive>
   static constexpr bool is_sound(const TheDrive& whole, unsigned held) {
     const LinearDrive linear = of(whole, held);
-    typename TheDrive::template Input<double> x = {};
-    double input[kColumns] = {};
+    typename TheDrive::template Input<Real> x = {};
+    Real input[kColumns] = {};
     for (int column = 0; column < kColumns; ++column)
       if (set<TheDrive>(x, column, 1.0 + 0.37 * column)) input[column] = 1.0 + 0.37 * column;
     const auto rates = whole.linear().rates(x, held);
-    const auto agrees = [&](double answer, const double (&row)[kColumns]) {
-      double sum = 0.0, size = 0.0;
+    const auto agrees = [&](Real answer, const Real (&row)[kColumns]) {
+      Real sum = 0.0, size = 0.0;
       for (int column = 0; column < kColumns; ++column) {
         sum += row[column] * input[column];
         size += magnitude(row[column] * input[column]);

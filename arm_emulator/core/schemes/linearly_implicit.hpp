@@ -40,7 +40,7 @@
 namespace arm {
 
 // `Tables` gives the drives' parts of a step.
-template <class S, class X = double, class Tables = DriveTables<S, X, MakeImplicit>>
+template <class S, class X = Real, class Tables = DriveTables<S, X, MakeImplicit>>
 class LinearlyImplicit {
  public:
   static constexpr int N = S::N, K = most_states<S>();
@@ -50,10 +50,10 @@ class LinearlyImplicit {
   // Takes steps of any length in modes that are known (located.hpp).
   using Part = LinearlyImplicit<S, X, TrialDrives<S>>;
 
-  LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
+  LinearlyImplicit(Real step, const arm::Numbers<S, X>& numbers)
       : h_(step), n_(numbers), tables_(numbers, {step, stages}), coulomb_(numbers) {}
   // For steps of another length in these modes, by `step_in`.
-  void retime(double step, const Modes<S>& modes) {
+  void retime(Real step, const Modes<S>& modes) {
     h_ = step;
     if constexpr (Tables::modal)
       for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
@@ -99,7 +99,7 @@ class LinearlyImplicit {
   enum class Past { used, unknown };
 
   // A step in the given modes, whether they hold or not (located.hpp).
-  void step_in(const Modes<S>& modes, State<S>& x, const double (&u)[row], const Dynamics& links,
+  void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], const Dynamics& links,
                Past from) {
     if constexpr (Tables::modal)
       for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
@@ -163,7 +163,7 @@ class LinearlyImplicit {
   static constexpr bool extrapolates = S::Scheme::extrapolates;
   static constexpr bool locates = kLocates<S>;
   static constexpr int stages = S::Scheme::stages;
-  static constexpr double gamma = gamma_of(stages);
+  static constexpr Real gamma = gamma_of(stages);
 
   using Numbers = Row<N, X>;
 
@@ -337,7 +337,7 @@ class LinearlyImplicit {
   // changes at most 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
-  void step_in_modes(State<S>& x, const double (&u)[row], const Dynamics& links, Inputs& in) {
+  void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past_;
     const bool begins_usual = usual_ && is_usual(n_, x, u);
     if (!begins_usual) serve_modes_at(x, u);
@@ -366,7 +366,7 @@ class LinearlyImplicit {
   }
 
   // From x to y in the modes that the tables serve.
-  void attempt(const State<S>& x, const double (&u)[row], Dynamics links, Inputs& in, State<S>& y) {
+  void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in, State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -377,7 +377,7 @@ class LinearlyImplicit {
   }
 
   // A step in the modes that x calls for, whether they hold at its end or not.
-  void keep_modes(State<S>& x, const double (&u)[row], const Dynamics& links, Inputs& in) {
+  void keep_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
     serve_modes_at(x, u);
     State<S> y;
     attempt(x, u, links, in, y);
@@ -385,14 +385,14 @@ class LinearlyImplicit {
     tables_.settle(x, u);
   }
 
-  void serve_modes_at(const State<S>& x, const double (&u)[row]) {
+  void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0)
         tables_.serve(j, resized<Tables::M>(drive.modes_at(input_of(drive, j, x, u[j]))));
     });
   }
 
-  void halve(State<S>& x, const double (&u)[row]) {
+  void halve(State<S>& x, const Real (&u)[row]) {
     if (!half_) {
       half_ = new LinearlyImplicit(0.5 * h_, n_);
       half_->halvings_ = halvings_ + 1;
@@ -409,7 +409,7 @@ class LinearlyImplicit {
   }
 
   // Whether all modes hold at the end y of a step from x; those that do not are changed.
-  bool modes_hold(const State<S>& x, const State<S>& y, const double (&u)[row]) {
+  bool modes_hold(const State<S>& x, const State<S>& y, const Real (&u)[row]) {
     if (!is_finite(y.v[0])) return true;  // diverged, whatever its modes
     bool hold = true;
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
@@ -427,7 +427,7 @@ class LinearlyImplicit {
 
   static constexpr int kMostHalvings = 12;
 
-  double h_;
+  Real h_;
   const arm::Numbers<S, X>& n_;
   Tables tables_;
   bool usual_ = true;  // all joints are served in their usual modes

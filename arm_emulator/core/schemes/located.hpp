@@ -21,13 +21,13 @@ namespace arm {
 template <class S>
 class Located {
  public:
-  using Method = MethodOf<S, double>;
+  using Method = MethodOf<S, Real>;
   using Part = typename Method::Part;
   using Dynamics = typename Links<S>::Dynamics;
   using Memory = typename Method::Memory;
   static constexpr int N = S::N, row = Method::row;
 
-  Located(double step, const Numbers<S>& numbers)
+  Located(Real step, const Numbers<S>& numbers)
       : h_(step), n_(numbers), whole_(step, numbers), part_(step, numbers) {}
   void renew() {
     memo_.forget();
@@ -51,7 +51,7 @@ class Located {
   void watch(EnergyMeter<S>* by) { meter_ = by; }
 
   template <class Exchange>
-  void step(State<S>& x, const double (&u)[row], const Dynamics& given, Exchange& exchange) {
+  void step(State<S>& x, const Real (&u)[row], const Dynamics& given, Exchange& exchange) {
     Dynamics links = given;
     exchange.take(links);
     follow_at_once(n_, x, u);
@@ -74,12 +74,12 @@ class Located {
   using Past = typename Method::Past;
   static constexpr int kMostEvents = 4 * N + 8;
   static constexpr int kMostTrials = 150;
-  static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
+  static constexpr Real kInstant = 1e-11;  // of a step: how well an event's time is known
 
   // A step from x to y of which not all modes hold.
-  void cut(State<S>& x, State<S> y, const double (&u)[row], Modes<S> modes, Dynamics links) {
+  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {
     const State<S> start = x;
-    double left = h_;
+    Real left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
       if (events == kMostEvents) {
         Method part(left, n_);
@@ -99,7 +99,7 @@ class Located {
         part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
         fails = modes.margin(y, u, memo_) < 0.0;
       }
-      const double t = fails ? first_event(x, y, u, modes, links, left) : left;
+      const Real t = fails ? first_event(x, y, u, modes, links, left) : left;
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, t);
       x = y;
@@ -113,18 +113,18 @@ class Located {
   // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
-  double first_event(const State<S>& x, State<S>& y, const double (&u)[row], const Modes<S>& modes,
-                     const Dynamics& links, double left) {
+  Real first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
+                     const Dynamics& links, Real left) {
     Trial last, other;
     last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
     const int begins = other.first_after(last);
-    double share = begins < 0 ? 0.5 : last.share(other, begins);
+    Real share = begins < 0 ? 0.5 : last.share(other, begins);
     for (int trial = 0; trial < kMostTrials; ++trial) {
-      const double width = other.t - last.t;  // of either sign
-      const double least = 0.5 * kInstant * h_ / magnitude(width);
+      const Real width = other.t - last.t;  // of either sign
+      const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
-      const double t = last.t + share * width;
+      const Real t = last.t + share * width;
       State<S> end = x;
       part_.retime(t, modes);
       part_.step_in(modes.friction, end, u, links, Part::Past::unknown);
@@ -141,16 +141,16 @@ class Located {
   }
   // An end of a step, and how far it is from each condition of the modes.
   struct Trial {
-    double t, margin, each[Modes<S>::conditions];
+    Real t, margin, each[Modes<S>::conditions];
 
-    void take(double length, const Modes<S>& modes, const State<S>& end, const double (&u)[row],
+    void take(Real length, const Modes<S>& modes, const State<S>& end, const Real (&u)[row],
               LinksMemo<S>& memo) {
       t = length;
       margin = modes.margin(end, u, memo, each);
     }
     bool holds() const { return !(margin < 0.0); }
     // Of the way to `end`, the share to the zero of a condition on a straight line.
-    double share(const Trial& end, int condition) const {
+    Real share(const Trial& end, int condition) const {
       return each[condition] / (each[condition] - end.each[condition]);
     }
     // The condition that fails first between a trial that holds and this one, on straight lines; -1
@@ -165,10 +165,10 @@ class Located {
     }
   };
   // Next trial for the zero of a condition between `last` and `other`, of which one holds.
-  static double next_share(const Trial& last, const Trial& other, const Trial& before, int k) {
-    const double at = last.each[k], there = other.each[k], past = before.each[k];
-    const double xi = (last.t - other.t) / (before.t - other.t);
-    const double phi = (at - there) / (past - there);
+  static Real next_share(const Trial& last, const Trial& other, const Trial& before, int k) {
+    const Real at = last.each[k], there = other.each[k], past = before.each[k];
+    const Real xi = (last.t - other.t) / (before.t - other.t);
+    const Real phi = (at - there) / (past - there);
     if (!(phi * phi < xi && (1.0 - phi) * (1.0 - phi) < 1.0 - xi)) return 0.5;
     return at / (there - at) * past / (there - past) +
            (before.t - last.t) / (other.t - last.t) * at / (past - at) * there / (past - there);
@@ -180,7 +180,7 @@ class Located {
     void give(const State<S>&) {}
   };
 
-  double h_;
+  Real h_;
   const Numbers<S>& n_;
   Method whole_;
   Part part_;  // of a step

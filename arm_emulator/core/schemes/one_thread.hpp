@@ -9,13 +9,13 @@
 
 namespace arm {
 
-template <class S, class Stepper, class X = double>
+template <class S, class Stepper, class X = Real>
 class OneThread {
  public:
   using Memory = typename Stepper::Memory;
   using Dynamics = typename Links<S, X>::Dynamics;
 
-  OneThread(double step, int, const Numbers<S, X>& numbers)
+  OneThread(Real step, int, const Numbers<S, X>& numbers)
       : n_(numbers), stepper_(step, numbers) {}
   bool join_schedule() { return true; }
   void begin_thread() {}

@@ -10,7 +10,7 @@
 
 namespace arm {
 
-template <class S, class X = double>
+template <class S, class X = Real>
 class PaperScheme {
  public:
   static constexpr int N = S::N, K = most_states<S>();
@@ -21,7 +21,7 @@ class PaperScheme {
   // Drives find the modes that hold at the step's end, with the link held.
   static constexpr bool holds_links = true;
 
-  PaperScheme(double step, const Numbers<S, X>& numbers)
+  PaperScheme(Real step, const Numbers<S, X>& numbers)
       : h_(step), n_(numbers), tables_(numbers, {step}), coulomb_(numbers) {}
   PaperScheme(const PaperScheme&) = delete;
 
@@ -107,14 +107,14 @@ class PaperScheme {
     coulomb_.stop_at_reversal(x.v);
   }
 
-  double h_;
+  Real h_;
   const Numbers<S, X>& n_;
   Tables tables_;
   Coulomb<S, X> coulomb_;
 };
 
 struct Paper : AnyScheme {
-  static constexpr double end_of_step = 0.0;
+  static constexpr Real end_of_step = 0.0;
   template <class S, class X>
   using Method = PaperScheme<S, X>;
 };

@@ -7,21 +7,21 @@
 namespace arm {
 
 template <class S>
-class TrialDrives : public ServedDrives<S, double> {
+class TrialDrives : public ServedDrives<S, Real> {
  public:
-  using Served = ServedDrives<S, double>;
+  using Served = ServedDrives<S, Real>;
   using Served::K, Served::M, Served::R, Served::row;
   using typename Served::In, typename Served::Inputs, typename Served::Modes;
-  using Row = arm::Row<S::N, double>;
+  using Row = arm::Row<S::N, Real>;
 
-  TrialDrives(const Numbers<S, double>& numbers, const MakeImplicit& maker) : Served(numbers) {
+  TrialDrives(const Numbers<S, Real>& numbers, const MakeImplicit& maker) : Served(numbers) {
     for (Group& group : of_) group.drive = Linear::none();
     fill();
     retime(maker);
   }
   // All numbers have changed. All parts are in their usual modes; `retime` is due.
   void fill() {
-    this->n_.for_each_drive([&](const auto& drive, int j) { put(drive, j, {}); });
+    this->n_.for_each_drive([&](const auto& drive, int j) { put(drive, j, Modes{}); });
   }
   // Put joint j into these modes; `retime` is due.
   void serve(int j, const Modes& modes) {
@@ -79,7 +79,7 @@ class TrialDrives : public ServedDrives<S, double> {
     });
   }
 
-  alignas(64) double diagonal[row] = {};
+  alignas(64) Real diagonal[row] = {};
 
  private:
   using Vector = typename Row::Vector;
@@ -113,7 +113,7 @@ class TrialDrives : public ServedDrives<S, double> {
     of_[j / Row::group].drive.put(j % Row::group, LinearDrive<K, M>::of(drive, modes.held()));
   }
 
-  double h_;
+  Real h_;
   Group of_[Row::groups];
 };
 

@@ -1,0 +1,110 @@
+// Dual numbers: a value and its derivatives in some directions (forward mode; Griewank and Walther,
+// Evaluating Derivatives, 2008, ch. 3). Comparisons are those of the values, so that a branch is
+// the one of the values alone.
+#pragma once
+
+#include <concepts>
+#include <type_traits>
+
+#include "numerics/loops.hpp"
+
+namespace arm {
+
+template <int directions>
+struct Dual {
+  typedef double Row __attribute__((vector_size(directions * sizeof(double))));
+
+  double value;
+  Row by;  // derivatives
+
+  Dual() = default;
+  template <class Number>
+    requires std::is_arithmetic_v<Number>
+  ARM_INLINE constexpr Dual(Number number) : value(static_cast<double>(number)), by{} {}
+  ARM_INLINE constexpr Dual(double number, const Row& derivatives)
+      : value(number), by(derivatives) {}
+
+  ARM_INLINE constexpr Dual operator-() const { return {-value, -by}; }
+  ARM_INLINE constexpr Dual& operator+=(const Dual& b) { return *this = *this + b; }
+  ARM_INLINE constexpr Dual& operator-=(const Dual& b) { return *this = *this - b; }
+  ARM_INLINE constexpr Dual& operator*=(const Dual& b) { return *this = *this * b; }
+  ARM_INLINE constexpr Dual& operator/=(const Dual& b) { return *this = *this / b; }
+
+  friend ARM_INLINE constexpr Dual operator+(const Dual& a, const Dual& b) {
+    return {a.value + b.value, a.by + b.by};
+  }
+  friend ARM_INLINE constexpr Dual operator-(const Dual& a, const Dual& b) {
+    return {a.value - b.value, a.by - b.by};
+  }
+  friend ARM_INLINE constexpr Dual operator*(const Dual& a, const Dual& b) {
+    return {a.value * b.value, a.value * b.by + b.value * a.by};
+  }
+  friend ARM_INLINE constexpr Dual operator/(const Dual& a, const Dual& b) {
+    const double share = 1.0 / b.value, quotient = a.value * share;
+    return {quotient, share * (a.by - quotient * b.by)};
+  }
+  // The same with a constant.
+  friend ARM_INLINE constexpr Dual operator+(const Dual& a, double b) { return {a.value + b, a.by}; }
+  friend ARM_INLINE constexpr Dual operator+(double a, const Dual& b) { return {a + b.value, b.by}; }
+  friend ARM_INLINE constexpr Dual operator-(const Dual& a, double b) { return {a.value - b, a.by}; }
+  friend ARM_INLINE constexpr Dual operator-(double a, const Dual& b) { return {a - b.value, -b.by}; }
+  friend ARM_INLINE constexpr Dual operator*(const Dual& a, double b) {
+    return {a.value * b, a.by * b};
+  }
+  friend ARM_INLINE constexpr Dual operator*(double a, const Dual& b) {
+    return {a * b.value, a * b.by};
+  }
+  friend ARM_INLINE constexpr Dual operator/(const Dual& a, double b) { return a * (1.0 / b); }
+
+  friend ARM_INLINE constexpr bool operator==(const Dual& a, const Dual& b) {
+    return a.value == b.value;
+  }
+  friend ARM_INLINE constexpr auto operator<=>(const Dual& a, const Dual& b) {
+    return a.value <=> b.value;
+  }
+
+  // See number.hpp.
+  friend ARM_INLINE constexpr Dual select(bool mask, const Dual& a, const Dual& b) {
+    return mask ? a : b;
+  }
+  friend ARM_INLINE constexpr Dual clamp(const Dual& x, const Dual& limit) {
+    return x > limit ? limit : x < -limit ? -limit : x;
+  }
+  friend ARM_INLINE constexpr Dual lane_of(const Dual& x, int) { return x; }
+  friend ARM_INLINE constexpr void set_lane(Dual& x, int, const Dual& value) { x = value; }
+};
+
+// f(x) with the slope of f there.
+template <int directions>
+ARM_INLINE constexpr Dual<directions> chained(double f, double slope, const Dual<directions>& x) {
+  return {f, slope * x.by};
+}
+
+template <int directions>
+ARM_INLINE Dual<directions> square_root(const Dual<directions>& x) {
+  const double root = __builtin_sqrt(x.value);
+  return chained(root, root > 0.0 ? 0.5 / root : 0.0, x);
+}
+template <int directions>
+ARM_INLINE constexpr Dual<directions> exponential(const Dual<directions>& x) {
+  if (std::is_constant_evaluated() && x.value == 0.0) return chained(1.0, 1.0, x);
+  const double e = __builtin_exp(x.value);
+  return chained(e, e, x);
+}
+template <int directions>
+ARM_INLINE Dual<directions> natural_log(const Dual<directions>& x) {
+  return chained(__builtin_log(x.value), 1.0 / x.value, x);
+}
+
+ARM_INLINE constexpr double value_of(double x) { return x; }
+template <int directions>
+ARM_INLINE constexpr double value_of(const Dual<directions>& x) {
+  return x.value;
+}
+// The same number as a constant.
+template <class X>
+ARM_INLINE constexpr X constant(const X& x) {
+  return value_of(x);
+}
+
+}  // namespace arm
