@@ -137,7 +137,22 @@ class Located {
       const int first = last.holds() ? other.first_after(last) : last.first_after(other);
       share = first < 0 ? 0.5 : next_share(last, other, before, first);
     }
-    return last.holds() ? other.t : last.t;
+    const Real t = last.holds() ? other.t : last.t;
+    if constexpr (kDifferentiates) {
+      const int first = last.holds() ? other.first_after(last) : last.first_after(other);
+      if (first < 0) return constant(t);
+      return zero_of(t, [&](const Real& length) {
+        y = x;
+        part_.retime(length, modes);
+        part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
+        memo_.forget();  // it may have these values with other derivatives
+        Trial end;
+        end.take(length, modes, y, u, memo_);
+        memo_.forget();
+        return end.each[first];
+      });
+    }
+    return t;
   }
   // An end of a step, and how far it is from each condition of the modes.
   struct Trial {
