@@ -139,8 +139,7 @@ class Located {
     }
     const Real t = last.holds() ? other.t : last.t;
     if constexpr (kDifferentiates) {
-      const int first = last.holds() ? other.first_after(last) : last.first_after(other);
-      if (first < 0) return constant(t);
+      const int failing = (last.holds() ? other : last).failing();
       return zero_of(t, [&](const Real& length) {
         y = x;
         part_.retime(length, modes);
@@ -149,7 +148,7 @@ class Located {
         Trial end;
         end.take(length, modes, y, u, memo_);
         memo_.forget();
-        return end.each[first];
+        return end.each[failing];
       });
     }
     return t;
@@ -164,6 +163,12 @@ class Located {
       margin = modes.margin(end, u, memo, each);
     }
     bool holds() const { return !(margin < 0.0); }
+    // A condition that fails.
+    int failing() const {
+      int k = 0;
+      while (!(each[k] < 0.0)) ++k;
+      return k;
+    }
     // Of the way to `end`, the share to the zero of a condition on a straight line.
     Real share(const Trial& end, int condition) const {
       return each[condition] / (each[condition] - end.each[condition]);
