@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from arm_emulator import testing as testing
     from arm_emulator.analysis.linearised import LinearMachine as LinearMachine
     from arm_emulator.analysis.linearised import linearise as linearise
+    from arm_emulator.analysis.sensitivities import Sensitivities as Sensitivities
+    from arm_emulator.analysis.sensitivities import sensitivities as sensitivities
     from arm_emulator.base.refusal import Refusal as Refusal
     from arm_emulator.machine.diverged import Diverged as Diverged
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
@@ -61,6 +63,7 @@ _MODULES = {
     "Recording": "runs.recording",
     "Refusal": "base.refusal",
     "Scene": "machine.scene",
+    "Sensitivities": "analysis.sensitivities",
     "Servo": "servo.servo",
     "ServoFleet": "runs.servo_fleet",
     "Timeline": "runs.timeline",
@@ -69,6 +72,7 @@ _MODULES = {
     "load_gains": "runs.gains",
     "load_scene": "machine.scene",
     "load_servo_config": "servo.servo_config",
+    "sensitivities": "analysis.sensitivities",
     "testing": "",
 }
 

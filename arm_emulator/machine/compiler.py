@@ -10,9 +10,13 @@ from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, compile_units, library
 from arm_emulator.core import CORE
-from arm_emulator.machine.core_calls import ARM, FLEET, REAL_TIME
+from arm_emulator.machine.core_calls import ARM, FLEET, REAL_TIME, SENSITIVITY
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.scene_unit import scene_unit
+
+# Directions of derivatives that one run follows. With 16, whose numbers fill more registers than
+# there are, one direction takes twice as long.
+DIRECTIONS = 8
 
 # The stepping code never asks for errno, traps or the sign of zero, and may reassociate.
 # Finiteness is checked on bit patterns (core/machine/machine.hpp).
@@ -73,6 +77,14 @@ def library_with(scene: Scene, name: str, source: str, header: Header) -> Librar
 def fleet_library_of(scene: Scene) -> Library:
     """Return the scene's compiled fleet, see `library_of`."""
     return library(fleet_unit(scene))
+
+
+def sensitivity_library_of(scene: Scene) -> Library:
+    """Return the scene's machine over dual numbers, see `library_of`."""
+    about = f"derivatives of {scene.name} ({len(scene.joints)} joints)"
+    source = scene_unit(scene, "boundary/sensitivity.hpp")
+    unit = _unit(f"{scene.name}-derivatives", source, (SENSITIVITY,), scene.where, about)
+    return library(replace(unit, flags=(*FLAGS, f"-DARM_DIRECTIONS={DIRECTIONS}")))
 
 
 def real_time_library() -> Library:

@@ -7,6 +7,7 @@ from arm_emulator.core import BOUNDARY
 
 ARM = Header(BOUNDARY / "arm.h")
 FLEET = Header(BOUNDARY / "arm_fleet.h")
+SENSITIVITY = Header(BOUNDARY / "sensitivity.h")
 REAL_TIME = Header(BOUNDARY / "real_time.h")
 FIRMWARE = Header(BOUNDARY / "firmware.h")
 FIRMWARE_LOOP = Header(BOUNDARY / "firmware_loop.h")

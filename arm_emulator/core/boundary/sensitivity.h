@@ -14,10 +14,12 @@ typedef struct arm_sensitive_run {
   double step;                   /* s */
   const double* parameters;      /* varied numbers of the scene */
   const double* parameter_seeds; /* a row for each */
-  const double* q;               /* of the joints, at rest in gears and windings; rad (m) */
+  const double* q;               /* of the joints, rad (m) */
   const double* q_seeds;         /* a row for each */
   const double* v;               /* rad/s (m/s) */
   const double* v_seeds;         /* a row for each */
+  const double* theta_m;         /* of the motors, rad and rad/s; both null: at rest in the gears */
+  const double* omega_m;
   const double* commands;        /* rows of the joints' commands, each held for `steps` */
   int64_t rows;
   int64_t steps;

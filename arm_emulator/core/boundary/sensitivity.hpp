@@ -40,6 +40,15 @@ std::int64_t arm_run_with_sensitivities(const arm_sensitive_run* run) {
   const Seeded<Scene::parameters> numbers(run->parameters, run->parameter_seeds);
   arm::Machine<Scene> machine(run->step, -1, numbers.at);
   machine.reset(Seeded<N>(run->q, run->q_seeds).at, Seeded<N>(run->v, run->v_seeds).at);
+  if (run->theta_m && run->omega_m) {
+    arm::State<Scene> at = machine.state();
+    machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
+      auto put = arm::input_of(drive, j, at, 0.0);
+      drive.put_motor(put, 0.0, run->theta_m[j], run->omega_m[j]);
+      arm::put_states(drive, j, 0, put, at);
+    });
+    machine.put(at, true);
+  }
   const double* command = run->commands;
   double* out = run->out;
   for (std::int64_t row = 0; row < run->rows; ++row) {

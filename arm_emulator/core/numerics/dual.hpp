@@ -3,10 +3,13 @@
 // the one of the values alone.
 #pragma once
 
-#include <concepts>
 #include <type_traits>
 
 #include "numerics/loops.hpp"
+
+// On processors with narrower registers the compiler splits the vectors. Its warning about how
+// vectors are passed does not matter: functions that take or return them are inlined.
+#pragma GCC diagnostic ignored "-Wpsabi"
 
 namespace arm {
 

@@ -4,12 +4,7 @@
 
 #include <type_traits>
 
-#include "numerics/loops.hpp"
 #include "numerics/real.hpp"
-
-// On processors with narrower registers the compiler splits the vectors. Its warning about how
-// vectors are passed does not matter: functions that take or return them are inlined.
-#pragma GCC diagnostic ignored "-Wpsabi"
 
 namespace arm {
 

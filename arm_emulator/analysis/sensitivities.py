@@ -1,0 +1,167 @@
+"""Motions of a scene's machine with exact derivatives by its numbers and by its start.
+
+The machine's own source runs over dual numbers (core/numerics/dual.hpp). Where a scene locates
+events, the instant of each has derivatives, too: a stop, a breakaway, a limit that is met.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.bound import ANY_COMMANDS, POSITION, VELOCITY
+from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.call_arguments import LARGEST_STEPS
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.compiler import DIRECTIONS, sensitivity_library_of
+from arm_emulator.machine.core_calls import SENSITIVITY
+from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.varied import Varied, choose
+
+MASS = "payload.mass"
+QUANTITIES = ("q", "v", "current", "theta_m", "omega_m")
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities(ByValue):
+    """A motion after each of K rows of commands, and its derivatives by n numbers.
+
+    Attributes:
+        names: of the n numbers.
+        t: times (K,) [s].
+        q, v: links (K, N) [rad, rad/s; m, m/s at prismatic joints].
+        current: of the motors (K, N) [A].
+        theta_m, omega_m: of the motors (K, N) [rad, rad/s].
+        by: for each of these its derivatives (K, N, n), in its unit per unit of the number.
+    """
+
+    names: tuple[str, ...]
+    t: Array
+    q: Array
+    v: Array
+    current: Array
+    theta_m: Array
+    omega_m: Array
+    by: Mapping[str, Array]
+
+
+def sensitivities(
+    scene: Scene,
+    commands: ArrayLike,
+    by: Sequence[str],
+    *,
+    steps: int | None = None,
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+) -> Sensitivities:
+    """Return a motion with its derivatives.
+
+    The first use of a scene with these numbers compiles for 10 to 20 s. Up to 8 derivatives cost
+    about ten runs of a `Plant`; runs for more are shared by the cores.
+
+    A derivative is that of the motion as the scheme computes it. It is one-sided where the motion
+    has none, as by the speed of a joint that sticks at the start. Without `events: located` modes
+    change at the ends of steps, and the derivatives do not contain that these move.
+
+    Args:
+        scene: the machine; its sensors and faults are left out.
+        commands: rows (K, N) [V, N m, A], each held for `steps`.
+        by: names or patterns of numbers as in `varied` of a scene, such as
+            ``joints.*.gear.stiffness``, and ``start.q.JOINT``, ``start.v.JOINT`` for the links'
+            positions and speeds at the start, which the motors follow.
+        steps: integration steps under each row; None: a servo period.
+        q: link positions at the start (N,) [rad or m]; None: the scene's.
+        v: link speeds at the start (N,) [rad/s or m/s]; None: zero.
+
+    Raises:
+        Refusal: an unknown name, a wrong shape, not finite, or the motion diverged.
+    """
+    where, N = "sensitivities", len(scene.joints)
+    steps = scene.steps_per_period if steps is None else steps
+    steps = check_count(where, "steps", steps, 1, LARGEST_STEPS)
+    rows = np.atleast_2d(ANY_COMMANDS.numbers(where, commands))
+    if rows.ndim != 2 or rows.shape[1] != N:
+        raise Refusal(where, ANY_COMMANDS.name, f"have shape (K, {N})", rows.shape)
+    ANY_COMMANDS.check(where, rows)
+    begin = {
+        "q": POSITION.row(where, scene.start if q is None else q, N),
+        "v": VELOCITY.row(where, np.zeros(N) if v is None else v, N),
+    }
+    possible = _numbers_of(scene)
+    starts = [f"start.{which}.{joint}" for which in begin for joint in scene.joint_names]
+    rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
+    names = choose(by, {one: one for one in (*possible, *starts)}, where, "by", rule)
+    varied = tuple(possible[one] for one in names if one in possible)
+    core = sensitivity_library_of(_differentiable(scene, varied))
+    seeded = [*(one.name for one in varied), *starts]
+    places = [seeded.index(one) for one in names]
+    numbers = np.array([one.value for one in varied])
+    ends = len(varied), len(varied) + N
+
+    def run(some: Sequence[int]) -> Array:
+        seeds = np.zeros((len(seeded), DIRECTIONS))
+        seeds[some, np.arange(len(some))] = 1.0
+        out = np.empty((len(rows), len(QUANTITIES), N, 1 + DIRECTIONS))
+        at = {"parameters": numbers, **begin, "commands": rows, "out": out}
+        at |= zip(("parameter_seeds", "q_seeds", "v_seeds"), np.split(seeds, ends), strict=True)
+        at = {name: np.ascontiguousarray(one) for name, one in at.items()}  # outlives the call
+        dt = scene.integrator.dt
+        request = SENSITIVITY.new("arm_sensitive_run", step=dt, rows=len(rows), steps=steps, **at)
+        done = core.arm_run_with_sensitivities(request)
+        if done < len(rows):
+            got = f"a divergence after {done * steps * dt:g} s"
+            raise Refusal(where, "motion", "stay within bounds", got)
+        return out
+
+    parts = [places[k : k + DIRECTIONS] for k in range(0, len(places), DIRECTIONS)] or [[]]
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        outs = list(pool.map(run, parts))
+    slopes = np.concatenate(
+        [out[..., 1 : 1 + len(some)] for out, some in zip(outs, parts, strict=True)], axis=-1
+    )
+    values = {name: outs[0][:, k, :, 0] for k, name in enumerate(QUANTITIES)}
+    t = np.arange(1, len(rows) + 1) * (steps * scene.integrator.dt)
+    by_each = {name: slopes[:, k] for k, name in enumerate(QUANTITIES)}
+    return Sensitivities(names, t, **values, by=by_each)
+
+
+def _numbers_of(scene: Scene) -> dict[str, Varied]:
+    """Return the numbers of a machine that its motion may depend on, by their names."""
+    if not scene.chain.coupling.plain:
+        return {}
+    here = {one.name: one for one in could_vary(_without_sensors(scene).joints, scene.chain, ())}
+    return here | {one.name: one for one in scene.varied if one.name == MASS}
+
+
+def _without_sensors(scene: Scene) -> Scene:
+    joints = tuple(dataclasses.replace(one, sensors=JointSensors()) for one in scene.joints)
+    return dataclasses.replace(scene, joints=joints, imus=(), faults=())
+
+
+def _differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
+    """Return a scene in which these numbers are varied and nothing but motion is computed.
+
+    Raises:
+        Refusal: they are of the payload and of the link that carries it.
+    """
+    load = scene.load if any(one.name == MASS for one in varied) else None
+    if load is not None:
+        carrier = f"links.{scene.chain.links[load.link].link}."
+        for one in varied:
+            if one.name.startswith(carrier):
+                rule = f"not name both {MASS} and numbers of the link that carries it"
+                raise Refusal("sensitivities", "by", rule, one.name)
+    return dataclasses.replace(
+        _without_sensors(scene), varied=varied, load=load, threads=1, external_wrench=False,
+        energy_flow=False,
+    )  # fmt: skip
