@@ -97,16 +97,16 @@ def sensitivities(
         "q": POSITION.row(where, scene.start if q is None else q, N),
         "v": VELOCITY.row(where, np.zeros(N) if v is None else v, N),
     }
-    possible = _numbers_of(scene)
+    possible = numbers_of(scene)
     starts = [f"start.{which}.{joint}" for which in begin for joint in scene.joint_names]
     rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
     names = choose(by, {one: one for one in (*possible, *starts)}, where, "by", rule)
     varied = tuple(possible[one] for one in names if one in possible)
-    core = sensitivity_library_of(_differentiable(scene, varied))
+    core = sensitivity_library_of(differentiable(scene, varied))
     seeded = [*(one.name for one in varied), *starts]
     places = [seeded.index(one) for one in names]
     numbers = np.array([one.value for one in varied])
-    ends = len(varied), len(varied) + N
+    ends, dt = (len(varied), len(varied) + N), scene.integrator.dt
 
     def run(some: Sequence[int]) -> Array:
         seeds = np.zeros((len(seeded), DIRECTIONS))
@@ -115,7 +115,6 @@ def sensitivities(
         at = {"parameters": numbers, **begin, "commands": rows, "out": out}
         at |= zip(("parameter_seeds", "q_seeds", "v_seeds"), np.split(seeds, ends), strict=True)
         at = {name: np.ascontiguousarray(one) for name, one in at.items()}  # outlives the call
-        dt = scene.integrator.dt
         request = SENSITIVITY.new("arm_sensitive_run", step=dt, rows=len(rows), steps=steps, **at)
         done = core.arm_run_with_sensitivities(request)
         if done < len(rows):
@@ -130,12 +129,12 @@ def sensitivities(
         [out[..., 1 : 1 + len(some)] for out, some in zip(outs, parts, strict=True)], axis=-1
     )
     values = {name: outs[0][:, k, :, 0] for k, name in enumerate(QUANTITIES)}
-    t = np.arange(1, len(rows) + 1) * (steps * scene.integrator.dt)
+    t = np.arange(1.0, len(rows) + 1.0) * (steps * dt)
     by_each = {name: slopes[:, k] for k, name in enumerate(QUANTITIES)}
     return Sensitivities(names, t, **values, by=by_each)
 
 
-def _numbers_of(scene: Scene) -> dict[str, Varied]:
+def numbers_of(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
     if not scene.chain.coupling.plain:
         return {}
@@ -148,7 +147,7 @@ def _without_sensors(scene: Scene) -> Scene:
     return dataclasses.replace(scene, joints=joints, imus=(), faults=())
 
 
-def _differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
+def differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
     """Return a scene in which these numbers are varied and nothing but motion is computed.
 
     Raises:

@@ -107,11 +107,13 @@ ARM_INLINE constexpr double exponential(double x) {
 // The value of one lane.
 ARM_INLINE constexpr double lane_of(double x, int) { return x; }
 template <class X>
+  requires(kWidth<X> > 1)
 ARM_INLINE double lane_of(const X& x, int lane) {
   return x[lane];
 }
 ARM_INLINE constexpr void set_lane(double& x, int, double value) { x = value; }
 template <class X>
+  requires(kWidth<X> > 1)
 ARM_INLINE void set_lane(X& x, int lane, double value) {
   x[lane] = value;
 }

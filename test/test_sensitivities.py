@@ -1,0 +1,133 @@
+"""Derivatives of motions are those of the machine: by every number of every part, events included.
+
+The truth is a fleet of ordinary machines beside it, a number of each changed, and central
+differences of fourth order. All machines locate their events, so that motions are smooth in their
+numbers between two orders of events.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from draws import FULL, some
+from machines import GANTRY, GRAVITY, gantry_urdf
+from numpy.typing import NDArray
+
+from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene, sensitivities
+from arm_emulator.analysis.sensitivities import QUANTITIES, differentiable, numbers_of
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.part import Part
+from oracles.mixtures import PERIOD, commands, drawn_alone, write_mixture, write_scene
+
+Array = NDArray[np.float64]
+Parts = tuple[type[Part], ...]
+
+BESIDE = [(PARTS + PARTS)[k : k + 3] for k in range(0, len(PARTS), 3)]
+SHARES = (3e-3, 1e-3, 1e-4, 1e-5)  # of a number: an event in its order spoils the longer steps,
+# rounding the shorter ones
+POINTS, WEIGHTS = (-2, -1, 1, 2), np.array([1.0, -8.0, 8.0, -1.0]) / 12.0
+
+
+def inner(scene: Scene) -> list[str]:
+    """The numbers that may become larger and smaller by a hundredth."""
+    return [
+        name
+        for name, one in numbers_of(scene).items()
+        if (margin := 0.01 * abs(one.value)) > 0.0
+        and one.number.ends[0] < one.value - margin
+        and one.value + margin < one.number.ends[1]
+    ]
+
+
+def differences(scene: Scene, rows: Array, names: list[str], share: float) -> list[Array]:
+    """Derivatives after the last row, (N, n), of the quantities in their order."""
+    varied = tuple(numbers_of(scene)[name] for name in names)
+    n, N = len(names), len(scene.joints)
+    values = {one.name: np.full((n, len(POINTS)), one.value) for one in varied}
+    for k, one in enumerate(varied):
+        values[one.name][k] += share * one.value * np.array(POINTS)
+    flat = {name: one.ravel() for name, one in values.items()}
+    fleet = Fleet(differentiable(scene, varied), n * len(POINTS), varied=flat)
+    fleet.run(np.tile(rows[:, np.newaxis], (1, n * len(POINTS), 1)), scene.steps_per_period)
+    widths = share * np.array([one.value for one in varied])
+    ends = (getattr(fleet.state, name).reshape(n, len(POINTS), N) for name in QUANTITIES)
+    return [np.einsum("kpj,p->jk", end, WEIGHTS) / widths for end in ends]
+
+
+def compare(scene: Scene, rows: Array) -> None:
+    names = inner(scene)
+    of = sensitivities(scene, rows, names)
+    assert of.names == tuple(names)
+    values = np.abs([numbers_of(scene)[name].value for name in names])
+    tries = [differences(scene, rows, names, share) for share in SHARES]
+    plant = Plant(scene)
+    assert np.abs(plant.run(rows, scene.steps_per_period) - of.q).max() < 1e-11, "the same motion"
+    for quantity, *by in zip(QUANTITIES, *tries, strict=True):
+        got, size = of.by[quantity][-1], np.abs(getattr(plant.state, quantity)).max()
+        off = np.min([np.abs(one - got) for one in by], axis=0)
+        # 1e-6 of the number's effect, and what rounding leaves of differences.
+        most = np.abs(got).max(axis=0)
+        permitted = 1e-6 * most + 1e-9 * (size + 1.0) / values
+        worst = np.unravel_index(int(np.argmax(off / permitted)), off.shape)
+        at = f"{quantity} of joint {worst[0]} by {names[worst[1]]}"
+        assert (off <= permitted).all(), f"{at}: {got[worst]}, differences {[b[worst] for b in by]}"
+
+
+@pytest.mark.parametrize("parts", some(BESIDE, 3), ids=lambda of: "-".join(p.__name__ for p in of))
+def test_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> None:
+    joints = {name: drawn_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
+    file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
+    scene = load_scene(file, {"integrator.dt": PERIOD / 4, "integrator.events": "located"})
+    compare(scene, commands(scene, 0))
+
+
+@pytest.mark.parametrize("seed", range(20) if FULL else [3])
+def test_by_every_number_of_a_mixture(seed: int, tmp_path: Path) -> None:
+    scene = load_scene(write_mixture(tmp_path, seed))
+    compare(scene, commands(scene, seed))
+
+
+@pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 1))
+def test_by_every_number_of_a_shipped_scene(name: str) -> None:
+    scene = load_scene(name)
+    rows = 0.3 * scene.largest_commands * np.sin(np.arange(200)[:, np.newaxis] / 30.0)
+    compare(scene, rows)
+
+
+def test_by_the_start() -> None:
+    """Each link moved at the start, with the motors that follow it."""
+    scene = load_scene("three_axis")
+    rows = np.tile([3.0, -2.0, 1.0], (50, 1))
+    q, v = scene.start + 0.1, np.array([0.3, -0.2, 0.4])
+    of = sensitivities(scene, rows, ["start.*"], q=q, v=v)
+    assert of.names[0] == "start.q.waist" and of.names[-1] == "start.v.elbow"
+    h, plant = 1e-3, Plant(scene)
+    for k in range(6):
+        ends = []
+        for point in POINTS:
+            moved = np.concatenate([q, v])
+            moved[k] += point * h
+            plant.reset(moved[:3], moved[3:])
+            ends.append(plant.run(rows, scene.steps_per_period))
+        by = np.einsum("pkj,p->kj", np.array(ends), WEIGHTS) / h
+        # h^4 of the differences.
+        assert np.abs(by - of.by["q"][..., k]).max() < 1e-9 * np.abs(by).max() + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"by": ["joints.wrist.gear.stiffness"]}, "by must name numbers of the scene"),
+        ({"steps": 0}, "steps must"),
+        ({"commands": np.zeros((3, 2))}, "commands must have shape"),
+        ({"commands": np.full((3, 3), np.nan)}, "commands must be"),
+        ({"q": [0.0, 0.0]}, "position must"),
+        ({"v": [np.inf, 0.0, 0.0]}, "velocity must be"),
+    ],
+)
+def test_bad_arguments_are_refused(changed: dict[str, object], reason: str) -> None:
+    arguments = {"commands": np.zeros((3, 3)), "by": ["start.q.waist"], **changed}
+    with pytest.raises(Refusal, match=reason):
+        sensitivities(load_scene("three_axis"), **arguments)  # type: ignore[arg-type]
