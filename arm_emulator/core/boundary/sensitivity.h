@@ -20,7 +20,7 @@ typedef struct arm_sensitive_run {
   const double* v_seeds;         /* a row for each */
   const double* theta_m;         /* of the motors, rad and rad/s; both null: at rest in the gears */
   const double* omega_m;
-  const double* commands;        /* rows of the joints' commands, each held for `steps` */
+  const double* commands; /* rows of the joints' commands, each held for `steps` */
   int64_t rows;
   int64_t steps;
   /* For each row of commands its end: of every joint q, v, then motor current [A], angle [rad]

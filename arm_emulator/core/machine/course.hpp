@@ -15,8 +15,8 @@ class Course {
 
   // For each lane the first row of its commands, and where its positions after that row go, if not
   // null. `stride`: numbers from one row to the next, of both.
-  Course(const Real* const (&given)[width], Real* const (&positions)[width],
-         std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
+  Course(const Real* const (&given)[width], Real* const (&positions)[width], std::int64_t stride,
+         std::int64_t steps_per_row, std::int64_t left_of_this = 0)
       : steps(steps_per_row), step_over_(stride), left_(left_of_this) {
     for (int lane = 0; lane < width; ++lane)
       command_[lane] = given[lane], q_[lane] = positions[lane];

@@ -376,8 +376,7 @@ class Machine {
     alignas(64) Real u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
     Real most = balance_.most();
-    Real given =
-        is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
+    Real given = is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
     there.march(numbers_, threads_, h_, count, y, u, given, most);
     const int joint = joint_out_of_bounds(y);
     if (joint >= 0) {

@@ -367,8 +367,7 @@ struct Drive {
     return at;
   }
   // Those that x, the end of a step in `now` that began at `start`, calls for: `now` if they hold.
-  constexpr Modes wanted(const Input<Real>& start, const Input<Real>& x,
-                         const Modes& now) const {
+  constexpr Modes wanted(const Input<Real>& start, const Input<Real>& x, const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
       at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
@@ -440,9 +439,9 @@ struct Drive {
       (!driven || Motor::modes == 0 ||
        requires(const Motor& part, const Real* z, Real x) { part.is_usual(z, x, x); }) &&
       (!elastic || Gear::modes == 0) &&
-      (true && ... &&
-       (Extras::modes == 0 ||
-        requires(const Extras& part, const Real* z, Real x) { part.is_usual(x, x, z); }));
+      (true && ... && (Extras::modes == 0 || requires(const Extras& part, const Real* z, Real x) {
+         part.is_usual(x, x, z);
+       }));
   constexpr bool is_rotor_usual() const {
     if constexpr (elastic && Rotor::modes > 0) return rotor.is_usual();
     return true;

@@ -27,8 +27,7 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
   Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
   Real most = -1.0;
   n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-    const Real own =
-        0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
+    const Real own = 0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
     if constexpr (Drive::has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
     Real Dc = n.Dc(j);
@@ -125,7 +124,7 @@ class EnergyBalance {
 
   Real at_most_ = 0.0;         // J
   Real largest_stored_ = 0.0;  // J
-  std::int64_t steps_ = 0;       // since the last look
+  std::int64_t steps_ = 0;     // since the last look
 };
 
 }  // namespace arm

@@ -8,9 +8,9 @@ namespace arm {
 // A link's frame in its parent's, at one q. Vectors go up and down the chain through it.
 template <class X>
 struct Placement {
-  X sin, cos;                   // of the turn about z
+  X sin, cos;                 // of the turn about z
   Real cos_alpha, sin_alpha;  // of the fixed turn about x
-  Vec3<X> p;                    // origin, in the parent's frame
+  Vec3<X> p;                  // origin, in the parent's frame
 
   ARM_INLINE constexpr Vec3<X> to_child(const Vec3<X>& u) const {
     const X y = cos_alpha * u.y + sin_alpha * u.z;

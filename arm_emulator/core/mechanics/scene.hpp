@@ -39,7 +39,7 @@ struct Link {
   Real cos_alpha, sin_alpha;
   Real theta_0;                   // rad
   Real cos_theta_0, sin_theta_0;  // of it
-  Vec3<Real> p;  // m, origin in the parent's frame (at q = 0 of a prismatic joint)
+  Vec3<Real> p;                   // m, origin in the parent's frame (at q = 0 of a prismatic joint)
   Body<Real> body;
 };
 

@@ -49,17 +49,17 @@ class TorqueTerms {
       for (int k = 0; k < N; ++k) inertia -= links.M.at[j < k ? j : k][j < k ? k : j] * a[k];
       const Real no = no_number();
       Real row[rows] = {inertia,
-                          still.nle[j] - links.nle[j],
-                          -(still.nle[j] + external[j]),
-                          S::external_wrench ? external[j] : no,
-                          Drive::driven ? on.gear : no,
-                          on.viscous,
-                          -coulomb.force(j),
-                          Drive::carries_rotor ? -drive.carried() * a[j] : no,
-                          no,
-                          Drive::driven ? on.motor : no,
-                          no,
-                          Drive::driven ? on.rotor_friction : no};
+                        still.nle[j] - links.nle[j],
+                        -(still.nle[j] + external[j]),
+                        S::external_wrench ? external[j] : no,
+                        Drive::driven ? on.gear : no,
+                        on.viscous,
+                        -coulomb.force(j),
+                        Drive::carries_rotor ? -drive.carried() * a[j] : no,
+                        no,
+                        Drive::driven ? on.motor : no,
+                        no,
+                        Drive::driven ? on.rotor_friction : no};
       if constexpr (Drive::elastic) {
         row[8] = -drive.motor.Mm * rotor_acceleration(drive, at, now.held());
         row[10] = on.gear_on_rotor;
@@ -75,8 +75,8 @@ class TorqueTerms {
 
  private:
   template <class Drive>
-  static Real rotor_acceleration(const Drive& drive,
-                                   const typename Drive::template Input<Real>& x, unsigned held) {
+  static Real rotor_acceleration(const Drive& drive, const typename Drive::template Input<Real>& x,
+                                 unsigned held) {
     const Real D = drive.D(held).f[Drive::wm];
     return D > 0.0 ? drive.rates(x, held).f[Drive::wm] / D : 0.0;
   }

@@ -10,6 +10,10 @@
 // On processors with narrower registers the compiler splits the vectors. Its warning about how
 // vectors are passed does not matter: functions that take or return them are inlined.
 #pragma GCC diagnostic ignored "-Wpsabi"
+// Comparisons of lanes are masks, which `&` combines; those of dual numbers are bools.
+#ifdef __clang__
+#pragma clang diagnostic ignored "-Wbitwise-instead-of-logical"
+#endif
 
 namespace arm {
 
@@ -47,10 +51,18 @@ struct Dual {
     return {quotient, share * (a.by - quotient * b.by)};
   }
   // The same with a constant.
-  friend ARM_INLINE constexpr Dual operator+(const Dual& a, double b) { return {a.value + b, a.by}; }
-  friend ARM_INLINE constexpr Dual operator+(double a, const Dual& b) { return {a + b.value, b.by}; }
-  friend ARM_INLINE constexpr Dual operator-(const Dual& a, double b) { return {a.value - b, a.by}; }
-  friend ARM_INLINE constexpr Dual operator-(double a, const Dual& b) { return {a - b.value, -b.by}; }
+  friend ARM_INLINE constexpr Dual operator+(const Dual& a, double b) {
+    return {a.value + b, a.by};
+  }
+  friend ARM_INLINE constexpr Dual operator+(double a, const Dual& b) {
+    return {a + b.value, b.by};
+  }
+  friend ARM_INLINE constexpr Dual operator-(const Dual& a, double b) {
+    return {a.value - b, a.by};
+  }
+  friend ARM_INLINE constexpr Dual operator-(double a, const Dual& b) {
+    return {a - b.value, -b.by};
+  }
   friend ARM_INLINE constexpr Dual operator*(const Dual& a, double b) {
     return {a.value * b, a.by * b};
   }

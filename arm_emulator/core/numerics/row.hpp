@@ -18,8 +18,8 @@ inline constexpr int kRow = (N + kGroup<N, X> - 1) / kGroup<N, X> * kGroup<N, X>
 template <int N, class X>
 struct Row {
   static constexpr int group = kGroup<N, X>, groups = kRow<N, X> / group;
-  using Vector =
-      typename std::conditional_t<std::is_same_v<X, double>, LanesOf<group>, std::type_identity<X>>::type;
+  using Vector = typename std::conditional_t<std::is_same_v<X, double>, LanesOf<group>,
+                                             std::type_identity<X>>::type;
   Vector at[groups];
 
   ARM_INLINE static Row load(const X* numbers) {

@@ -17,9 +17,9 @@ namespace arm {
 
 template <int of_motor, int of_link>
 struct KinematicErrorGear {
-  Real Ng;                             // link turns per motor turn
-  Real Kg;                             // N m/rad at the link
-  Real Dg;                             // N m s/rad at the link
+  Real Ng;                               // link turns per motor turn
+  Real Kg;                               // N m/rad at the link
+  Real Dg;                               // N m s/rad at the link
   std::array<Harmonic, of_motor> motor;  // rad at the link
   std::array<Harmonic, of_link> link;
 

@@ -66,9 +66,7 @@ struct LuGre {
     return (s0 * z[0] + s1 * rate) * w - s0 * z[0] * rate;
   }
 
-  constexpr Mode mode_at(Real, Real w, const Real*) const {
-    return {false, w < 0.0 ? -1.0 : 1.0};
-  }
+  constexpr Mode mode_at(Real, Real w, const Real*) const { return {false, w < 0.0 ? -1.0 : 1.0}; }
   // The direction of a shaft that hardly moves is arbitrary.
   constexpr Real margin(Real, Real w, const Real*, const Mode& mode) const {
     return mode.offset * w + 1e-6 * vs;

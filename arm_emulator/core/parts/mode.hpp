@@ -15,7 +15,7 @@
 namespace arm {
 
 struct Mode {
-  bool held = false;    // the equation that takes the place of the usual one
+  bool held = false;  // the equation that takes the place of the usual one
   Real offset = 0.0;  // the number that enters
 
   constexpr bool operator==(const Mode&) const = default;

@@ -86,9 +86,7 @@ struct HeatedMotor : Motor {
     return now(z).given(z, u, wm, held);
   }
   constexpr void follow(Real* z, Real u, Real wm) const { now(z).follow(z, u, wm); }
-  constexpr auto mode_at(const Real* z, Real u, Real wm) const {
-    return now(z).mode_at(z, u, wm);
-  }
+  constexpr auto mode_at(const Real* z, Real u, Real wm) const { return now(z).mode_at(z, u, wm); }
   constexpr auto wanted(const Real* z, Real u, Real wm, const auto& mode) const {
     return now(z).wanted(z, u, wm, mode);
   }

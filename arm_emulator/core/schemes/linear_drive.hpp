@@ -112,7 +112,7 @@ struct LinearDrive {
     for (int column = 0; column < kColumns; ++column)
       if (set<TheDrive>(x, column, 1.0 + 0.37 * column)) input[column] = 1.0 + 0.37 * column;
     const auto rates = whole.linear().rates(x, held);
-    const auto agrees = [&](Real answer, const Real (&row)[kColumns]) {
+    const auto agrees = [&](Real answer, const Real(&row)[kColumns]) {
       Real sum = 0.0, size = 0.0;
       for (int column = 0; column < kColumns; ++column) {
         sum += row[column] * input[column];

@@ -114,7 +114,7 @@ class Located {
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
   Real first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
-                     const Dynamics& links, Real left) {
+                   const Dynamics& links, Real left) {
     Trial last, other;
     last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
     const int begins = other.first_after(last);
