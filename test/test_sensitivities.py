@@ -7,6 +7,7 @@ numbers between two orders of events.
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -67,9 +68,15 @@ def compare(scene: Scene, rows: Array) -> None:
     for quantity, *by in zip(QUANTITIES, *tries, strict=True):
         got, size = of.by[quantity][-1], np.abs(getattr(plant.state, quantity)).max()
         off = np.min([np.abs(one - got) for one in by], axis=0)
-        # 1e-6 of the number's effect, and what rounding leaves of differences.
+        # 1e-6 of the number's effect, what rounding leaves of differences, and by how much these
+        # disagree: an event that passes the end of a step changes the scheme's error.
         most = np.abs(got).max(axis=0)
+        pairs = [np.abs(a - b) for a, b in itertools.combinations(by, 2)]
+        disagree = np.sort(pairs, axis=0)[1]  # two may agree by chance
         permitted = 1e-6 * most + 1e-9 * (size + 1.0) / values
+        known = disagree <= permitted
+        assert known.mean() > 0.8, "differences know most of them"
+        permitted = np.where(known, permitted, permitted + np.ptp(by, axis=0))
         worst = np.unravel_index(int(np.argmax(off / permitted)), off.shape)
         at = f"{quantity} of joint {worst[0]} by {names[worst[1]]}"
         assert (off <= permitted).all(), f"{at}: {got[worst]}, differences {[b[worst] for b in by]}"
