@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arm_emulator.base.bound import ANY_COMMANDS, POSITION, VELOCITY
+from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
@@ -28,6 +28,7 @@ from arm_emulator.machine.possible import could_vary
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import Varied, choose
 
+WHERE = "sensitivities"
 MASS = "payload.mass"
 QUANTITIES = ("q", "v", "current", "theta_m", "omega_m")
 
@@ -55,6 +56,101 @@ class Sensitivities(ByValue):
     by: Mapping[str, Array]
 
 
+class SensitiveMachine:
+    """A scene's machine that runs with its derivatives; it is compiled at the first use.
+
+    Attributes:
+        names: of the numbers by which it is differentiated.
+
+    Args:
+        scene: the machine; its sensors and faults are left out.
+        by: names or patterns as in `sensitivities`.
+
+    Raises:
+        Refusal: an unknown name.
+    """
+
+    def __init__(self, scene: Scene, by: Sequence[str]) -> None:
+        possible = numbers_of(scene)
+        starts = [f"start.{which}.{joint}" for which in "qv" for joint in scene.joint_names]
+        rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
+        every = {one: one for one in (*possible, *starts)}
+        self.names = choose(by, every, WHERE, "by", rule)
+        self._scene = scene
+        self._varied = tuple(possible[one] for one in self.names if one in possible)
+        self._core = sensitivity_library_of(differentiable(scene, self._varied))
+        seeded = [*(one.name for one in self._varied), *starts]
+        places = [seeded.index(one) for one in self.names]
+        self._parts = [places[k : k + DIRECTIONS] for k in range(0, len(places), DIRECTIONS)]
+
+    def run(
+        self,
+        commands: ArrayLike,
+        steps: int | None = None,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        motors: tuple[ArrayLike, ArrayLike] | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> Sensitivities:
+        """Return a motion with its derivatives.
+
+        Args:
+            commands: rows (K, N) [V, N m, A], each held for `steps`.
+            steps: integration steps under each row; None: a servo period.
+            q: link positions at the start (N,) [rad or m]; None: the scene's.
+            v: link speeds at the start (N,) [rad/s or m/s]; None: zero.
+            motors: angles and speeds of the motors at the start (N,) [rad, rad/s]; None: they
+                follow the links, which is what the derivatives by the start contain.
+            values: of numbers in `names`, by name; None: the scene's.
+
+        Raises:
+            Refusal: a wrong shape, not finite, or the motion diverged.
+        """
+        scene, N, dt = self._scene, len(self._scene.joints), self._scene.integrator.dt
+        steps = scene.steps_per_period if steps is None else steps
+        steps = check_count(WHERE, "steps", steps, 1, LARGEST_STEPS)
+        rows = np.atleast_2d(ANY_COMMANDS.numbers(WHERE, commands))
+        if rows.ndim != 2 or rows.shape[1] != N:
+            raise Refusal(WHERE, ANY_COMMANDS.name, f"have shape (K, {N})", rows.shape)
+        ANY_COMMANDS.check(WHERE, rows)
+        given = {
+            "parameters": np.array([(values or {}).get(o.name, o.value) for o in self._varied]),
+            "q": POSITION.row(WHERE, scene.start if q is None else q, N),
+            "v": VELOCITY.row(WHERE, np.zeros(N) if v is None else v, N),
+            "commands": np.ascontiguousarray(rows),
+        }
+        if motors is not None:
+            pairs = zip(("theta_m", "omega_m"), motors, strict=True)
+            given |= {name: ANY_STATE.row(WHERE, one, N) for name, one in pairs}
+        ends = np.cumsum([len(self._varied), N])
+
+        def follow(places: Sequence[int]) -> Array:
+            seeds = np.zeros((len(self._varied) + 2 * N, DIRECTIONS))
+            seeds[places, np.arange(len(places))] = 1.0
+            names = ("parameter_seeds", "q_seeds", "v_seeds")
+            of = dict(zip(names, np.split(seeds, ends), strict=True))
+            out = np.empty((len(rows), len(QUANTITIES), N, 1 + DIRECTIONS))
+            request = SENSITIVITY.new(
+                "arm_sensitive_run", step=dt, rows=len(rows), steps=steps, out=out, **given, **of
+            )
+            done = self._core.arm_run_with_sensitivities(request)
+            if done < len(rows):
+                got = f"a divergence after {done * steps * dt:g} s"
+                raise Refusal(WHERE, "motion", "stay within bounds", got)
+            return out
+
+        parts = self._parts or [[]]
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            outs = list(pool.map(follow, parts))
+        slopes = np.concatenate(
+            [out[..., 1 : 1 + len(some)] for out, some in zip(outs, parts, strict=True)], axis=-1
+        )
+        motion = {name: outs[0][:, k, :, 0] for k, name in enumerate(QUANTITIES)}
+        t = np.arange(1.0, len(rows) + 1.0) * (steps * dt)
+        by = {name: slopes[:, k] for k, name in enumerate(QUANTITIES)}
+        return Sensitivities(self.names, t, **motion, by=by)
+
+
 def sensitivities(
     scene: Scene,
     commands: ArrayLike,
@@ -66,8 +162,8 @@ def sensitivities(
 ) -> Sensitivities:
     """Return a motion with its derivatives.
 
-    The first use of a scene with these numbers compiles for 10 to 20 s. Up to 8 derivatives cost
-    about ten runs of a `Plant`; runs for more are shared by the cores.
+    The first use of a scene with these numbers compiles for 3 to 20 s. Up to 8 derivatives cost
+    ten to twenty runs of a `Plant`; runs for more are shared by the cores.
 
     A derivative is that of the motion as the scheme computes it. It is one-sided where the motion
     has none, as by the speed of a joint that sticks at the start. Without `events: located` modes
@@ -86,52 +182,7 @@ def sensitivities(
     Raises:
         Refusal: an unknown name, a wrong shape, not finite, or the motion diverged.
     """
-    where, N = "sensitivities", len(scene.joints)
-    steps = scene.steps_per_period if steps is None else steps
-    steps = check_count(where, "steps", steps, 1, LARGEST_STEPS)
-    rows = np.atleast_2d(ANY_COMMANDS.numbers(where, commands))
-    if rows.ndim != 2 or rows.shape[1] != N:
-        raise Refusal(where, ANY_COMMANDS.name, f"have shape (K, {N})", rows.shape)
-    ANY_COMMANDS.check(where, rows)
-    begin = {
-        "q": POSITION.row(where, scene.start if q is None else q, N),
-        "v": VELOCITY.row(where, np.zeros(N) if v is None else v, N),
-    }
-    possible = numbers_of(scene)
-    starts = [f"start.{which}.{joint}" for which in begin for joint in scene.joint_names]
-    rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
-    names = choose(by, {one: one for one in (*possible, *starts)}, where, "by", rule)
-    varied = tuple(possible[one] for one in names if one in possible)
-    core = sensitivity_library_of(differentiable(scene, varied))
-    seeded = [*(one.name for one in varied), *starts]
-    places = [seeded.index(one) for one in names]
-    numbers = np.array([one.value for one in varied])
-    ends, dt = (len(varied), len(varied) + N), scene.integrator.dt
-
-    def run(some: Sequence[int]) -> Array:
-        seeds = np.zeros((len(seeded), DIRECTIONS))
-        seeds[some, np.arange(len(some))] = 1.0
-        out = np.empty((len(rows), len(QUANTITIES), N, 1 + DIRECTIONS))
-        at = {"parameters": numbers, **begin, "commands": rows, "out": out}
-        at |= zip(("parameter_seeds", "q_seeds", "v_seeds"), np.split(seeds, ends), strict=True)
-        at = {name: np.ascontiguousarray(one) for name, one in at.items()}  # outlives the call
-        request = SENSITIVITY.new("arm_sensitive_run", step=dt, rows=len(rows), steps=steps, **at)
-        done = core.arm_run_with_sensitivities(request)
-        if done < len(rows):
-            got = f"a divergence after {done * steps * dt:g} s"
-            raise Refusal(where, "motion", "stay within bounds", got)
-        return out
-
-    parts = [places[k : k + DIRECTIONS] for k in range(0, len(places), DIRECTIONS)] or [[]]
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        outs = list(pool.map(run, parts))
-    slopes = np.concatenate(
-        [out[..., 1 : 1 + len(some)] for out, some in zip(outs, parts, strict=True)], axis=-1
-    )
-    values = {name: outs[0][:, k, :, 0] for k, name in enumerate(QUANTITIES)}
-    t = np.arange(1.0, len(rows) + 1.0) * (steps * dt)
-    by_each = {name: slopes[:, k] for k, name in enumerate(QUANTITIES)}
-    return Sensitivities(names, t, **values, by=by_each)
+    return SensitiveMachine(scene, by).run(commands, steps, q, v)
 
 
 def numbers_of(scene: Scene) -> dict[str, Varied]:
@@ -159,7 +210,7 @@ def differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
         for one in varied:
             if one.name.startswith(carrier):
                 rule = f"not name both {MASS} and numbers of the link that carries it"
-                raise Refusal("sensitivities", "by", rule, one.name)
+                raise Refusal(WHERE, "by", rule, one.name)
     return dataclasses.replace(
         _without_sensors(scene), varied=varied, load=load, threads=1, external_wrench=False,
         energy_flow=False,

@@ -5,11 +5,10 @@ Nothing corrects them: every difference between the machine and the real one acc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
@@ -71,44 +70,36 @@ def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
     return Starts(at, q_motor - give, v, q_motor / ratio, v / ratio)
 
 
-def free_runs(
-    scene: Scene,
-    run: MeasuredRun,
-    begin: Starts,
-    looks: Sequence[int],
-    varied: Mapping[str, ArrayLike] | None = None,
-    copies: int = 1,
-) -> Array:
-    """Return the motors' angles, at the link, after some samples (copies, looks, S, N) [rad or m].
+def free_runs(scene: Scene, run: MeasuredRun, begin: Starts, looks: Sequence[int]) -> Array:
+    """Return the motors' angles, at the link, after some samples (looks, S, N) [rad or m].
 
     Args:
         scene: a machine with torque-commanded motors.
         run: the record.
         begin: the S starts.
         looks: numbers of samples, increasing.
-        varied: values (copies,) of varied numbers, by name.
-        copies: of the machine, each with numbers of its own.
     """
     S, N = begin.q.shape
-    arms = copies * S
-    values = {name: np.repeat(np.asarray(one), S) for name, one in (varied or {}).items()}
-    fleet = Fleet(scene, arms, varied=values, q=np.tile(begin.q, (copies, 1)))
-    for arm in range(arms):
-        k = arm % S
-        fleet[arm].put("free_runs", {
+    fleet = Fleet(scene, S, q=begin.q)
+    for k in range(S):
+        fleet[k].put("free_runs", {
             "q": begin.q[k], "v": begin.v[k], "theta_m": begin.theta_m[k],
             "omega_m": begin.omega_m[k],
         })  # fmt: skip
     ratio = scene.gear_ratios
     steps = round(run.period / scene.integrator.dt)
-    angles, done = np.empty((len(looks), arms, N)), 0
+    angles, done = np.empty((len(looks), S, N)), 0
     for row, look in enumerate(looks):
-        # Between two samples the mean of both applies.
         at = begin.at + np.arange(done, look)[:, None]
-        torques = 0.5 * (run.tau[at] + run.tau[at + 1])
-        fleet.run(np.tile(torques, (1, copies, 1)), steps)
+        fleet.run(held_torques(run, at), steps)
         angles[row], done = fleet.state.theta_m * ratio, look
-    return np.moveaxis(angles.reshape(len(looks), copies, S, N), 1, 0)
+    return angles
+
+
+def held_torques(run: MeasuredRun, at: Array) -> Array:
+    """Return the torques from samples to the next ones: the means of both (..., N)."""
+    mean: Array = 0.5 * (run.tau[at] + run.tau[at + 1])
+    return mean
 
 
 @dataclass(frozen=True)

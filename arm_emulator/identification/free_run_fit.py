@@ -1,22 +1,23 @@
 """The second stage: unknowns for which the emulator itself follows the measured motion.
 
 Gauss-Newton (with Levenberg's damping) on the distance between the record and free runs driven by
-the measured torques. Differences come from a `Fleet`, an arm for each unknown and start, so that
-the fitted machine is the one that runs. The scene's own numbers count as in the first stage.
+the measured torques, with exact derivatives (analysis/sensitivities.py). The scene's own numbers
+count as in the first stage.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.analysis.sensitivities import SensitiveMachine
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification import inertia
-from arm_emulator.identification.free_run import Starts, free_runs, starts
+from arm_emulator.identification.free_run import Starts, held_torques, starts
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.torque_fit import TorqueFit, with_discrepancy
 from arm_emulator.machine.chain import Array
@@ -31,7 +32,6 @@ EVERY = 0.2  # s, from start to start
 FASTER = 0.2  # of the largest speed: from which the arm counts as moving
 LOOKS = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # of the run: instants of the comparison
 TURNS = 6  # iterations
-NUDGE = 0.05  # of each deviation: perturbation for the differences
 ENOUGH = 1e-2  # relative improvement required of an iteration
 
 
@@ -80,7 +80,8 @@ def fit_free_runs(
     which = np.flatnonzero(fit.fitted)
     spread = run.q_motor.std(axis=0)
     values, damping = fit.values.copy(), 0.1
-    errors, J = _errors(fit, scene, run, begin, values, which)
+    machine = SensitiveMachine(scene, [one.name for one in scene.varied])
+    errors, J = _errors(fit, machine, scene, run, begin, values, which)
     # Errors of overlapping runs are correlated: an error counts for this many samples.
     lasting = max(1.0, SECONDS / EVERY) * len(LOOKS)
     noise = np.sqrt(np.mean(errors**2, axis=0) * lasting)
@@ -99,7 +100,7 @@ def fit_free_runs(
         step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
         tried = values.copy()
         tried[which] = np.clip(values[which] + step, least[which], most[which])
-        new_errors, new_J = _errors(fit, scene, run, begin, tried, which)
+        new_errors, new_J = _errors(fit, machine, scene, run, begin, tried, which)
         new = cost(new_errors, tried)
         if new < now:
             done = now - new < ENOUGH * now
@@ -125,21 +126,42 @@ def _shown(errors: Array, spread: Array) -> str:
     return ", ".join(f"{one:.1f}" for one in share) + " %"
 
 
-def _errors(fit: TorqueFit, scene: Scene, run: MeasuredRun, begin: Starts, values: Array,
-            which: Indices) -> tuple[Array, Array]:  # fmt: skip
+def _errors(fit: TorqueFit, machine: SensitiveMachine, scene: Scene, run: MeasuredRun,
+            begin: Starts, values: Array, which: Indices) -> tuple[Array, Array]:  # fmt: skip
     """Return errors of runs (R, N) and their slopes (R, N, unknowns looked for)."""
-    deviations = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    nudge = NUDGE * deviations[which]
-    rows = np.tile(values, (len(which) + 1, 1))
-    rows[np.arange(1, len(rows)), which] += nudge
-    numbers = [numbers_of(fit, scene, row) for row in rows]
-    varied = {one.name: [row[one.name] for row in numbers] for one in scene.varied}
-    looks = [max(1, round(look * SECONDS / run.period)) for look in LOOKS]
-    angles = free_runs(scene, run, begin, looks, varied, len(rows))
-    measured = np.array([run.q_motor[begin.at + k] for k in looks])
-    errors = (angles - measured).reshape(len(rows), -1, angles.shape[-1])
-    slopes = (errors[1:] - errors[0]) / nudge[:, None, None]
-    return errors[0], np.moveaxis(slopes, 0, 2)
+    looks = np.array([max(1, round(look * SECONDS / run.period)) for look in LOOKS])
+    steps = round(run.period / scene.integrator.dt)
+    numbers, by_values = numbers_of(fit, scene, values), _slopes(fit, scene, values, machine.names)
+    errors, slopes = [], []
+    for k, at in enumerate(begin.at):
+        motors = begin.theta_m[k], begin.omega_m[k]
+        torques = held_torques(run, np.arange(at, at + looks[-1]))
+        motion = machine.run(torques, steps, begin.q[k], begin.v[k], motors, numbers)
+        errors.append(motion.theta_m[looks - 1] * scene.gear_ratios - run.q_motor[at + looks])
+        by = motion.by["theta_m"][looks - 1] * scene.gear_ratios[:, np.newaxis]
+        slopes.append(by @ by_values[:, which])
+    N = len(scene.joints)
+    of_looks, of_slopes = np.swapaxes(errors, 0, 1), np.swapaxes(slopes, 0, 1)
+    return of_looks.reshape(-1, N), of_slopes.reshape(-1, N, len(which))
+
+
+def _slopes(fit: TorqueFit, scene: Scene, values: Array, names: Sequence[str]) -> Array:
+    """Return the derivatives of the numbers with these names by all unknowns, see `numbers_of`."""
+    rows, n = {name: np.zeros(len(values)) for name in names}, inertia.NUMBERS
+    for k, joint in enumerate(scene.chain.links):
+        here = slice(n * k, n * (k + 1))
+        if not fit.fitted[here].any():
+            continue
+        # A body's numbers are linear in those of `dynamic`.
+        units = [of_child(joint, inertia.body_of(unit)) for unit in np.eye(n)]
+        slope = inertia.slope(values[here])
+        for name in units[0]:
+            rows[f"links.{joint.link}.{name}"][here] = [one[name] for one in units] @ slope
+    first = n * len(scene.chain.links)
+    for k, one in enumerate(fit.unknowns[first:], first):
+        if one.name in rows:
+            rows[one.name][k] = 1.0
+    return np.array([rows[name] for name in names])
 
 
 def numbers_of(fit: TorqueFit, scene: Scene, values: Array) -> dict[str, float]:

@@ -157,7 +157,7 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
     for seconds in LONG:
         begin = starts(run, scene, seconds, EVERY, IN_MOTION)
         looks = range(1, round(seconds / run.period) + 1)
-        angles = free_runs(scene, run, begin, looks)[0]
+        angles = free_runs(scene, run, begin, looks)
         if not paths.size:
             paths, begins = angles, begin.at
         title = f"free run of {seconds:g} s, % off"
