@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from arm_emulator.core import CORE
 
@@ -22,3 +23,20 @@ def test_a_header_includes_what_is_on_its_floor_or_below() -> None:
             if to > floor:
                 wrong.append(f"{file.relative_to(CORE)} includes {name}")
     assert seen > 100 and not wrong, wrong
+
+
+def included(file: Path, seen: set[Path]) -> set[Path]:
+    for name in re.findall(r'^#include "(.+)"', file.read_text(), re.M):
+        if (CORE / name).is_file() and CORE / name not in seen:
+            seen.add(CORE / name)
+            included(CORE / name, seen)
+    return seen
+
+
+def test_a_header_includes_the_number_that_it_uses() -> None:
+    """In a scene any part may come first."""
+    real = CORE / "numerics" / "real.hpp"
+    files = [file for file in CORE.rglob("*.hpp") if file.name not in ("real.hpp", "dual.hpp")]
+    users = [one for one in files if re.search(r"\bReal\b", re.sub("//.*", "", one.read_text()))]
+    assert len(users) > 50
+    assert not [one.name for one in users if real not in included(one, set())]

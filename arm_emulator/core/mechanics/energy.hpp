@@ -118,9 +118,9 @@ class EnergyBalance {
 
  private:
   static constexpr int kCheckEvery = 64;
-  static constexpr Real kTolerance = 0.5;
-  static constexpr Real kStops = 10.0;     // stops allowed between two checks
-  static constexpr Real kRounding = 1e-9;  // of 1 J, and of the potential energy
+  static constexpr double kTolerance = 0.5;
+  static constexpr double kStops = 10.0;     // stops allowed between two checks
+  static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
 
   Real at_most_ = 0.0;         // J
   Real largest_stored_ = 0.0;  // J

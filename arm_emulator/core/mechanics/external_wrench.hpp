@@ -6,6 +6,7 @@
 //   M(q) dv/dt + nle(q, v) = T,   nle = C(q, v) - J^T w
 #pragma once
 
+#include "numerics/real.hpp"
 #include "numerics/vector3.hpp"
 
 namespace arm {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "mechanics/quantities.hpp"
+#include "numerics/real.hpp"
 
 namespace arm {
 

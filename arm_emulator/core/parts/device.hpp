@@ -1,6 +1,8 @@
 // Devices of a joint's drive beside motor and gear, and the names of sensors.
 #pragma once
 
+#include "numerics/real.hpp"
+
 namespace arm {
 
 struct Device {

@@ -12,6 +12,8 @@
 //                        and as the end of a step, surely calls for the usual mode, number 0.
 #pragma once
 
+#include "numerics/real.hpp"
+
 namespace arm {
 
 struct Mode {
@@ -48,6 +50,6 @@ constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
 constexpr bool is_held(unsigned held, int m) { return held >> m & 1u; }
 
 // Tolerance for rounding.
-inline constexpr Real kRounding = 1e-12;
+inline constexpr double kRounding = 1e-12;
 
 }  // namespace arm

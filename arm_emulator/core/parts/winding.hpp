@@ -32,7 +32,7 @@ struct HeatedMotor : Motor {
 
   // Steps of any length stay stable as long as the resistance is less than 1.17 times that of the
   // matrix, however far below it is (a W-method's stability where currents are fast).
-  static constexpr Real kOfMatrix = 150.0;  // degC
+  static constexpr double kOfMatrix = 150.0;  // degC
   constexpr auto linear() const {
     if constexpr (whole) {
       auto motor = Motor::linear();

@@ -43,10 +43,10 @@ struct DriveTable {
   Real k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
 };
 
-inline constexpr Real kSqrt2 = 1.4142135623730951;
+inline constexpr double kSqrt2 = 1.4142135623730951;
 
 // gamma of the scheme with so many stages: implicit Euler's, and ROS2's.
-constexpr Real gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
+constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
 // A stage of a linearly implicit scheme for one joint, or several side by side: the rates of z go
 // into the link's row.

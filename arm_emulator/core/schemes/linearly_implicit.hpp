@@ -163,7 +163,7 @@ class LinearlyImplicit {
   static constexpr bool extrapolates = S::Scheme::extrapolates;
   static constexpr bool locates = kLocates<S>;
   static constexpr int stages = S::Scheme::stages;
-  static constexpr Real gamma = gamma_of(stages);
+  static constexpr double gamma = gamma_of(stages);
 
   using Numbers = Row<N, X>;
 

@@ -74,7 +74,7 @@ class Located {
   using Past = typename Method::Past;
   static constexpr int kMostEvents = 4 * N + 8;
   static constexpr int kMostTrials = 150;
-  static constexpr Real kInstant = 1e-11;  // of a step: how well an event's time is known
+  static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
 
   // A step from x to y of which not all modes hold.
   void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {

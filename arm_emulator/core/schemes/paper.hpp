@@ -114,7 +114,7 @@ class PaperScheme {
 };
 
 struct Paper : AnyScheme {
-  static constexpr Real end_of_step = 0.0;
+  static constexpr double end_of_step = 0.0;
   template <class S, class X>
   using Method = PaperScheme<S, X>;
 };

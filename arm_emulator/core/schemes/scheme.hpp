@@ -12,7 +12,7 @@ struct AnyScheme {
   // Whether it keeps the accelerations of the last step, and the torques M a + nle that they took.
   static constexpr bool extrapolates = false;
   // The speed with which links move on over a step: 0 that at its beginning, 1 that at its end.
-  static constexpr Real end_of_step = 1.0;
+  static constexpr double end_of_step = 1.0;
 };
 
 template <class S, class X>
