@@ -59,6 +59,7 @@ class DrivenMachine {
   void power(bool on);
   // Select the loop that a joint's command goes to; `none` holds the joint where it stands.
   void select(int j, Loop loop);
+  Loop selected(int j) const { return demands_[static_cast<std::size_t>(j)].loop; }
   void command(int j, double value);
   // Go through one period of the controllers.
   Outcome advance();

@@ -1,0 +1,52 @@
+"""Write what a controller manager of ros2_control needs to drive a scene's machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.unit import compile_units
+from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.servo_header import servo_data_unit
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.design import ros2_control as files
+from arm_emulator.machine.compiler import compile_ahead
+from arm_emulator.machine.scene import load_scene
+
+
+@command()
+def ros2_control(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    into: Annotated[Path, Parameter(metavar="FOLDER")] = Path("ros2_control"),
+) -> int:
+    """Write what a controller manager of ros2_control needs to drive a scene's machine.
+
+    Args:
+        into: folder of its libraries, its robot description and the controllers' parameters.
+    """
+    file = find_scene(scene)
+    machine = load_scene(file)
+    description, controllers = files.description(machine, into), files.controllers(machine)
+    libraries = compile_ahead(machine, "native", into)
+    libraries += compile_units([servo_data_unit(scene)], "native", into)
+    written = {
+        "description": (into / f"{machine.name}.urdf", description),
+        "controllers": (into / f"{machine.name}_controllers.yaml", controllers),
+    }
+    for path, text in written.values():
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise Refusal("ros2-control", f"file {path}", "be writable", error.strerror) from None
+    for path in (*libraries, *(path for path, _ in written.values())):
+        output.line(str(path))
+    facts = {name: path for name, (path, _) in written.items()}
+    output.facts({"libraries": libraries, **facts, "update_rate": files.update_rate(machine)})
+    return 0

@@ -1,0 +1,89 @@
+"""A scene as ros2_control takes it: a robot description with our hardware, and controllers."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import yaml
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import Scene
+
+PLUGIN = "arm_emulator_hardware/ArmSystem"
+COMMANDS = ("position", "velocity", "effort")
+STATES = (
+    "position", "velocity", "effort", "current", "temperature", "motor_counts",
+    "true_position", "true_velocity", "true_effort",
+)  # fmt: skip
+FASTEST = 500  # Hz: of the controllers
+
+
+def description(scene: Scene, libraries: Path) -> str:
+    """Return the scene's URDF with a ``<ros2_control>`` element.
+
+    Args:
+        scene: the machine.
+        libraries: folder of its compiled libraries.
+
+    Raises:
+        Refusal: a scene with couplings, whose drives are not those of its joints.
+    """
+    if not scene.chain.coupling.plain:
+        raise Refusal("ros2-control", "scene", "have no couplings", scene.where)
+    robot = ET.fromstring(scene.urdf)
+    for old in robot.findall("ros2_control"):
+        robot.remove(old)
+    control = ET.SubElement(robot, "ros2_control", name=scene.name, type="system")
+    hardware = ET.SubElement(control, "hardware")
+    ET.SubElement(hardware, "plugin").text = PLUGIN
+    ET.SubElement(hardware, "param", name="scene").text = str(libraries.resolve() / scene.name)
+    for joint in scene.joints:
+        one = ET.SubElement(control, "joint", name=joint.name)
+        for name in COMMANDS:
+            ET.SubElement(one, "command_interface", name=name)
+        for name in STATES:
+            state = ET.SubElement(one, "state_interface", name=name)
+            if name == "position":
+                ET.SubElement(state, "param", name="initial_value").text = f"{joint.start!r}"
+    power = ET.SubElement(control, "gpio", name=f"{scene.name}_power")
+    ET.SubElement(power, "command_interface", name="power")
+    ET.SubElement(power, "state_interface", name="powered")
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def update_rate(scene: Scene) -> int:
+    """Return the largest rate of controllers, a whole number of servo periods apart [Hz].
+
+    Raises:
+        Refusal: no whole rate has such a period.
+    """
+    period = round(1e9 * scene.servo_period)
+    for rate in range(FASTEST, 0, -1):
+        if 10**9 % rate == 0 and 10**9 // rate % period == 0:
+            return rate
+    rule = "divide the period of a whole rate"
+    raise Refusal("ros2-control", "servo_period", rule, f"{scene.servo_period:g} s")
+
+
+def controllers(scene: Scene) -> str:
+    """Return parameters of a controller manager with the usual controllers, as YAML.
+
+    Raises:
+        Refusal: as `update_rate`.
+    """
+    joints = list(scene.joint_names)
+    types = {
+        "joint_state_broadcaster": "joint_state_broadcaster/JointStateBroadcaster",
+        "joint_trajectory_controller": "joint_trajectory_controller/JointTrajectoryController",
+    }
+    manager = {"update_rate": update_rate(scene), **{n: {"type": t} for n, t in types.items()}}
+    trajectory = {
+        "joints": joints,
+        "command_interfaces": ["position"],
+        "state_interfaces": ["position", "velocity"],
+    }
+    nodes = {"controller_manager": manager, "joint_trajectory_controller": trajectory}
+    parameters = {name: {"ros__parameters": one} for name, one in nodes.items()}
+    return yaml.safe_dump(parameters, sort_keys=False)
