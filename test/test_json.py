@@ -48,6 +48,7 @@ ENDS: dict[str, list[list[str]]] = {
     "record": [["{}/bag"]],
     "repair": [["{}/bag"], ["{}/none"]],
     "replay": [["{}/bag", "--rate", "1000"], ["{}/bag", "--rate", "0"]],
+    "ros2-control": [[ARM, "--into", "{}/ros2_control"], ["nowhere"]],
     "run": [[ARM, "--seconds", "0.1"], [ARM, "--seconds", "-1"]],
     "servo-header": [[ARM], [ARM, "--out", "{}/joints.h"]],
     "status": [["--timeout", "0.1"]],

@@ -46,6 +46,7 @@ OURS = {
     "record": "needs a network; test_bags.py",
     "repair": "needs a damaged bag; test_repair.py",
     "replay": "needs a bag; test_bags.py",
+    "ros2-control": "half a minute of compilation; test_json.py",
     "status": "needs a network; test_move.py",
     "tune": "minutes; test_tune.py",
     "up": "runs until Ctrl-C; test_launch.py, test_network.py",

@@ -34,8 +34,8 @@ constexpr std::array<std::pair<const char*, double JointReading::*>, 9> kReading
 // The entry of that name; null if there is none.
 template <class Table>
 const typename Table::value_type* entry(const Table& table, const std::string& name) {
-  const auto found = std::find_if(table.begin(), table.end(),
-                                  [&](const auto& one) { return name == one.first; });
+  const auto found =
+      std::find_if(table.begin(), table.end(), [&](const auto& one) { return name == one.first; });
   return found == table.end() ? nullptr : &*found;
 }
 

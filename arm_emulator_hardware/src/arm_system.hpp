@@ -16,7 +16,8 @@ class ArmSystem : public hardware_interface::SystemInterface {
   using CallbackReturn = hardware_interface::CallbackReturn;
   using State = rclcpp_lifecycle::State;
 
-  CallbackReturn on_init(const hardware_interface::HardwareComponentInterfaceParams& params) override;
+  CallbackReturn on_init(
+      const hardware_interface::HardwareComponentInterfaceParams& params) override;
   CallbackReturn on_configure(const State& before) override;
   CallbackReturn on_cleanup(const State& before) override;
   CallbackReturn on_activate(const State& before) override;

@@ -1,0 +1,83 @@
+"""What ros2_control takes of a scene: description, controllers, and names that its plugin knows."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import yaml
+from draws import some
+
+from arm_emulator import Refusal, load_scene
+from arm_emulator.design.ros2_control import (
+    COMMANDS,
+    PLUGIN,
+    STATES,
+    controllers,
+    description,
+    update_rate,
+)
+
+PACKAGE = Path(__file__).resolve().parents[1] / "arm_emulator_hardware"
+
+
+@pytest.mark.parametrize("name", some(["three_axis", "kuka_kr300", "ur5", "panda"], 2))
+def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
+    scene = load_scene(name)
+    robot = ET.fromstring(description(scene, tmp_path))
+    was = ET.fromstring(scene.urdf)
+    (control,) = robot.findall("ros2_control")
+    assert control.findtext("hardware/plugin") == PLUGIN
+    assert control.findtext("hardware/param") == str(tmp_path / name)
+    of_robot = {one.get("name") for one in was.findall("joint")}
+    joints = control.findall("joint")
+    assert tuple(one.get("name") for one in joints) == scene.joint_names
+    assert of_robot.issuperset(scene.joint_names)
+    for element, joint in zip(joints, scene.joints, strict=True):
+        commands = tuple(one.get("name") for one in element.findall("command_interface"))
+        states = tuple(one.get("name") for one in element.findall("state_interface"))
+        assert (commands, states) == (COMMANDS, STATES)
+        (start,) = element.findall("state_interface[@name='position']/param")
+        assert float(start.text or "") == joint.start
+    robot.remove(control)
+    assert [one.attrib for one in robot] == [one.attrib for one in was]
+
+
+def test_interfaces_are_those_of_the_plugin() -> None:
+    text = (PACKAGE / "src" / "arm_system.cpp").read_text()
+    commands = re.findall(r'\{"(\w+)", Loop::(\w+)\}', text)
+    readings = re.findall(r'\{"(\w+)", &JointReading::(\w+)\}', text)
+    assert tuple(name for name, _ in commands) == COMMANDS
+    assert tuple(name for name, _ in readings) == STATES
+    assert all(name == member for name, member in commands + readings)
+
+
+def test_the_package_exports_the_plugin_of_descriptions() -> None:
+    (library,) = ET.parse(PACKAGE / "plugins.xml").iter("library")
+    (plugin,) = library
+    assert plugin.get("name") == PLUGIN
+    package = ET.parse(PACKAGE / "package.xml").getroot()
+    ours = ET.parse(PACKAGE.parent / "package.xml").getroot()
+    assert package.findtext("name") == library.get("path") == PLUGIN.split("/")[0]
+    assert package.findtext("version") == ours.findtext("version")
+    built = (PACKAGE / "CMakeLists.txt").read_text()
+    depends = {one.text for one in package.findall("depend")}
+    assert depends == set(re.findall(r"^find_package\((\w+)", built, re.M)) - {"ament_cmake"}
+
+
+@pytest.mark.parametrize(("period", "rate"), [(1e-3, 500), (2e-3, 500), (4e-3, 250), (5e-4, 500)])
+def test_controllers_wait_for_whole_servo_periods(period: float, rate: int) -> None:
+    scene = load_scene("three_axis", {"servo_period": period, "integrator.dt": 5e-4})
+    assert update_rate(scene) == rate
+    parameters = yaml.safe_load(controllers(scene))
+    assert parameters["controller_manager"]["ros__parameters"]["update_rate"] == rate
+    trajectory = parameters["joint_trajectory_controller"]["ros__parameters"]
+    assert tuple(trajectory["joints"]) == scene.joint_names
+
+
+def test_a_servo_period_without_a_whole_rate_is_refused() -> None:
+    scene = load_scene("three_axis", {"servo_period": 3e-3, "integrator.dt": 1e-3})
+    with pytest.raises(Refusal, match="servo_period must divide the period of a whole rate"):
+        update_rate(scene)
