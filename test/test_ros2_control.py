@@ -1,4 +1,4 @@
-"""What ros2_control takes of a scene: description, controllers, and names that its plugin knows."""
+"""ros2_control for a scene: description, controllers, and names that its plugin knows."""
 
 from __future__ import annotations
 
