@@ -102,7 +102,7 @@ def check(name: str, words: list[str], code: int, text: str, errors: str) -> Non
 
 def test_every_command_is_tried_and_documented() -> None:
     assert set(ENDS) == {*command_names()} - {"demo"}, "demo: by `test_demo.py`"
-    rows = re.findall(r"^\| `([a-z-]+)` \| .*`", PAGE.read_text(), re.M)
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \| .*`", PAGE.read_text(), re.M)
     assert rows == command_names()
 
 
