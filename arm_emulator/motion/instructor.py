@@ -30,7 +30,8 @@ from arm_emulator.motion.orders import (
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.standstill import Flags, Standstill
-from arm_emulator.motion.stream_order import TargetStream
+from arm_emulator.motion.stream_order import StreamOrder, is_near
+from arm_emulator.motion.target_stream import TargetStream
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 from arm_emulator.motion.way_controller import LOST
@@ -357,8 +358,7 @@ class Instructor:
                 continue
             reference = self._reference(laws, time_ns, q)
             if isinstance(taken.order, TargetOrder):
-                kinematics = laws.controller.kinematics
-                taken.order = self._stream.following(taken.order, time_ns, kinematics, reference.q)
+                taken.order = self._streamed(laws, time_ns, taken.order, reference.q)
             try:
                 taken.order.begin(laws, time_ns, reference)
             except Refusal as reason:
@@ -367,6 +367,15 @@ class Instructor:
             if self._active is not None:
                 self._report(self._active, _replaced_by(taken))
             self._active = taken
+
+    def _streamed(
+        self, laws: Laws, time_ns: int, order: TargetOrder, q: FloatArray
+    ) -> TargetOrder | StreamOrder:
+        """Return the order for a target that begins to hold: itself, or that of its stream."""
+        motion = self._stream.take(time_ns, order.pose, q)
+        if motion is None or not is_near(laws.controller.kinematics, q, order):
+            return order
+        return StreamOrder(order, motion, self._stream.posture)
 
     def _refuse_long_waits(self, now_ns: int) -> None:
         for one in list(self._coming):

@@ -112,17 +112,23 @@ class SmoothJoints:
         """Brake each joint by itself for a period; return their mean speeds in it."""
         return self.go(np.zeros(len(self._lower)), alone=True, together=False)
 
-    def go(self, v: FloatArray, alone: bool, together: bool = True) -> FloatArray:
+    def go(
+        self, v: FloatArray, alone: bool, together: bool = True, a: FloatArray | None = None
+    ) -> FloatArray:
         """Move the joints towards speeds v (N,) for a period; return their mean speeds in it.
 
         From where they are then every joint can stop before its limit. A joint that could not if it
         did as asked brakes instead, and so do the others unless each moves `alone`.
-        Speeds that change `together` do so along a line.
+        Speeds that change `together` do so along a line. With accelerations `a` (N,) they are to
+        be there at the end of the period, and go on to change so.
         """
         one = self._in
         before = np.array(one.current_position)
         kind = ruckig.Synchronization
-        self._step(v, kind.Phase if together else kind.No)
+        if a is None:
+            self._step(v, kind.Phase if together else kind.No)
+        else:
+            self._step_on(v, a)
         late = self._too_late(before)
         more = late.any()
         while more:
@@ -143,6 +149,17 @@ class SmoothJoints:
         self._otg.calculate(stop, self._ends)
         extrema = self._ends.position_extrema
         return np.array([one.max if at > 0.0 else one.min for one in extrema])
+
+    def _step_on(self, v: FloatArray, a: FloatArray) -> None:
+        """Step to speeds v that go on to change by a, as far as the limits let them."""
+        one, left = self._in, np.maximum(self._velocity - np.abs(v), 0.0)
+        most = np.minimum(_BRAKES * self._acceleration, np.sqrt(2.0 * self._jerk * left))
+        one.target_acceleration = np.clip(a, -most, most).tolist()
+        one.minimum_duration = self._period
+        try:
+            self._step(v, ruckig.Synchronization.Time)
+        finally:
+            one.target_acceleration, one.minimum_duration = [0.0] * len(v), None
 
     def _step(self, v: FloatArray, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
