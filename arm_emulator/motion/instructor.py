@@ -85,7 +85,7 @@ class Instructor:
         self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
         self._active: _Taken | None = None
         self._laws: Laws | None = None
-        self._stream = TargetStream()
+        self._stream = TargetStream(self._config.period)
         self.start_over()
 
     def start_over(self, reason: str = "the motion controller was reset") -> None:
@@ -353,12 +353,12 @@ class Instructor:
         self._now_ns = time_ns
         while self._coming and self._coming[0][0] <= time_ns:
             taken = self._coming.pop(0)[1]
-            if self._coming and self._coming[0][0] <= time_ns:
-                self._report(taken, _replaced_by(self._coming[0][1]))
-                continue
             reference = self._reference(laws, time_ns, q)
             if isinstance(taken.order, TargetOrder):
                 taken.order = self._streamed(laws, time_ns, taken.order, reference.q)
+            if self._coming and self._coming[0][0] <= time_ns:
+                self._report(taken, _replaced_by(self._coming[0][1]))
+                continue
             try:
                 taken.order.begin(laws, time_ns, reference)
             except Refusal as reason:
@@ -372,7 +372,8 @@ class Instructor:
         self, laws: Laws, time_ns: int, order: TargetOrder, q: FloatArray
     ) -> TargetOrder | StreamOrder:
         """Return the order for a target that begins to hold: itself, or that of its stream."""
-        motion = self._stream.take(time_ns, order.pose, q)
+        then_ns = order.stamp_ns or time_ns
+        motion = self._stream.take(then_ns, order.pose, q)
         if motion is None or not is_near(laws.controller.kinematics, q, order):
             return order
         return StreamOrder(order, motion, self._stream.posture)

@@ -91,6 +91,18 @@ class SmoothJoints:
         part[fast] = most[fast] / np.abs(v[fast])
         return np.where(part < _HALTS, 0.0, part)
 
+    def brakes(self, v: FloatArray, seconds: float) -> float:
+        """Return the share of speeds v (N,) that comes to rest within a time at v [s], 0 to 1."""
+        moves = v != 0.0
+        if not moves.any():
+            return 1.0
+        slows, grows = (
+            np.array((_BRAKES * most[moves] / np.abs(v[moves])).min())
+            for most in (self._acceleration, self._jerk)
+        )
+        share = float(_stopping(np.array(seconds), slows, grows))
+        return 0.0 if share < _HALTS else min(1.0, share)
+
     def stopping_way(self, then: Reference, pieces: Callable[[FloatArray], int]) -> FloatArray:
         """Return angles (K, N) on the way on which the joints come to rest, each by itself.
 

@@ -21,7 +21,7 @@ from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.target_stream import GAP, StreamMotion
 
 NEAR, NEAR_TURN = 0.1, 0.5  # m, rad: a tool farther from its target goes there by a way of its own
-GAIN, MOST = 15.0, 0.75  # 1/s, of the tool's distance, and of it in a period
+GAIN, MOST = 15.0, 0.4  # 1/s, of the tool's distance, and part of it in a period at most
 BACK = 2.0  # 1/s, of redundant joints' distance from their posture
 _AHEAD = 1e-3  # s, over which the change of joint speeds is taken
 
@@ -77,7 +77,7 @@ class StreamOrder:
         then = coming + _AHEAD * leads, twist + _AHEAD * acceleration
         a = (speeds_of_twist(kinematics, *then, laws.config).v - leads) / _AHEAD
         nearer = twist + min(GAIN, MOST / period) * error
-        v = speeds_of_twist(kinematics, coming, nearer, laws.config).v
+        v = speeds_of_twist(kinematics, coming, nearer, laws.config, self._joints.brakes).v
         v = v + self._back(kinematics, coming)
         share = self._joints.allowed(now.q, v).min()
         mean = self._joints.go(v * share, alone=False, a=a * share)

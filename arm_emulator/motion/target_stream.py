@@ -19,7 +19,7 @@ from arm_emulator.motion.pose import Pose
 GAP = 0.1  # s: targets farther apart in time are no stream
 LEAST = 3  # targets in a row
 FASTEST, FASTEST_TURN = 2.0, 6.0  # m/s, rad/s: targets farther apart than that are no motion
-MEMORY, KEPT = 0.06, 4  # s, and targets at least, that the motion is made of
+MEMORY, PERIODS, KEPT = 0.06, 1.6, 4  # s, motion periods and targets that make the motion, at least
 _SECONDS = 1e-9
 
 
@@ -57,10 +57,14 @@ class StreamMotion:
 class TargetStream:
     """Targets that may be a stream.
 
+    Args:
+        period: motion period [s], for which the motion is foretold.
+
     Attributes:
         posture: joint angles at the first of them, which redundant joints come back to (N,).
     """
 
+    period: float
     posture: FloatArray = field(default_factory=lambda: np.zeros(0))
     _seen: list[tuple[int, Pose]] = field(default_factory=list)
     _count: int = 0
@@ -79,7 +83,8 @@ class TargetStream:
             self._seen, self._count, self.posture = [], 0, q
         self._seen.append((time_ns, pose))
         self._count += 1
-        while len(self._seen) > KEPT and (time_ns - self._seen[1][0]) * _SECONDS > MEMORY:
+        memory = max(MEMORY, PERIODS * self.period)
+        while len(self._seen) > KEPT and (time_ns - self._seen[1][0]) * _SECONDS > memory:
             del self._seen[0]
         return self._motion() if self._count >= LEAST else None
 
