@@ -36,7 +36,9 @@ class JogLine:
         """Forget the line."""
         self._place = None
 
-    def back(self, q: FloatArray, v: FloatArray, command: FloatArray, twist: FloatArray) -> FloatArray:
+    def back(
+        self, q: FloatArray, v: FloatArray, command: FloatArray, twist: FloatArray
+    ) -> FloatArray:
         """Return the twist that leads the tool back to its line (6,) [m/s, rad/s].
 
         Args:

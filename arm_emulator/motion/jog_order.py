@@ -93,7 +93,9 @@ class JogOrder:
             self._line.leave()  # what leads back may be what is lost there
             return speeds
         back = self._line.back(coming, now.v, command.twist, twist)
-        return replace(speeds, v=speeds.v + speeds_of_twist(kinematics, coming, back, laws.config).v)
+        return replace(
+            speeds, v=speeds.v + speeds_of_twist(kinematics, coming, back, laws.config).v
+        )
 
     def _bounded(self, laws: Laws, command: JogCommand, q: FloatArray, v: FloatArray) -> FloatArray:
         """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""

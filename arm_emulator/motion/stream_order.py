@@ -14,7 +14,6 @@ from arm_emulator.motion.jog import speeds_of_twist
 from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
-from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import Kind
 from arm_emulator.motion.orders import MOVING, Progress, TargetOrder
 from arm_emulator.motion.reference import Reference
@@ -99,4 +98,3 @@ class StreamOrder:
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
         return self._target.progress(now_ns, q, v) if self._rests else MOVING
-
