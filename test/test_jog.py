@@ -39,18 +39,21 @@ NS = 1_000_000_000
 
 
 class Jogged:
-    """ur5 under jog commands at 100 Hz, through the whole machine."""
+    """An arm under jog commands in every motion period, through the whole machine."""
 
-    def __init__(self, start: dict[str, float] | None = None, **parameters: object) -> None:
-        file = find_scene("ur5")
-        scene = load_scene(file, {f"joints.{n}.start": x for n, x in (start or {}).items()})
+    def __init__(
+        self, start: dict[str, float] | None = None, scene: str = "ur5", **parameters: object
+    ) -> None:
+        file = find_scene(scene)
+        machine = load_scene(file, {f"joints.{n}.start": x for n, x in (start or {}).items()})
         gains = load_gains(file)
         motion = dataclasses.replace(
             gains.motion,
             jog_command_in_type="speed_units",
             **parameters,  # type: ignore[arg-type]
         )
-        self.run = OfflineRun(scene, gains.servo, motion)
+        servo = dataclasses.replace(gains.servo, motion_period=motion.period)
+        self.run = OfflineRun(machine, servo, motion)
         self.kinematics, self.config = self.run.controller.kinematics, motion
         self.q: list[np.ndarray] = []
         self.asked: list[np.ndarray] = []
@@ -93,6 +96,29 @@ def test_a_twist_moves_the_tool_along_it() -> None:
     assert one.run.instructor.reports.waiting[-1].state is State.REACHED
     turned = [one.kinematics.forward(q)[0] for q in (one.q[0], one.q[-1])]
     assert np.abs(turned[0] - turned[1]).max() < 2e-3
+
+
+@pytest.mark.parametrize("period", [0.005, 0.01, 0.02, 0.05])
+@pytest.mark.parametrize("direction", [(0.0, 1.0, 0.0), (-0.6, 0.0, 0.8), (-0.6, -0.6, 0.5)])
+def test_a_jog_keeps_to_its_line(period: float, direction: tuple[float, float, float]) -> None:
+    """three_axis at 0.3 m/s: on the whole way within 5 mm of the line; up to 7.6 without one."""
+    start = {"waist": 0.3, "shoulder": 0.2, "elbow": 1.4}
+    one = Jogged(start, "three_axis", period=period)
+    along = np.array(direction) / np.linalg.norm(direction)
+    one.jog(0.8, one.twist(*(0.3 * along), 0.0, 0.0, 0.0))
+    way = one.tool() - one.tool()[0]
+    assert np.linalg.norm(way - np.outer(way @ along, along), axis=1).max() < 5e-3
+    assert way[-1] @ along > 0.15
+
+
+@pytest.mark.parametrize("period", [0.01, 0.05])
+def test_a_jog_rests_before_the_stretched_pose(period: float) -> None:
+    """three_axis upwards: the elbow stays on its side (it went through 0), and rests."""
+    one = Jogged(None, "three_axis", period=period)
+    one.jog(3.0, one.twist(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))
+    elbow = np.array(one.q)[:, 2]
+    assert elbow.min() > 0.1
+    assert np.ptp(elbow[-round(0.3 / period) :]) < 2e-3
 
 
 def test_a_twist_of_the_tool_turns_with_it() -> None:

@@ -30,7 +30,8 @@ from arm_emulator.motion.orders import (
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.standstill import Flags, Standstill
-from arm_emulator.motion.stream_order import TargetStream
+from arm_emulator.motion.stream_order import StreamOrder, is_near
+from arm_emulator.motion.target_stream import TargetStream
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 from arm_emulator.motion.way_controller import LOST
@@ -84,7 +85,7 @@ class Instructor:
         self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
         self._active: _Taken | None = None
         self._laws: Laws | None = None
-        self._stream = TargetStream()
+        self._stream = TargetStream(self._config.period)
         self.start_over()
 
     def start_over(self, reason: str = "the motion controller was reset") -> None:
@@ -352,13 +353,12 @@ class Instructor:
         self._now_ns = time_ns
         while self._coming and self._coming[0][0] <= time_ns:
             taken = self._coming.pop(0)[1]
+            reference = self._reference(laws, time_ns, q)
+            if isinstance(taken.order, TargetOrder):
+                taken.order = self._streamed(laws, time_ns, taken.order, reference.q)
             if self._coming and self._coming[0][0] <= time_ns:
                 self._report(taken, _replaced_by(self._coming[0][1]))
                 continue
-            reference = self._reference(laws, time_ns, q)
-            if isinstance(taken.order, TargetOrder):
-                kinematics = laws.controller.kinematics
-                taken.order = self._stream.following(taken.order, time_ns, kinematics, reference.q)
             try:
                 taken.order.begin(laws, time_ns, reference)
             except Refusal as reason:
@@ -367,6 +367,16 @@ class Instructor:
             if self._active is not None:
                 self._report(self._active, _replaced_by(taken))
             self._active = taken
+
+    def _streamed(
+        self, laws: Laws, time_ns: int, order: TargetOrder, q: FloatArray
+    ) -> TargetOrder | StreamOrder:
+        """Return the order for a target that begins to hold: itself, or that of its stream."""
+        then_ns = order.stamp_ns or time_ns
+        motion = self._stream.take(then_ns, order.pose, q)
+        if motion is None or not is_near(laws.controller.kinematics, q, order):
+            return order
+        return StreamOrder(order, motion, self._stream.posture)
 
     def _refuse_long_waits(self, now_ns: int) -> None:
         for one in list(self._coming):

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from arm_emulator.base.bound import VELOCITY
 from arm_emulator.base.refusal import Refusal
@@ -25,6 +26,9 @@ from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 
 UNITLESS = "unitless"
+Brakes = Callable[[FloatArray, float], float]
+"""Share of joint speeds (N,) that comes to rest within a time at those speeds [s]."""
+_NEAR = 4.0  # times the singular value at which a jog slows down: farther ones are left behind
 _PROBE = 0.01  # rad, to find whether a direction leads towards a singular pose
 _SIGNIFICANT = 0.05  # part of a twist: a direction with less of it does not slow the rest
 _SPEED = VELOCITY.named("velocities")
@@ -127,9 +131,22 @@ class Speeds:
 
 
 def speeds_of_twist(
-    kinematics: Kinematics, q: FloatArray, twist: FloatArray, config: MotionConfig
+    kinematics: Kinematics,
+    q: FloatArray,
+    twist: FloatArray,
+    config: MotionConfig,
+    brakes: Brakes | None = None,
 ) -> Speeds:
-    """Return the joint speeds of a twist along the world's axes (6,)."""
+    """Return the joint speeds of a twist along the world's axes (6,).
+
+    Args:
+        kinematics: of the arm.
+        q: joint angles (N,).
+        twist: (6,) [m/s, rad/s].
+        config: thresholds.
+        brakes: what share of joint speeds (N,) can come to rest within a time at them [s]; joints
+            that move then rest before a singular pose. None: as quick as need be.
+    """
     scale = kinematics.joint_scale
     U, s, V = _directions(kinematics, q)
     wanted = kinematics.scale * twist[: kinematics.rows]
@@ -149,8 +166,35 @@ def speeds_of_twist(
             status = max(status, _singular(towards, left))
         else:
             parts[i] *= left
-    v = scale * (V[: len(s)].T @ (whole * parts / np.maximum(s, stop)))
-    return Speeds(v, status)
+    v = scale * (V[: len(s)].T @ (parts / np.maximum(s, stop)))
+    if brakes is not None and whole > 0.0 and s[-1] < _NEAR * slow:
+        used = (np.abs(parts) > _SIGNIFICANT * size) & (s < _NEAR * slow)
+        can = _stopping(kinematics, q, v, s, stop, used, brakes)
+        if can < whole:
+            whole = can
+            status = max(status, JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY)
+    return Speeds(whole * v, status)
+
+
+def _stopping(
+    kinematics: Kinematics,
+    q: FloatArray,
+    v: FloatArray,
+    s: FloatArray,
+    stop: float,
+    used: npt.NDArray[np.bool_],
+    brakes: Brakes,
+) -> float:
+    """Return the share of v (N,) from which no singular value in use falls below `stop`."""
+    fastest = float(np.abs(v / kinematics.joint_scale).max())
+    if not used.any() or fastest == 0.0:
+        return 1.0
+    probe = _PROBE / fastest
+    falls = (s - _directions(kinematics, q + probe * v)[1])[used] / probe
+    if (falls <= 0.0).all():
+        return 1.0
+    left = np.maximum(s[used] - stop, 0.0)[falls > 0.0] / falls[falls > 0.0]
+    return brakes(v, float(left.min()))
 
 
 def _singular(towards: bool, left: float) -> JogStatus:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import JogCommand, JogStatus, Speeds, speeds_of_twist
+from arm_emulator.motion.jog_line import JogLine
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.orders import MOVING, Progress
@@ -43,6 +46,7 @@ class JogOrder:
             laws.controller.kinematics, laws.config, laws.config.jog_joint_limit_margin
         )
         self._joints.begin(reference)
+        self._line = JogLine(laws.controller.kinematics)
         self._stale = False
         laws.nobody_leads()
 
@@ -57,6 +61,8 @@ class JogOrder:
         timeout = round(config.jog_incoming_command_timeout * 1e9)
         self._stale = now_ns - command.time_ns > timeout
         speeds = Speeds(np.zeros_like(now.q))
+        if self._stale or command.twist is None:
+            self._line.leave()
         if not self._stale:
             speeds = self._speeds(laws, command, now)
         self.status = speeds.status
@@ -82,7 +88,14 @@ class JogOrder:
         if command.of_tool:
             R_WT = kinematics.forward(coming)[0]
             twist = np.concatenate([R_WT @ twist[:3], R_WT @ twist[3:]])
-        return speeds_of_twist(kinematics, coming, twist, laws.config)
+        speeds = speeds_of_twist(kinematics, coming, twist, laws.config, self._joints.brakes)
+        if speeds.status is not JogStatus.NO_WARNING:
+            self._line.leave()  # what leads back may be what is lost there
+            return speeds
+        back = self._line.back(coming, now.v, command.twist, twist)
+        return replace(
+            speeds, v=speeds.v + speeds_of_twist(kinematics, coming, back, laws.config).v
+        )
 
     def _bounded(self, laws: Laws, command: JogCommand, q: FloatArray, v: FloatArray) -> FloatArray:
         """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""

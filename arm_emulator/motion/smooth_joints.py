@@ -91,6 +91,18 @@ class SmoothJoints:
         part[fast] = most[fast] / np.abs(v[fast])
         return np.where(part < _HALTS, 0.0, part)
 
+    def brakes(self, v: FloatArray, seconds: float) -> float:
+        """Return the share of speeds v (N,) that comes to rest within a time at v [s], 0 to 1."""
+        moves = v != 0.0
+        if not moves.any():
+            return 1.0
+        slows, grows = (
+            np.array((_BRAKES * most[moves] / np.abs(v[moves])).min())
+            for most in (self._acceleration, self._jerk)
+        )
+        share = float(_stopping(np.array(seconds), slows, grows))
+        return 0.0 if share < _HALTS else min(1.0, share)
+
     def stopping_way(self, then: Reference, pieces: Callable[[FloatArray], int]) -> FloatArray:
         """Return angles (K, N) on the way on which the joints come to rest, each by itself.
 
@@ -112,17 +124,23 @@ class SmoothJoints:
         """Brake each joint by itself for a period; return their mean speeds in it."""
         return self.go(np.zeros(len(self._lower)), alone=True, together=False)
 
-    def go(self, v: FloatArray, alone: bool, together: bool = True) -> FloatArray:
+    def go(
+        self, v: FloatArray, alone: bool, together: bool = True, a: FloatArray | None = None
+    ) -> FloatArray:
         """Move the joints towards speeds v (N,) for a period; return their mean speeds in it.
 
         From where they are then every joint can stop before its limit. A joint that could not if it
         did as asked brakes instead, and so do the others unless each moves `alone`.
-        Speeds that change `together` do so along a line.
+        Speeds that change `together` do so along a line. With accelerations `a` (N,) they are to
+        be there at the end of the period, and go on to change so.
         """
         one = self._in
         before = np.array(one.current_position)
         kind = ruckig.Synchronization
-        self._step(v, kind.Phase if together else kind.No)
+        if a is None:
+            self._step(v, kind.Phase if together else kind.No)
+        else:
+            self._step_on(v, a)
         late = self._too_late(before)
         more = late.any()
         while more:
@@ -143,6 +161,17 @@ class SmoothJoints:
         self._otg.calculate(stop, self._ends)
         extrema = self._ends.position_extrema
         return np.array([one.max if at > 0.0 else one.min for one in extrema])
+
+    def _step_on(self, v: FloatArray, a: FloatArray) -> None:
+        """Step to speeds v that go on to change by a, as far as the limits let them."""
+        one, left = self._in, np.maximum(self._velocity - np.abs(v), 0.0)
+        most = np.minimum(_BRAKES * self._acceleration, np.sqrt(2.0 * self._jerk * left))
+        one.target_acceleration = np.clip(a, -most, most).tolist()
+        one.minimum_duration = self._period
+        try:
+            self._step(v, ruckig.Synchronization.Time)
+        finally:
+            one.target_acceleration, one.minimum_duration = [0.0] * len(v), None
 
     def _step(self, v: FloatArray, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
