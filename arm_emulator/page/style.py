@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-WIDTH = 440  # px: of the controls, with the numbers of the joints
+WIDTH = 480  # px: of the controls, with the numbers of the joints
 # The library knows no table wider than its panel, and its panel on a phone is narrower than that.
 # There the arm has the upper part of the screen, and the controls the lower one.
 STYLE = """<style>
@@ -13,8 +13,8 @@ td, th { padding: 3px 5px !important; text-align: right; }
 td:first-child { text-align: left; }
 .mantine-Tabs-list { flex-wrap: wrap; }
 @media (max-width: 36em) {
-  div[style*="flex-grow: 1"][style*="overflow: hidden"] {
-    flex-grow: 0 !important; height: 42dvh !important; }
+  div[style*="flex-grow: 1"][style*="height: 100%"] {
+    flex: none !important; width: 100% !important; height: 42dvh !important; }
   .mantine-Paper-root[style*="position: fixed"][style*="bottom: 0"] {
     width: 100% !important; max-height: 58dvh !important; }
   .mantine-Paper-root[style*="position: fixed"] div[style*="width: 20em"] {
