@@ -16,6 +16,8 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from arm_emulator.page.entrance import TEXT, is_at_entrance
+
 COOKIE = "arm_emulator_page"
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
@@ -77,14 +79,20 @@ def guarded(guard: Guard) -> Iterator[None]:
 
     plain = server.serve
 
+    def answer(status: http.HTTPStatus, kind: str, text: str) -> Response:
+        body = text.encode()
+        lines = {"Content-Type": f"text/{kind}", "Content-Length": str(len(body))}
+        return Response(status.value, status.phrase, Headers(lines), body)
+
     def serve(*given: Any, process_request: Callable[[Any, Any], Any], **named: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
             reason = guard.reason(request.path, request.headers)
             if reason:
-                text = f"arm_emulator: {reason}\n".encode()
-                lines = Headers({"Content-Type": "text/plain", "Content-Length": str(len(text))})
-                return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", lines, text)
-            response = process_request(connection, request)
+                return answer(http.HTTPStatus.FORBIDDEN, "plain", f"arm_emulator: {reason}\n")
+            if is_at_entrance(request.path) and "Upgrade" not in request.headers:
+                response = answer(http.HTTPStatus.OK, "html", TEXT)
+            else:
+                response = process_request(connection, request)
             if response is not None and (cookie := guard.cookie(request.path)):
                 response.headers["Set-Cookie"] = cookie
             return response

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
-import secrets
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -19,6 +18,8 @@ from arm_emulator.base.wheel import need_wheel
 from arm_emulator.machine.session import Session
 from arm_emulator.page.arm_scene import ArmScene
 from arm_emulator.page.guard import Guard, guarded
+from arm_emulator.page.page_token import page_token
+from arm_emulator.page.style import dress
 from arm_emulator.page.subject import Subject
 from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.timeline import Timeline
@@ -73,7 +74,7 @@ class RunPage:
         self._playing, self._closing = False, threading.Event()
         self.changing = False
         scene = self._session.scene
-        token = secrets.token_urlsafe(16)
+        token = page_token()
         # It prints addresses without the token, whatever it is asked.
         with guarded(Guard(token)), contextlib.redirect_stdout(io.StringIO()):
             try:
@@ -81,8 +82,7 @@ class RunPage:
             except (OSError, RuntimeError) as error:
                 raise Refusal("page", "port", "be free", port) from error
         self.url = f"http://{LOCAL}:{server.get_port()}/?token={token}"
-        server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        server.gui.main_panel.dock_right()
+        dress(server)
         server.scene.set_up_direction("+z")
         server.scene.add_grid("/floor", 4.0, 4.0, cell_size=0.25)
         self._arm = ArmScene(server, scene)

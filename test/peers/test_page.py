@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 import sys
 import time
 import urllib.error
@@ -19,6 +17,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from made_bags import synthetic
+from browser import PATIENCE, chromium, opened, shows, tick_of
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.bags.recorded_machine import RecordedMachine
@@ -33,10 +32,6 @@ from bench.rewind import new_target
 
 viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
 LAST = 400
-PATIENCE = 60_000  # ms: software rendering on a busy machine
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-# WebGL without a GPU.
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 class Shown:
@@ -105,31 +100,8 @@ def test_a_port_that_is_taken_is_refused(shown: Shown) -> None:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed")
-    with api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
-        yield browser
-        browser.close()
-
-
-def opened(browser: Any, url: str) -> Any:
-    page = browser.new_page(viewport={"width": 640, "height": 480})
-    page.set_default_timeout(PATIENCE)
-    page.goto(url)
-    page.get_by_text("Play", exact=True).wait_for()
-    return page
-
-
-def tick_of(page: Any) -> int:
-    found = re.search(r"tick (\d+),", page.inner_text("body"))
-    assert found is not None
-    return int(found[1])
-
-
-def shows(page: Any, text: str) -> None:
-    page.get_by_text(text).first.wait_for()
+    with chromium() as one:
+        yield one
 
 
 def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:

@@ -1,0 +1,26 @@
+"""The first answer to a browser: it comes back for the page in dark or light, as its user likes."""
+
+from __future__ import annotations
+
+from urllib.parse import parse_qs, urlsplit
+
+LOOK = "look"  # in the query: the browser has been here
+# `darkMode` is what the library of the page looks for.
+TEXT = """<!doctype html><meta charset="utf-8"><title>arm_emulator</title><script>
+const to = new URL(location.href);
+const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+to.searchParams.set("LOOK", dark ? "dark" : "light");
+if (dark) to.searchParams.set("darkMode", "");
+location.replace(to);
+</script><noscript>The page needs JavaScript.</noscript>
+""".replace("LOOK", LOOK)
+
+
+def is_at_entrance(path: str) -> bool:
+    """Return whether a request is the first one of a browser.
+
+    Args:
+        path: of the request, with its query.
+    """
+    address = urlsplit(path)
+    return address.path == "/" and LOOK not in parse_qs(address.query)

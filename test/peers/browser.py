@@ -1,0 +1,49 @@
+"""The browser in which tests look at a page."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+PATIENCE = 60_000  # ms: software rendering on a busy machine
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+# WebGL without a GPU.
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """Run Chromium without a window."""
+    api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+    with api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def opened(browser: Any, url: str, play: str = "Play", **how: Any) -> Any:
+    """Open a page in a session of its own, and wait for its controls."""
+    page = browser.new_context(**{"viewport": {"width": 640, "height": 480}, **how}).new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(url)
+    page.get_by_text(play, exact=True).first.wait_for()
+    return page
+
+
+def tick_of(page: Any) -> int:
+    """Return the tick that a page shows."""
+    found = re.search(r"tick (\d+),", page.inner_text("body"))
+    assert found is not None
+    return int(found[1])
+
+
+def shows(page: Any, text: str) -> None:
+    """Wait until a page shows a text."""
+    page.get_by_text(text).first.wait_for()
