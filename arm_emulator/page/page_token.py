@@ -1,4 +1,4 @@
-"""The secret in the page's address: one for each user, so that a page which starts again is known."""
+"""The secret in the page's address: one for each user, by which a restarted page is known."""
 
 from __future__ import annotations
 

@@ -16,8 +16,8 @@ import pinocchio as pin
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from made_bags import synthetic
 from browser import PATIENCE, chromium, opened, shows, tick_of
+from made_bags import synthetic
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.bags.recorded_machine import RecordedMachine

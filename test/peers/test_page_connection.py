@@ -63,7 +63,11 @@ class Cable:
         with contextlib.suppress(OSError):
             while True:
                 here, _ = self._door.accept()
-                there = socket.create_connection(("127.0.0.1", self._to))
+                try:
+                    there = socket.create_connection(("127.0.0.1", self._to))
+                except OSError:  # nobody is there just now
+                    here.close()
+                    continue
                 self._ends += here, there
                 for pair in ((here, there), (there, here)):
                     threading.Thread(target=self._pass, args=pair, daemon=True).start()
@@ -98,7 +102,7 @@ def test_browsers_come_late_and_connections_and_servers_break_off(browser: Any, 
         shows(one, f"tick {LAST - 1},")
         # The cable is cut, and mended; meanwhile the page goes on.
         cable.cut()
-        shows(far, "Reconnecting")
+        shows(far, "onnecting...")
         press(one, "to start")
         shows(one, "tick 0,")
         assert tick_of(far) == LAST - 1
@@ -109,7 +113,7 @@ def test_browsers_come_late_and_connections_and_servers_break_off(browser: Any, 
         # The server is killed, and started again at its port.
         url = served.url
         served.kill()
-        shows(one, "Reconnecting")
+        shows(one, "onnecting...")
         served = Served(bag, served.port)
         assert served.url == url
         for page in (one, far):
