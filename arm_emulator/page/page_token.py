@@ -23,7 +23,7 @@ def page_token() -> str:
 
 
 def _kept(file: Path) -> str:
-    """Return the token of a file that no other user can read; write it where there is none.
+    """Return the token of a file that no other user can read; write it where the file is missing.
 
     Raises:
         OSError: the file cannot be written or read.
