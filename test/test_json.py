@@ -44,7 +44,7 @@ ENDS: dict[str, list[list[str]]] = {
     "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"], ["{}/bag", "{}/none"]],
     "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],
     "move": [["--joints", "waist"]],
-    "new": [["{}/arm.urdf", "--out", "{}/new"], ["{}/none.urdf"]],
+    "new": [["{}/arm.urdf", "--out", "{}/new", "--ros2-control"], ["{}/none.urdf"]],
     "record": [["{}/bag"]],
     "repair": [["{}/bag"], ["{}/none"]],
     "replay": [["{}/bag", "--rate", "1000"], ["{}/bag", "--rate", "0"]],

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.ros2_control import write_ros2_control
 from arm_emulator.cli.output import output
 from arm_emulator.design.new_scene import NewScene, scene_name, write_new
 from arm_emulator.design.robot_file import robot_text
@@ -27,6 +28,7 @@ def new(
     motor: Annotated[str, Parameter(metavar="KIND")] = "dc",
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     force: bool = False,
+    ros2_control: bool = False,
 ) -> int:
     """Make a scene from a robot description.
 
@@ -40,6 +42,8 @@ def new(
         motor: kind of all motors, as `motor.kind` in scenes.
         out: folder of the scene's files (default: the robot's name, here).
         force: overwrite existing files.
+        ros2_control: compile the scene for ros2_control, too, and write its robot description and
+            controllers beside it.
     """
     given = dict[str, str]()
     for one in arguments:
@@ -50,11 +54,16 @@ def new(
     written = write_new(
         robot, out, tool, joints, given, payload=payload, density=density, motor=motor, force=force
     )
-    _report(written)
+    facts = _report(written)
+    if ros2_control:
+        folder = written.file.parent / "ros2_control"
+        facts["ros2_control"] = write_ros2_control(str(written.file), folder)
+    output.facts(facts)
     return 0
 
 
-def _report(written: NewScene) -> None:
+def _report(written: NewScene) -> dict[str, Any]:
+    """Print how a scene was made, and return it for programs."""
     choice, report = written.choice, output.line
     report(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
@@ -79,11 +88,11 @@ def _report(written: NewScene) -> None:
         report(f"weak     {overload}")
     report(f"written  {written.file}, and servo/, motion/, demo/ beside it")
     report(f"now try  python -m arm_emulator demo {written.file}")
-    output.facts({
+    return {
         "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
         "held": choice.held, "guessed": guesses, "sources": list(sources),
         "assumed": written.assumed, "weak": [str(one) for one in written.overloads],
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 def scene_of_robot(robot: Path, out: Path) -> Path:
@@ -102,5 +111,5 @@ def scene_of_robot(robot: Path, out: Path) -> Path:
     if file.exists():
         output.line(f"taken    {file}, which was there (remove {folder} to begin anew)")
         return file
-    _report(write_new(robot, folder))
+    output.facts(_report(write_new(robot, folder)))
     return file

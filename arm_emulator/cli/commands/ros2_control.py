@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -31,8 +31,17 @@ def ros2_control(
     Args:
         into: folder of its libraries, its robot description and the controllers' parameters.
     """
-    file = find_scene(scene)
-    machine = load_scene(file)
+    output.facts(write_ros2_control(scene, into))
+    return 0
+
+
+def write_ros2_control(scene: str, into: Path) -> dict[str, Any]:
+    """Write the files of `ros2_control`, print their paths, and return them by what they are.
+
+    Raises:
+        Refusal: a scene with couplings, without gains, or a folder that cannot be written.
+    """
+    machine = load_scene(find_scene(scene))
     description, controllers = files.description(machine, into), files.controllers(machine)
     libraries = compile_ahead(machine, "native", into)
     libraries += compile_units([servo_data_unit(scene)], "native", into)
@@ -48,5 +57,4 @@ def ros2_control(
     for path in (*libraries, *(path for path, _ in written.values())):
         output.line(str(path))
     facts = {name: path for name, (path, _) in written.items()}
-    output.facts({"libraries": libraries, **facts, "update_rate": files.update_rate(machine)})
-    return 0
+    return {"libraries": libraries, **facts, "update_rate": files.update_rate(machine)}
