@@ -353,12 +353,14 @@ class Instructor:
         self._now_ns = time_ns
         while self._coming and self._coming[0][0] <= time_ns:
             taken = self._coming.pop(0)[1]
-            reference = self._reference(laws, time_ns, q)
-            if isinstance(taken.order, TargetOrder):
-                taken.order = self._streamed(laws, time_ns, taken.order, reference.q)
+            reference, order = self._reference(laws, time_ns, q), taken.order
+            if isinstance(order, TargetOrder):
+                self._stream.take(order.stamp_ns or time_ns, order.pose, reference.q)
             if self._coming and self._coming[0][0] <= time_ns:
                 self._report(taken, _replaced_by(self._coming[0][1]))
                 continue
+            if isinstance(order, TargetOrder):
+                taken.order = self._streamed(laws, order, reference.q)
             try:
                 taken.order.begin(laws, time_ns, reference)
             except Refusal as reason:
@@ -368,12 +370,9 @@ class Instructor:
                 self._report(self._active, _replaced_by(taken))
             self._active = taken
 
-    def _streamed(
-        self, laws: Laws, time_ns: int, order: TargetOrder, q: FloatArray
-    ) -> TargetOrder | StreamOrder:
-        """Return the order for a target that begins to hold: itself, or that of its stream."""
-        then_ns = order.stamp_ns or time_ns
-        motion = self._stream.take(then_ns, order.pose, q)
+    def _streamed(self, laws: Laws, order: TargetOrder, q: FloatArray) -> TargetOrder | StreamOrder:
+        """Return the order for the newest target: itself, or that of its stream."""
+        motion = self._stream.motion()
         if motion is None or not is_near(laws.controller.kinematics, q, order):
             return order
         return StreamOrder(order, motion, self._stream.posture)

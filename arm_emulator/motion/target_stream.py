@@ -69,8 +69,8 @@ class TargetStream:
     _seen: list[tuple[int, Pose]] = field(default_factory=list)
     _count: int = 0
 
-    def take(self, time_ns: int, pose: Pose, q: FloatArray) -> StreamMotion | None:
-        """Return the motion of which a target is the newest point; None: it is a single one.
+    def take(self, time_ns: int, pose: Pose, q: FloatArray) -> None:
+        """Take the newest target.
 
         Args:
             time_ns: logical time at which it begins to hold [ns].
@@ -86,12 +86,18 @@ class TargetStream:
         memory = max(MEMORY, PERIODS * self.period)
         while len(self._seen) > KEPT and (time_ns - self._seen[1][0]) * _SECONDS > memory:
             del self._seen[0]
-        return self._motion() if self._count >= LEAST else None
 
-    def _motion(self) -> StreamMotion:
+    def motion(self) -> StreamMotion | None:
+        """Return the motion of which the newest target is a point; None: it is a single one."""
+        if self._count < LEAST:
+            return None
         time_ns, newest = self._seen[-1]
         t = np.array([(then - time_ns) * _SECONDS for then, _ in self._seen])
-        moves = np.array([_between(newest, pose) for _, pose in self._seen])
+        moves = np.empty((len(t), POSE_ROWS))
+        moves[:, :POSITION_ROWS] = np.array([pose.p_WT for _, pose in self._seen]) - newest.p_WT
+        moves[:, POSITION_ROWS:] = _turns(
+            np.array([pose.R_WT for _, pose in self._seen]) @ newest.R_WT.T
+        )
         span = -t[0]
         powers = np.stack([np.ones_like(t), t / span, 0.5 * (t / span) ** 2], axis=1)
         terms = np.linalg.lstsq(powers, moves, rcond=None)[0]
@@ -101,6 +107,15 @@ class TargetStream:
 def _slow(twist: FloatArray) -> bool:
     move, turn = twist[:POSITION_ROWS], twist[POSITION_ROWS:]
     return bool(np.linalg.norm(move) <= FASTEST and np.linalg.norm(turn) <= FASTEST_TURN)
+
+
+def _turns(R: FloatArray) -> FloatArray:
+    """Return the rotation vectors of rotations (K, 3, 3) below half a turn, (K, 3) [rad]."""
+    across = 0.5 * np.stack([R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+    sines = np.linalg.norm(across, axis=1, keepdims=True)
+    cosines = 0.5 * (np.trace(R, axis1=1, axis2=2)[:, None] - 1.0)
+    turns: FloatArray = across * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
+    return turns
 
 
 def _between(before: Pose, after: Pose) -> FloatArray:
