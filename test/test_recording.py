@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import signal
@@ -41,6 +42,8 @@ def recorder(out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        # A process that is stopped while it holds a lock in shared memory hears nothing any more.
+        env={**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
     )
     try:
         yield process
