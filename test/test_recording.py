@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,11 +35,30 @@ from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.ros.run_record import RunRecord
 from arm_emulator_msgs.msg import MotorState, RecorderReport
 
+USUAL = ("-m", "arm_emulator")
+# A recorder that keeps little, and writes nothing between SIGUSR1 and SIGUSR2. Only its writing
+# stands: a process that is stopped stops its middleware's threads too, and what the middleware does
+# about that is another matter.
+BUSY = (
+    "-c",
+    """
+import signal
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR2})
+signal.signal(signal.SIGUSR1, lambda *_: signal.sigwait({signal.SIGUSR2}))
+from arm_emulator.__main__ import main
+from arm_emulator.ros import recorder
+recorder.DEPTH = 200
+main()
+""",
+)
+
 
 @contextmanager
-def recorder(out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+def recorder(
+    out: Path, *arguments: str, program: tuple[str, ...] = USUAL
+) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "arm_emulator", "record", str(out), *arguments],
+        [sys.executable, *program, "record", str(out), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -59,12 +79,18 @@ def end(process: subprocess.Popen[str], how: signal.Signals = signal.SIGINT) -> 
 
 
 def await_words(process: subprocess.Popen[str], words: str) -> str:
-    """Return the line with these words."""
+    """Return the line with these words; a process that does not print them is killed."""
     assert process.stdout is not None
-    for line in process.stdout:
-        if words in line:
-            return line
-    raise AssertionError(f"ended without stating {words}")
+    printed, guard = [], threading.Timer(PATIENCE, process.kill)
+    guard.start()
+    try:
+        for line in process.stdout:
+            printed.append(line)
+            if words in line:
+                return line
+    finally:
+        guard.cancel()
+    raise AssertionError(f"it did not print {words!r}, but {printed}")
 
 
 def ticks_in(bag: Path) -> list[int]:
@@ -210,20 +236,20 @@ def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
 def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
     tmp_path: Path,
 ) -> None:
-    """A recorder that is away for longer than publishers keep messages."""
+    """A recorder that writes nothing while far more arrives than it keeps."""
     reports: list[RecorderReport] = []
     with (
         user(clock="realtime") as one,
-        recorder(tmp_path / "away") as process,
+        recorder(tmp_path / "away", program=BUSY) as process,
         network_of(
             one, tmp_path / "log", clock="realtime", start="first_answer", record=tmp_path / "own"
         ),
     ):
         one.node.create_subscription(RecorderReport, "emulator/recorders", reports.append, 10)
         one.wait("some states to be recorded", lambda: reports and reports[-1].written > 100)
-        process.send_signal(signal.SIGSTOP)
-        await_ticks(one, 3000)  # more than publishers keep
-        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGUSR1)
+        await_ticks(one, 3000)  # more than it keeps
+        process.send_signal(signal.SIGUSR2)
         await_words(process, "ticks of /motor_states")  # while recording
         code, printed = end(process)
     assert code == 1, printed
