@@ -23,13 +23,13 @@ from arm_emulator.motion.jog import (
     JogCommand,
     JogStatus,
     joint_command,
-    speeds_of_twist,
     twist_command,
 )
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
+from arm_emulator.motion.tool_directions import ToolDirections
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator_msgs.msg import MotionStatus
@@ -207,7 +207,7 @@ def test_speeds_are_those_of_the_twist_away_from_singular_poses(seed: int) -> No
     config = load_gains(find_scene("ur5")).motion
     kinematics = Kinematics(one.urdf, one.joint_names, "tool0")
     q, twist = rng.uniform(-2.5, 2.5, 6), rng.normal(0.0, 0.1, 6)
-    speeds = speeds_of_twist(kinematics, q, twist, config)
+    speeds = ToolDirections(kinematics, q).speeds(twist, config)
     singular = kinematics.singular_values(q)
     reached = kinematics.jacobian(q) @ speeds.v
     if singular[0] / singular[-1] < config.jog_lower_singularity_threshold:

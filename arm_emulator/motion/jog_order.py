@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from arm_emulator.motion.instruction import FloatArray, Instruction
-from arm_emulator.motion.jog import JogCommand, JogStatus, Speeds, speeds_of_twist
+from arm_emulator.motion.jog import JogCommand, JogStatus
 from arm_emulator.motion.jog_line import JogLine
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.orders import MOVING, Progress
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.tool_directions import Speeds, ToolDirections
 
 
 class JogOrder:
@@ -88,14 +89,13 @@ class JogOrder:
         if command.of_tool:
             R_WT = kinematics.forward(coming)[0]
             twist = np.concatenate([R_WT @ twist[:3], R_WT @ twist[3:]])
-        speeds = speeds_of_twist(kinematics, coming, twist, laws.config, self._joints.brakes)
+        here = ToolDirections(kinematics, coming)
+        speeds = here.speeds(twist, laws.config, self._joints.brakes)
         if speeds.status is not JogStatus.NO_WARNING:
             self._line.leave()  # what leads back may be what is lost there
             return speeds
         back = self._line.back(coming, now.v, command.twist, twist)
-        return replace(
-            speeds, v=speeds.v + speeds_of_twist(kinematics, coming, back, laws.config).v
-        )
+        return replace(speeds, v=speeds.v + here.speeds(back, laws.config).v)
 
     def _bounded(self, laws: Laws, command: JogCommand, q: FloatArray, v: FloatArray) -> FloatArray:
         """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""

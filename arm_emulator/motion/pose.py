@@ -48,9 +48,14 @@ class Pose(ByValue):
             raise Refusal("Pose", "R_WT", rule, f"one off by {off:.3g}")
         if np.linalg.det(R) < 0.0:
             raise Refusal("Pose", "R_WT", "be a rotation", "a reflection")
-        for name, array in (("p_WT", p), ("R_WT", R)):
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        _keep(self, p, R)
+
+    @classmethod
+    def computed(cls, p_WT: FloatArray, R_WT: FloatArray) -> Pose:
+        """Take both over as they are: results of a computation from poses."""
+        pose = cls.__new__(cls)
+        _keep(pose, p_WT, R_WT)
+        return pose
 
     @classmethod
     def from_quaternion(
@@ -102,3 +107,9 @@ class Pose(ByValue):
         q: FloatArray = outer[:, int(np.argmax(np.diag(outer)))]
         q = q / np.linalg.norm(q)
         return -q if q[3] < 0.0 else q
+
+
+def _keep(pose: Pose, p_WT: FloatArray, R_WT: FloatArray) -> None:
+    for name, array in (("p_WT", p_WT), ("R_WT", R_WT)):
+        array.setflags(write=False)
+        object.__setattr__(pose, name, array)

@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.motion.instruction import FloatArray, Instruction
-from arm_emulator.motion.jog import speeds_of_twist
-from arm_emulator.motion.joint_goal import directions
-from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
+from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import Kind
 from arm_emulator.motion.orders import MOVING, Progress, TargetOrder
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.target_stream import GAP, StreamMotion
+from arm_emulator.motion.tool_directions import ToolDirections
 
 NEAR, NEAR_TURN = 0.1, 0.5  # m, rad: a tool farther from its target goes there by a way of its own
 GAIN, MOST = 15.0, 0.4  # 1/s, of the tool's distance, and part of it in a period at most
@@ -28,7 +27,8 @@ _AHEAD = 1e-3  # s, over which the change of joint speeds is taken
 def is_near(kinematics: Kinematics, q: FloatArray, target: TargetOrder) -> bool:
     """Return whether a tool is near enough to its target to go on with a stream."""
     error = kinematics.tool_error(q, target.pose)
-    return bool(np.linalg.norm(error[:3]) <= NEAR and np.linalg.norm(error[3:]) <= NEAR_TURN)
+    move, turn = error[:POSITION_ROWS], error[POSITION_ROWS:]
+    return bool(move @ move <= NEAR**2 and turn @ turn <= NEAR_TURN**2)
 
 
 class StreamOrder:
@@ -72,24 +72,16 @@ class StreamOrder:
         pose, twist, acceleration = self._motion.at(age + period)
         error = np.zeros(POSE_ROWS)
         error[: kinematics.rows] = kinematics.tool_error(coming, pose)
-        leads = speeds_of_twist(kinematics, coming, twist, laws.config).v
-        then = coming + _AHEAD * leads, twist + _AHEAD * acceleration
-        a = (speeds_of_twist(kinematics, *then, laws.config).v - leads) / _AHEAD
+        here = ToolDirections(kinematics, coming)
+        leads = here.speeds(twist, laws.config).v
+        then = ToolDirections(kinematics, coming + _AHEAD * leads)
+        a = (then.speeds(twist + _AHEAD * acceleration, laws.config).v - leads) / _AHEAD
         nearer = twist + min(GAIN, MOST / period) * error
-        v = speeds_of_twist(kinematics, coming, nearer, laws.config, self._joints.brakes).v
-        v = v + self._back(kinematics, coming)
+        v = here.speeds(nearer, laws.config, self._joints.brakes).v
+        v = v + here.idle(BACK * (self._posture - coming))
         share = self._joints.allowed(now.q, v).min()
         mean = self._joints.go(v * share, alone=False, a=a * share)
         return Instruction(now.q, mean, None, now)
-
-    def _back(self, kinematics: Kinematics, q: FloatArray) -> FloatArray:
-        """Return the joint speeds towards the posture that do not move the tool (N,)."""
-        if len(q) <= kinematics.rows:
-            return np.zeros_like(q)
-        scale = kinematics.joint_scale
-        idle = directions(kinematics.scale[:, None] * kinematics.jacobian(q) * scale)[1]
-        idle = idle[:, : len(q) - kinematics.rows]
-        return np.asarray(scale * (idle @ (idle.T @ ((self._posture - q) / scale))) * BACK)
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""

@@ -46,7 +46,7 @@ class StreamMotion:
         """Return pose, speed and acceleration (6,) at an age [m, rad, s]."""
         place, speed, acceleration = self.terms
         move = place + age * speed + 0.5 * age**2 * acceleration
-        pose = Pose(
+        pose = Pose.computed(
             self.pose.p_WT + move[:POSITION_ROWS],
             pin.exp3(move[POSITION_ROWS:]) @ self.pose.R_WT,
         )
@@ -106,7 +106,7 @@ class TargetStream:
 
 def _slow(twist: FloatArray) -> bool:
     move, turn = twist[:POSITION_ROWS], twist[POSITION_ROWS:]
-    return bool(np.linalg.norm(move) <= FASTEST and np.linalg.norm(turn) <= FASTEST_TURN)
+    return bool(move @ move <= FASTEST**2 and turn @ turn <= FASTEST_TURN**2)
 
 
 def _turns(R: FloatArray) -> FloatArray:

@@ -65,6 +65,8 @@ class CtrlC:
     """
 
     signal: ClassVar[int] = 0
+    _whole: ClassVar[bool] = False  # in a block that a signal interrupts at its end
+    _came: ClassVar[bool] = False  # a signal in it
 
     def __init__(self, code: int | None = 0) -> None:
         self._code = code
@@ -80,6 +82,22 @@ class CtrlC:
         """Return to the behaviour before `leave_to_rclpy`."""
         self._breaks_off = True
 
+    @classmethod
+    @contextlib.contextmanager
+    def after(cls) -> Iterator[None]:
+        """Let a signal in the block interrupt at its end: for short work of libraries.
+
+        An exception in the midst of a constructor leaves objects behind that complain when they are
+        deleted.
+        """
+        cls._whole = True
+        try:
+            yield
+        finally:
+            cls._whole, came, cls._came = False, cls._came, False
+            if came:
+                raise KeyboardInterrupt
+
     def __enter__(self) -> CtrlC:
         return self
 
@@ -89,6 +107,9 @@ class CtrlC:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         CtrlC.signal = CtrlC.signal or number
         if not self._breaks_off:
+            return
+        if CtrlC._whole:
+            CtrlC._came = True
             return
         if _importing(frame):
             os._exit(exit_code(number, self._code))

@@ -62,7 +62,8 @@ class NetworkGuest(Node):
         while not condition():
             if time.monotonic() > deadline:
                 return False
-            self._executor.spin_once(timeout_sec=0.05)
+            with CtrlC.after():
+                self._executor.spin_once(timeout_sec=0.05)
         return True
 
     def is_heard(self, publisher: Publisher, by: str) -> bool:

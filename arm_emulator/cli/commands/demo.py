@@ -37,6 +37,7 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.ctrl_c import CtrlC
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     NANOSECONDS,
@@ -216,7 +217,8 @@ class _Observer(Node):
         deadline = time.monotonic() + patience
         see = f"the nodes' output is in {network.log}"
         while not condition():
-            rclpy.spin_once(self, timeout_sec=0.1)
+            with CtrlC.after():
+                rclpy.spin_once(self, timeout_sec=0.1)
             ended = network.ended()
             if ended is not None:
                 name, code = ended
