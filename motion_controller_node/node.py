@@ -41,7 +41,7 @@ from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
-from arm_emulator.motion.motion_report import Kind
+from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import check_number_of_poses
@@ -356,6 +356,9 @@ class MotionControllerNode(Node):
             )
             message.header.stamp = stamp(self._now_ns)
             self._status.publish(message)
+            if one.state.final and one.state is not State.REFUSED:  # `Diagnostics` logs refusals
+                log, regular = self._diagnostics.log, (State.REACHED, State.REPLACED)
+                (log.outcome if one.state in regular else log.trouble)(one.state.name, str(one))
 
     def _report(self) -> None:
         restarts = self._instructor.restarts

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from in_process import InProcess, in_process
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.motion_report import Kind, MotionReport, State
+from arm_emulator.ros.node_log import NodeLog
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +53,46 @@ def test_other_words_or_another_level_are_published_at_once(
     health.warn("holding: -2.5e+3 rad")
     health.error("holding: 7 rad")
     assert printed == ["following", "following", "holding: 1e-5 rad", "holding: 7 rad"]
+
+
+def test_refusals_are_logged_once_in_a_while_and_those_between_are_counted() -> None:
+    lines: list[str] = []
+
+    class Logger:
+        warning = staticmethod(lines.append)
+        info = staticmethod(lines.append)
+
+    at = 0.0
+    log = NodeLog(Logger(), lambda: at)
+    for k in range(1000):  # 10 s, a refusal every 10 ms; and beside them one of another kind
+        at = 0.01 * k
+        log.trouble("motor_commands", f"refused: {k}")
+        if k == 300:
+            log.outcome("REACHED", "tool target 1 reached")
+    assert lines == ["refused: 0", "tool target 1 reached", "refused: 500 (and 499 more before)"]
+
+
+def test_a_node_logs_refusals_and_outcomes(
+    nodes: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: list[tuple[str, str, str]] = []
+    for node in nodes.nodes.values():
+        for level in ("outcome", "trouble"):
+            log = node._diagnostics.log
+            put = functools.partial(
+                lambda level, kind, line: lines.append((level, kind, line)), level
+            )
+            monkeypatch.setattr(log, level, put)
+    nodes.nodes["servo"]._diagnostics.refuse("motor_states", Refusal("here", "q", "be 1", 2))
+    motion = nodes.nodes["motion_controller"]
+    motion._instructor.reports.waiting.extend(
+        MotionReport(Kind.TOOL_TARGET, 1, 0, state, "a reason", 0.0012) for state in State
+    )
+    motion._report_status()
+    assert lines == [
+        ("trouble", "motor_states: be #", "refused: here: q must be 1, got 2"),
+        ("outcome", "REACHED", "tool target 1 reached, 1.2 mm left: a reason"),
+        ("trouble", "UNREACHABLE", "tool target 1 unreachable, 1.2 mm left: a reason"),
+        ("outcome", "REPLACED", "tool target 1 replaced, 1.2 mm left: a reason"),
+        ("trouble", "ABORTED", "tool target 1 aborted, 1.2 mm left: a reason"),
+    ]

@@ -57,6 +57,18 @@ class MotionReport:
     angle: float = math.nan
     """The same for its orientation [rad]."""
 
+    def __str__(self) -> str:
+        order, state = self.kind.name.lower().replace("_", " "), self.state.name.lower()
+        why = f": {self.reason}" if self.reason else ""
+        return f"{order} {self.number} {state}{left(self.distance, self.angle)}{why}"
+
+
+def left(distance: float, angle: float) -> str:
+    """Return the remaining way in words, empty if neither distance [m] nor angle [rad] is known."""
+    parts = ((1e3 * distance, "mm"), (angle, "rad"))
+    known = ", ".join(f"{value:.3g} {unit}" for value, unit in parts if math.isfinite(value))
+    return f", {known} left" if known else ""
+
 
 class Reports:
     """The newest reports that have not been taken yet, and the numbers of orders."""

@@ -35,6 +35,7 @@ from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.end_with_parent import end_with_parent
 from arm_emulator.ros.lean_executor import HOUSEKEEPING, LeanExecutor
+from arm_emulator.ros.node_log import NodeLog
 from arm_emulator.ros.shared_memory import clear_left_over
 
 # Commands: nothing is lost, and the newest counts. Receivers read all of them: with a depth of 1
@@ -228,6 +229,7 @@ class Diagnostics:
     Attributes:
         values: more to publish, by name.
         doubles: values and warnings while another node does the same.
+        log: takes refusals, and what else the node reports; throttled.
         send: publishes; a node with its own record replaces it.
     """
 
@@ -237,6 +239,7 @@ class Diagnostics:
         namespace = node.get_namespace().strip("/")
         self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
         self._clock = node.get_clock()
+        self.log = NodeLog(node.get_logger())
         self.publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
         self.send: Callable[[DiagnosticArray], None] = self.publisher.publish
         self._refused: Counter[str] = Counter()
@@ -254,10 +257,11 @@ class Diagnostics:
         return self._refused.total()
 
     def refuse(self, topic: str, reason: Refusal) -> None:
-        """Count a refused input."""
+        """Count and log a refused input."""
         first = self._refused[topic] == 0
         self._refused[topic] += 1
         self._newest_refusal = str(reason)
+        self.log.trouble(f"{topic}: {_words(reason.rule)}", f"refused: {reason}")
         if first:
             self.publish()
 

@@ -124,8 +124,8 @@ def _predict(
         console.print(f"no prediction: {reason}")
         return reason
     console.print(f"predicted residual (mm)   {_row(predicted.centre[:3])}")
-    console.print(f"give or take (mm)         {_row(predicted.within[:3])}   (+-)")
-    console.print(f"so within                 {predicted.radius * 1e3:.4f} mm of that")
+    console.print(f"its uncertainty (mm)      {_row(predicted.within[:3])}   (+-)")
+    console.print(f"largest distance from it  {predicted.radius * 1e3:.4f} mm")
     if predicted.arrival is Arrival.UNREACHABLE:
         left = float(np.linalg.norm(predicted.reference[:3])) * 1e3
         console.print(f"the target is out of reach: motion control ends {left:.4f} mm from it")
@@ -348,4 +348,4 @@ def _report(
     console.print(f"real-time factor          {result.real_time_factor:.2f}")
     for line in report_safety(scene, result.arrived):
         console.print(line)
-    console.print(f"look at  {out / 'fig4.png'}  and  rerun {out / 'demo.rrd'}")
+    console.print(f"results: {out / 'fig4.png'}; the moving arm: rerun {out / 'demo.rrd'}")

@@ -21,6 +21,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_report import left
 from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.network_guest import STATES, NetworkGuest, guest
 from arm_emulator.ros.node_shell import (
@@ -139,9 +140,7 @@ def _watch(
 def _left(status: MotionStatus) -> str:
     if status.state not in (MotionStatus.STATE_REACHED, MotionStatus.STATE_UNREACHABLE):
         return ""
-    parts = [(status.distance * 1e3, "mm"), (status.angle, "rad")]
-    left = ", ".join(f"{value:.3g} {unit}" for value, unit in parts if math.isfinite(value))
-    return f", {left} left" if left else ""
+    return left(status.distance, status.angle)
 
 
 def _angles(given: Sequence[str]) -> dict[str, float]:
