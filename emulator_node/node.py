@@ -20,22 +20,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rclpy.node import Node
-
 from arm_emulator.base.parameters import parameter
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
 from arm_emulator.ros.doubles import Doubles
-from arm_emulator.ros.node_shell import (
-    Diagnostics,
+from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.node_parameters import (
     accept_changes,
     declare_parameters,
     refuse_other_parameters,
     replaced,
-    run_node,
-    wall_timer,
 )
+from arm_emulator.ros.node_shell import Diagnostics, run_node, wall_timer
 from emulator_node.answered_ticks import AnsweredTicks
 from emulator_node.changes import Changes
 from emulator_node.context import Context
@@ -85,79 +82,90 @@ class EmulatorParameters:
     )
 
 
-class EmulatorNode(Node):
-    """The machine as a ROS node: creates its objects, and ends them.
-
-    Attributes:
-        hot: its messages in C; None: nothing.
-    """
+class EmulatorNode(ManagedNode):
+    """The machine as a ROS node: creates its objects, and ends them."""
 
     def __init__(self) -> None:
-        super().__init__("emulator", automatically_declare_parameters_from_overrides=True)
+        super().__init__("emulator")
         self._config = declare_parameters(self, EmulatorParameters)
         refuse_other_parameters(self, self._config)
         accept_changes(self, self._changed, self._take_parameters)
+        self._diagnostics = Diagnostics(self, "machine")
+        self._doubles = Doubles(
+            self, self._diagnostics, "emulator", "motor_states", "the one started first rules"
+        )
+        self.start()
+
+    def configure(self) -> None:
+        """Create the machine, which stands, and its topics and services."""
         config, scene = self._config, load_scene(self._config.scene)
         for line in scene.warnings:
-            self.get_logger().warn(line)
-        self._diagnostics = diagnostics = Diagnostics(self, scene.name)
-        self._doubles = Doubles(
-            self, diagnostics, "emulator", "motor_states", "the one started first rules"
-        )
-        self._doubles.wait_until_first("emulator/status")
+            self.get_logger().warning(line)
+        diagnostics = self._diagnostics
+        diagnostics.hardware_id = scene.name
+        outbox = Outbox(diagnostics)
+        self.cleanup.callback(outbox.close)
         self._session = session = (
-            real_time_session(scene, config.start)
+            real_time_session(scene, config.start, standing=True)
             if config.clock == "realtime"
-            else Session(scene, config.clock, config.start)
+            else Session(scene, config.clock, config.start, standing=True)
         )
+        view = View(session, config.rerun_file, config.rerun_port)
+        self.cleanup.callback(view.close)
+        self.cleanup.callback(session.close)
         topic = self.resolve_topic_name("motor_states")
-        self._own = own = Context(
-            self,
-            session,
-            diagnostics,
-            RecorderGate(self, session, diagnostics, topic),
-            Outbox(diagnostics),
-            View(session, config.rerun_file, config.rerun_port),
-        )
+        gate = RecorderGate(self, session, diagnostics, topic)
+        self._own = own = Context(self, session, diagnostics, gate, outbox, view)
         self._reports = reports = Reports(own, config.report_period)
         self._status = status = Status(own, reports)
         health = Health(own, lambda: self._config.timeout)
         pace = LoopPacer if session.by_itself else LockstepPacer
         self._pacer: Pacer = pace(own, reports, health)
+        self.cleanup.callback(self._pacer.close)
         changes = Changes(session, self._pacer, reports)
         intake = Intake(own, self._pacer, changes)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
             folder = Path(config.record)
             commands = intake.commands.topic_name
-            record = own_record(self, folder, publishers, commands, session.lockstep)
-            own.outbox.record = record
-            diagnostics.send = lambda message: own.outbox.put(diagnostics.publisher, message)
-        self.hot = (
-            None
-            if session.by_itself
-            else AnsweredTicks(own, intake.commands, intake.taking, reports, health)
-        )
-        reports.description()
+            outbox.record = own_record(self, folder, publishers, commands, session.lockstep)
+            diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
+            self.cleanup.callback(self._end_record)
+        if not session.by_itself:
+            self.hot = AnsweredTicks(own, intake.commands, intake.taking, reports, health)
         TimeServices(own, changes, health, status)
         MachineServices(own, changes)
         self._repeater = Repeater(own, self._pacer, reports, health)
         wall_timer(self, REPEAT_AFTER, self._on_repeat)
         wall_timer(self, STATUS_PERIOD, self._on_status)
-        reports.tick()
         self.get_logger().info(
             f"scene {scene.name}: {len(scene.joints)} joints, {scene.integrator.scheme} at "
             f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
             f"clock {config.clock}"
         )
-        self._pacer.start()
+        diagnostics.ok("inactive: the machine stands")
 
-    def close(self) -> None:
-        """Stop the machine and finish the Rerun recording."""
+    def activate(self) -> None:
+        """Publish this tick, and let time pass."""
+        self._doubles.begin()
+        self._doubles.wait_until_first("emulator/status")
+        with self._own.lock:
+            self._reports.description()
+            self._reports.tick()
+            self._session.standing = False
+            self._pacer.start()
+
+    def deactivate(self) -> None:
+        """Let the machine stand at this tick, once it is published."""
+        with self._own.lock:
+            self._session.standing = True
+            self._pacer.catch_up()
         self._pacer.close()
-        self._session.close()
-        self._own.view.close()
-        self._own.outbox.close()
+        self._doubles.end()
+        self._diagnostics.ok("inactive: the machine stands")
+
+    def _end_record(self) -> None:
+        self._diagnostics.send = self._diagnostics.publisher.publish
 
     def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
         return replaced(self, self._config, changes)

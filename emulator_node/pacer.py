@@ -20,7 +20,7 @@ class Pacer(Protocol):
     """Advances the session from tick to tick, and publishes each."""
 
     def start(self) -> None:
-        """Begin, once all other objects exist."""
+        """Begin, or go on after `close`."""
 
     def go_on(self) -> None:
         """Leave this tick, unless it waits for something."""
@@ -39,12 +39,13 @@ class LockstepPacer:
     """Ticks follow answers; before the first answer the node paces them by the servo period."""
 
     def __init__(self, own: Context, reports: Reports, health: Health) -> None:
-        self._node, self._session, self._gate = own.node, own.session, own.gate
+        self._session, self._gate = own.session, own.gate
         self._reports, self._health, self._lock = reports, health, own.lock
+        self._pace = wall_timer(own.node, own.session.scene.servo_period, self._on_pace)
 
     def start(self) -> None:
         """Pace the free run."""
-        self._pace = wall_timer(self._node, self._session.scene.servo_period, self._on_pace)
+        self._pace.reset()
 
     def go_on(self) -> None:
         """Leave this tick if permitted, and if every recorder has kept up."""
@@ -82,11 +83,12 @@ class LoopPacer:
         self._session, self._outbox, self._lock = own.session, own.outbox, own.lock
         self._reports, self._health = reports, health
         self._closing = False
-        self._thread = threading.Thread(target=self._run, name="taker")
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Take ticks from now on."""
-        self._outbox.taker = self._thread
+        self._closing = False
+        self._thread = self._outbox.taker = threading.Thread(target=self._run, name="taker")
         self._thread.start()
 
     def go_on(self) -> None:
@@ -105,7 +107,7 @@ class LoopPacer:
     def close(self) -> None:
         """End the thread."""
         self._closing = True
-        if self._thread.is_alive():
+        if self._thread is not None:
             self._thread.join()
 
     def _run(self) -> None:

@@ -25,7 +25,6 @@ from geometry_msgs.msg import Pose as PoseOfMessage
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
@@ -46,6 +45,13 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import check_number_of_poses
 from arm_emulator.ros.doubles import Doubles
+from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.node_parameters import (
+    accept_changes,
+    declare_parameters,
+    refuse_other_parameters,
+    replaced,
+)
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
@@ -54,11 +60,7 @@ from arm_emulator.ros.node_shell import (
     NANOSECONDS,
     STATE_SUB_QOS,
     Diagnostics,
-    accept_changes,
-    declare_parameters,
     nanoseconds_of,
-    refuse_other_parameters,
-    replaced,
     run_node,
     stamp,
     time_of,
@@ -70,7 +72,7 @@ from motion_controller_node.jog_topics import JogTopics
 _MOVABLE = BRAKE_CLOSED.named("movable")
 
 
-class MotionControllerNode(Node):
+class MotionControllerNode(ManagedNode):
     """The motion controller as a ROS node.
 
     It answers the joint states at every multiple of its period with joint targets of the same time
@@ -79,19 +81,11 @@ class MotionControllerNode(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__("motion_controller", automatically_declare_parameters_from_overrides=True)
+        super().__init__("motion_controller")
         config = declare_parameters(self, MotionConfig)
         refuse_other_parameters(self, config, SECTIONS)
-        sections = {
-            one: {
-                name: self.get_parameter(f"{one}.{name}").value
-                for name in self.get_parameters_by_prefix(one)
-            }
-            for one in SECTIONS
-        }
-        self._config = config.beside(sections, f"node {self.get_name()}")
+        self._config = self._with_sections(config, {})
         accept_changes(self, self._changed, self._take_parameters)
-        self._period_ns = round(self._config.period * NANOSECONDS)
         self._diagnostics = Diagnostics(self, "motion controller")
         self._doubles = Doubles(
             self,
@@ -102,9 +96,16 @@ class MotionControllerNode(Node):
         )
         for kind in Kind:
             self._diagnostics.values[_plural(kind)] = 0
-        self._diagnostics.warn("waiting for robot_description")
-        self._urdf = ""
+        self._urdf = ""  # the newest description, and the arm's
         self._controller: Controller | None = None
+        # In every state: it is published once.
+        self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
+        self.start()
+
+    def configure(self) -> None:
+        """Create the topics and services."""
+        self._period_ns = round(self._config.period * NANOSECONDS)
+        self._controller = None
         self._instructor = Instructor(self._config)
         self._answer: JointState | None = None
         self._now_ns = 0  # of the newest joint states
@@ -112,7 +113,6 @@ class MotionControllerNode(Node):
         self._unanswered: JointState | None = None  # of which the servo's state is not here yet
         self._status = self.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
-        self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
         self._servo_reports = False  # whether the servo publishes its state
         self.create_subscription(
             ServoState,
@@ -139,21 +139,52 @@ class MotionControllerNode(Node):
         self._action: FollowAction | None = None
         if installed():
             self.housekeeping = 0.02  # s, wall: bounds the delay of goals
+        self.cleanup.callback(self._end_action)
+        if self._urdf:
+            self._take_description(self._urdf)
+
+    def activate(self) -> None:
+        """Answer joint states."""
+        self._doubles.begin()
+        if self._controller is None:
+            self._diagnostics.warn("waiting for robot_description")
+        else:
+            self._diagnostics.ok("waiting for joint_states")
+
+    def deactivate(self) -> None:
+        """Drop all targets, trajectories and paths."""
+        self._start_over("the motion controller was deactivated")
+        self._doubles.end()
+        self._diagnostics.ok("inactive: no joint targets")
+
+    def _end_action(self) -> None:
+        if self._action is not None:
+            self._action.close()
+
+    def _with_sections(self, config: MotionConfig, changes: Mapping[str, Any]) -> MotionConfig:
+        """Return parameters beside the sections of the node, with some entries changed."""
+        sections: dict[str, dict[str, Any]] = {one: {} for one in SECTIONS}
+        for one, entries in sections.items():
+            for name in self.get_parameters_by_prefix(one):
+                entries[name] = self.get_parameter(f"{one}.{name}").value
+        for name, value in changes.items():
+            section, _, entry = name.partition(".")
+            sections[section][entry] = value
+        return config.beside(sections, f"node {self.get_name()}")
 
     def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
-        return replaced(self, self._config, changes)
+        own = {name: value for name, value in changes.items() if name in vars(self._config)}
+        others = {name: value for name, value in changes.items() if name not in own}
+        return self._with_sections(replaced(self, self._config, own), others)
 
     def _take_parameters(self, config: MotionConfig) -> None:
         """Work with other parameters from the next motion period on."""
         self._config = config
+        if not self.configured:
+            return
         self._instructor.retune(config)
         if self._controller is not None:
             self._controller.retune(config)
-
-    def close(self) -> None:
-        """Release the action."""
-        if self._action is not None:
-            self._action.close()
 
     def _start_over(self, reason: str) -> None:
         self._answer = None
@@ -163,18 +194,25 @@ class MotionControllerNode(Node):
     def _on_description(self, message: String) -> None:
         if self._controller is not None and message.data == self._urdf:
             return
+        if not self.configured:
+            self._urdf = message.data
+            return
+        self._take_description(message.data)
+
+    def _take_description(self, urdf: str) -> None:
         try:
-            controller = controller_for(message.data, moving_joints(message.data), self._config)
+            controller = controller_for(urdf, moving_joints(urdf), self._config)
         except Refusal as reason:
             self._diagnostics.refuse("robot_description", reason)
             return
         if self._controller is not None:  # targets for another arm
             self._start_over("the robot is another one")
-        self._urdf, self._controller = message.data, controller
+        self._urdf, self._controller = urdf, controller
         self._order = JointOrder("joint_states", controller.kinematics.joint_names)
         if self._action is None and installed():  # clients may begin when the server exists
             self._action = FollowAction(self, self._on_goal, self._on_cancel)
-        self._diagnostics.ok("waiting for joint_states")
+        if self.active:
+            self._diagnostics.ok("waiting for joint_states")
 
     def _on_tool_target(self, message: PoseStamped) -> None:
         def take() -> None:
@@ -197,6 +235,9 @@ class MotionControllerNode(Node):
         Raises:
             Refusal: the goal is refused, which is published.
         """
+        if not self.active:
+            rule = "come while the node is active"
+            raise Refusal("follow_joint_trajectory", "goal", rule, self.state)
         trajectory = goal.trajectory
         kinematics = None if self._controller is None else self._controller.kinematics
         names = () if kinematics is None else kinematics.joint_names

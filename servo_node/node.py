@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -31,7 +30,14 @@ from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.fixed_layout import Taking
+from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import Outgoing
+from arm_emulator.ros.node_parameters import (
+    accept_changes,
+    declare_parameters,
+    describe,
+    replaced,
+)
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
@@ -39,10 +45,7 @@ from arm_emulator.ros.node_shell import (
     STATE_PUB_QOS,
     STATE_SUB_QOS,
     Diagnostics,
-    accept_changes,
-    declare_parameters,
     run_node,
-    set_range,
     set_stamp,
     time_of,
     wall_timer,
@@ -73,20 +76,16 @@ class ServoNodeParameters:
     )
 
 
-class ServoNode(Node):
+class ServoNode(ManagedNode):
     """The servo as a ROS node.
 
     In lock-step each motor state is answered once, and at the start of a motion period only after
     the joint targets that answer this period's joint states have come.
-
-    Attributes:
-        hot: its messages in C.
     """
 
     def __init__(self) -> None:
-        super().__init__("servo", automatically_declare_parameters_from_overrides=True)
-        own = declare_parameters(self, ServoNodeParameters)
-        self._own = tuple(vars(own))
+        super().__init__("servo")
+        self._own = declare_parameters(self, ServoNodeParameters)
         given = self._servo_parameters({})
         if not given:
             raise Refusal(
@@ -99,15 +98,26 @@ class ServoNode(Node):
         self._config = ServoConfig.from_mapping(given, PARAMETERS)
         for name in given:
             one = declared(name)
-            descriptor = ParameterDescriptor(
-                description=one.described if one else name.replace("_", " "),
-                read_only=name.rsplit(".", 1)[-1] not in SETTABLE,
-                dynamic_typing=True,
-            )
-            set_range(descriptor, one)
-            self.set_descriptor(name, descriptor)
+            words = one.described if one else name.replace("_", " ")
+            descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
+            describe(self, name, descriptor, one)
+            if name.rsplit(".", 1)[-1] in SETTABLE:
+                self.settable.add(name)
         self._next_config: ServoConfig | None = None  # from the next tick on
         accept_changes(self, self._changed, self._take_parameters)
+        self._diagnostics = Diagnostics(self, "servo drives")
+        self._doubles = Doubles(
+            self,
+            self._diagnostics,
+            "servo",
+            "motor_commands",
+            "the emulator takes the first answer to each tick",
+        )
+        self.start()
+
+    def configure(self) -> None:
+        """Create the drives, and their topics."""
+        own = self._own
         self._lockstep = own.clock == "lockstep"
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._motion_ticks = round(self._config.motion_period / self._config.period)
@@ -116,6 +126,7 @@ class ServoNode(Node):
         self._targets_order = JointOrder("joint_targets", names)
         self._counts = self._config.counts
         self._drives = Drives(self._config)
+        self._next_config = None
         self.hot = self
         self._hot = AnsweredStates(
             self._config,
@@ -125,14 +136,6 @@ class ServoNode(Node):
             report_ticks=max(1, round(own.joint_states_period / self._config.period)),
         )
         self._at = self._hot.at
-        self._diagnostics = Diagnostics(self, "servo drives")
-        self._doubles = Doubles(
-            self,
-            self._diagnostics,
-            "servo",
-            "motor_commands",
-            "the emulator takes the first answer to each tick",
-        )
         self._heard_at = time.monotonic()
         self._start_over()
 
@@ -166,10 +169,25 @@ class ServoNode(Node):
         self.takes, self.outgoing = hot.takes, hot.outgoing
         self.create_service(Trigger, "~/reset", self._on_reset)
         wall_timer(self, SILENCE_CHECK, self._on_silence_check)
+        self._diagnostics.ok("inactive: no commands")
+
+    def activate(self) -> None:
+        """Answer motor states. In lock-step time has stood, and the servo goes on."""
+        self._doubles.begin()
+        if not self._lockstep:
+            self._start_over()
+        self._diagnostics.ok("active")
+
+    def deactivate(self) -> None:
+        """Answer no more; in real time the power is cut at last, since the arm goes on moving."""
+        if not self._lockstep and self._at.tick >= 0:
+            self._cut()
+        self._doubles.end()
+        self._diagnostics.ok("inactive: no commands")
 
     def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the servo's parameters, with some changed."""
-        others = (*ROS_PARAMETERS, *self._own)
+        others = (*ROS_PARAMETERS, *vars(self._own))
         declared = {name: one.value for name, one in self._parameters.items()}
         return {
             name: value
@@ -177,16 +195,18 @@ class ServoNode(Node):
             if name.split(".")[0] not in others
         }
 
-    def _changed(self, changes: Mapping[str, Any]) -> ServoConfig:
+    def _changed(self, changes: Mapping[str, Any]) -> tuple[ServoNodeParameters, ServoConfig]:
+        own = {name: value for name, value in changes.items() if name in vars(self._own)}
         config = ServoConfig.from_mapping(self._servo_parameters(changes), PARAMETERS)
         Servo(config)  # refuses invalid parameters
-        return config
+        return replaced(self, self._own, own), config
 
-    def _take_parameters(self, config: ServoConfig) -> None:
-        self._next_config = config
-
-    def close(self) -> None:
-        """Nothing to release."""
+    def _take_parameters(self, both: tuple[ServoNodeParameters, ServoConfig]) -> None:
+        self._own, config = both
+        if self.configured:
+            self._next_config = config
+        else:
+            self._config = config
 
     def begin(self) -> None:
         """Let messages be taken in C, see `HotPath`."""
@@ -374,8 +394,12 @@ class ServoNode(Node):
         self._diagnostics.warn(f"no motor state for {silence:.0f} s")
         if not self._lockstep and not self._silent:
             self._silent = True
-            self._command.layout.message.command[:] = 0.0
-            self._publish_command()
+            self._cut()
+
+    def _cut(self) -> None:
+        """Publish commands of 0."""
+        self._command.layout.message.command[:] = 0.0
+        self._publish_command()
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._start_over()

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
@@ -21,6 +20,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.motion_report import Reports
 from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics
 from arm_emulator.ros.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
@@ -40,7 +40,7 @@ class Doors:
 
     def __init__(self, nodes: dict[str, Any]) -> None:
         self.nodes = nodes
-        bare = Node("bare")
+        bare = ManagedNode("bare")
         self._of_every_node = frozenset(vars(bare))
         bare.destroy_node()
         scene = load_scene("three_axis")

@@ -299,13 +299,13 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
 
 INTERRUPTED = """
 import os, signal
-from rclpy.node import Node
+from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import run_node
 
 def ctrl_c():
     os.kill(os.getpid(), signal.SIGINT)
 
-class Interrupted(Node):
+class Interrupted(ManagedNode):
     def __init__(self):
         super().__init__("interrupted")
         {set_up}

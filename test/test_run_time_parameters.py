@@ -136,7 +136,8 @@ def refused_bad_values(parameters: Parameters, rng: random.Random) -> None:
         ("motion_controller", "period", 0.1),
         ("emulator", "scene", "ur5"),
     ):
-        assert "read-only" in parameters.set(node, **{name: value})
+        words = "must be set while the node is unconfigured, got active"
+        assert words in parameters.set(node, **{name: value})
 
 
 def test_every_number_has_a_range_and_words(three_nodes: SharedNetwork) -> None:

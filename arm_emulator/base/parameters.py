@@ -15,7 +15,12 @@ from arm_emulator.base.yaml_file import read_yaml
 Parameters = TypeVar("Parameters")
 
 # Parameters that every ROS 2 node has.
-ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+ROS_PARAMETERS = (
+    "autostart",
+    "qos_overrides",
+    "start_type_description_service",
+    "use_sim_time",
+)
 
 
 def parameter(

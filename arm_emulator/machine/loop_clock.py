@@ -77,6 +77,6 @@ class LoopClock(Clock):
         return reached
 
 
-def real_time_session(scene: Scene, start: str) -> Session:
+def real_time_session(scene: Scene, start: str, *, standing: bool = False) -> Session:
     """Return a session whose ticks come from the real-time loop, see `Session`."""
-    return Session(scene, "realtime", start, LoopClock)
+    return Session(scene, "realtime", start, LoopClock, standing=standing)

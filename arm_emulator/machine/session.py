@@ -69,6 +69,7 @@ class Session(Turns):
             False and then runs free.
         driver: what lets the periods of its plant pass. A loop runs exactly while the phase allows
             to advance.
+        standing: whether time stands until `standing` is set to False, beside `paused`.
 
     Raises:
         Refusal: another clock or start than these.
@@ -80,6 +81,8 @@ class Session(Turns):
         clock: str,
         start: str,
         driver: Callable[[Plant], Clock] = Clock,
+        *,
+        standing: bool = False,
     ) -> None:
         for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
             if not isinstance(value, str) or value not in known:
@@ -94,7 +97,7 @@ class Session(Turns):
         self._clock = driver(self.plant)
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
-        self._start = start
+        self._start, self._standing = start, standing
         self._answers = Answers(scene, self.lockstep)
         self.tick = -1
         self.reset()
@@ -165,6 +168,16 @@ class Session(Turns):
     @paused.setter
     def paused(self, value: bool) -> None:
         self._paused = as_flag(value, "Session", "paused")
+        self._follow_phase()
+
+    @property
+    def standing(self) -> bool:
+        """Whether logical time stands still because its owner is not active."""
+        return self._standing
+
+    @standing.setter
+    def standing(self, value: bool) -> None:
+        self._standing = as_flag(value, "Session", "standing")
         self._follow_phase()
 
     @property
@@ -352,7 +365,7 @@ class Session(Turns):
         """Present phase."""
         if self.fault is not None:
             return Phase.STOPPED
-        if self.paused:
+        if self._paused or self._standing:
             return Phase.PAUSED
         if self._answers.newest is None:
             return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING

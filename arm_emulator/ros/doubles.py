@@ -51,19 +51,31 @@ class Doubles:
         self._kind, self._topic = kind, node.resolve_topic_name(topic)
         self._consequence = consequence
         self._known: dict[int, _Double] = {}  # by start time
-        self._leads = False
-        diagnostics.values.update(
-            {
-                "kind": kind,
-                "topic": self._topic,
-                "host": socket.gethostname(),
-                "process": os.getpid(),
-                "started [ns]": STARTED,
-            }
-        )
+        self._leads = self._works = False
+        self._mine = {
+            "kind": kind,
+            "topic": self._topic,
+            "host": socket.gethostname(),
+            "process": os.getpid(),
+            "started [ns]": STARTED,
+        }
         late = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, late)
         wall_timer(node, LOOK_PERIOD, self._forget_who_is_gone)
+
+    def begin(self) -> None:
+        """Identify this node as one that works."""
+        self._works = True
+        self._diagnostics.values.update(self._mine)
+        for started, one in self._known.items():
+            self._name(started, one.words)
+
+    def end(self) -> None:
+        """It stands still, and is nobody's double."""
+        self._works = self._leads = False
+        for name in self._mine:
+            self._diagnostics.values.pop(name, None)
+        self._report()
 
     def wait_until_first(self, sign: str) -> None:
         """Serve the node, silent but for its diagnostics, until no earlier one is present.
@@ -72,17 +84,19 @@ class Doubles:
         busy that the middleware has not found it in time.
 
         Args:
-            sign: a topic on which only nodes of this kind publish, and this one not yet.
+            sign: a topic on which only nodes of this kind publish.
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
         begin = time.monotonic()
+        full = self._node.resolve_topic_name(sign)
+        own = sum(one.topic_name == full for one in self._node.publishers)
 
         def waits() -> bool:
             listened = time.monotonic() - begin
             if listened < LISTEN or self._first():
                 return True
-            unknown = self._node.count_publishers(sign) > len(self._known)
+            unknown = self._node.count_publishers(sign) - own > len(self._known)
             return unknown and listened < IDENTIFY
 
         while waits():
@@ -122,6 +136,8 @@ class Doubles:
             self._name(int(started), words)
 
     def _name(self, started: int, words: str) -> None:
+        if not self._works:
+            return
         if self._leads and started < STARTED:
             raise StartAnew
         order = "before" if started < STARTED else "after"
@@ -134,7 +150,7 @@ class Doubles:
     def _report(self) -> None:
         self._diagnostics.doubles = (
             {f"another {self._kind}": "; ".join(one.words for one in self._known.values())}
-            if self._known
+            if self._known and self._works
             else {}
         )
         self._diagnostics.publish()

@@ -17,6 +17,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from arm_emulator.ros.c import MIDDLEWARE
+from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import FAILED, HotPath, middleware
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
@@ -33,18 +34,15 @@ class LeanExecutor:
     Callbacks are plain functions and run one after the other, as with SingleThreadedExecutor.
 
     Args:
-        node: the node to serve.
-        hot: its messages in C; None: nothing.
-        housekeeping: see `HOUSEKEEPING`; shorter for a node with actions, which rclpy's executor
-            serves [s, wall].
+        node: the node to serve. Its `housekeeping`, if it has one, is the interval of what is left
+            to rclpy's executor, shorter for actions [s, wall].
+        hot: messages in C of a node that is not a `ManagedNode`; None: nothing.
     """
 
-    def __init__(
-        self, node: Node, hot: HotPath | None = None, housekeeping: float = HOUSEKEEPING
-    ) -> None:
-        self._node, self._hot = node, hot
+    def __init__(self, node: Node, hot: HotPath | None = None) -> None:
+        self._node, self._given = node, hot
+        self._hot: HotPath | None = None
         self._run = middleware().ros_wait_run
-        self._housekeeping = housekeeping
         self._context = node.context
         self._rest = SingleThreadedExecutor(context=node.context)
         self._rest.add_node(node)
@@ -57,12 +55,16 @@ class LeanExecutor:
         """
         while True:
             with ExitStack() as held:
-                self._serve(held, until=time.monotonic() + self._housekeeping)
+                housekeeping = getattr(self._node, "housekeeping", HOUSEKEEPING)
+                self._serve(held, until=time.monotonic() + housekeeping)
+            # A transition may have served the node by an executor of its own meanwhile.
+            self._rest.add_node(self._node)
             self._rest.spin_once(timeout_sec=0.0)
 
     def _serve(self, held: ExitStack, until: float) -> None:
         """Wait for messages alone while they keep coming, and check the rest now and then."""
-        node = self._node
+        node, generation = self._node, self._generation
+        self._hot = node.in_c if isinstance(node, ManagedNode) else self._given
         subscriptions, timers, services = (
             [(one.handle.pointer, one) for one in many]
             for many in (node.subscriptions, node.timers, node.services)
@@ -82,7 +84,7 @@ class LeanExecutor:
         waiting = self._wait_for(messages, subscriptions)
         quiet = True
         look = time.monotonic()  # for the other entities
-        while (now := time.monotonic()) < until:
+        while (now := time.monotonic()) < until and generation == self._generation:
             if quiet or now >= look:
                 all_of_them.clear_entities()
                 for _, subscription in subscriptions if quiet else ():
@@ -104,6 +106,11 @@ class LeanExecutor:
                 quiet = quiet and not _ready(all_of_them, "subscription", subscriptions)
             else:
                 quiet = not self._take_messages(waiting, subscriptions, look - now)
+
+    @property
+    def _generation(self) -> int:
+        """Changes when other entities are to be served."""
+        return self._node.generation if isinstance(self._node, ManagedNode) else 0
 
     def _wait_for(self, messages: Any, subscriptions: list[tuple[int, Any]]) -> Any:
         """Return a ``ros_wait *`` for these subscriptions."""

@@ -41,15 +41,15 @@ def middleware() -> Library:
 
 
 class HotPath(Protocol):
-    """A node's messages that are taken and published in C.
+    """A node's messages that are taken and published in C."""
 
-    Attributes:
-        takes: subscriptions, with function and argument that take their messages, see ros_topic.
-        outgoing: what C publishes.
-    """
+    @property
+    def takes(self) -> Sequence[tuple[Subscription, CData, CData]]:
+        """Subscriptions, with function and argument that take their messages, see ros_topic."""
 
-    takes: Sequence[tuple[Subscription, CData, CData]]
-    outgoing: Sequence[Outgoing]
+    @property
+    def outgoing(self) -> Sequence[Outgoing]:
+        """Messages that C publishes."""
 
     def begin(self) -> None:
         """Prepare: from here until `end` messages are taken in C."""

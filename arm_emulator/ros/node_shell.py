@@ -1,40 +1,31 @@
-"""Common parts of the three nodes: QoS, parameters, diagnostics, and `main`."""
+"""Common parts of the three nodes: QoS, time, diagnostics, and `main`."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.base.memory import is_want_of_memory
-from arm_emulator.base.number import Number
-from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, parameters_of, perhaps
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.end_with_parent import end_with_parent
-from arm_emulator.ros.lean_executor import HOUSEKEEPING, LeanExecutor
+from arm_emulator.ros.lean_executor import LeanExecutor
+from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_log import NodeLog
 from arm_emulator.ros.shared_memory import clear_left_over
 
@@ -108,111 +99,6 @@ def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
         subscribed.callback = on_clock
 
 
-class Closable(Protocol):
-    """A node that releases its resources when its process ends."""
-
-    def close(self) -> None:
-        """Release all resources; a `Refusal` is printed, and makes the exit code 1."""
-
-
-def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
-    """Declare every field of the frozen dataclass `kind` on the node and return the values.
-
-    Raises:
-        Refusal: a value of the wrong type or out of its range.
-    """
-    where, fields = f"node {node.get_name()}", parameters_of(kind).values()
-    values = {}
-    for field in fields:
-        if not node.has_parameter(field.name):
-            # A loose descriptor first: the check below refuses in our words, and takes 1 for 1.0.
-            loose = ParameterDescriptor(dynamic_typing=True)
-            node.declare_parameter(field.name, field.default, loose)
-        value = checked(node.get_parameter(field.name).value, field, where)
-        values[field.name] = value
-        choices = field.metadata["choices"]
-        descriptor = ParameterDescriptor(
-            description=field.metadata["description"],
-            additional_constraints=f"one of {', '.join(choices)}" if choices else "",
-            read_only=not field.metadata["settable"],
-            dynamic_typing=True,
-        )
-        set_range(descriptor, field.metadata.get("number"))
-        node.set_descriptor(field.name, descriptor)
-    return kind(**values)
-
-
-def refuse_other_parameters(node: Node, config: object, beside: tuple[str, ...] = ()) -> None:
-    """Refuse parameters that were given to the node and are neither in `config` nor ROS's own.
-
-    The node must have been created with ``automatically_declare_parameters_from_overrides``.
-    `beside` are the names of sections that the node reads itself.
-
-    Raises:
-        Refusal: a parameter is unknown, for example misspelt.
-    """
-    known = [*parameters_of(type(config)), *beside]
-    for name in node.get_parameters_by_prefix(""):
-        if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
-            where = f"node {node.get_name()}"
-            got = f"an unknown one{perhaps(name, known)}"
-            raise Refusal(where, f"parameter {name}", "be a known one", got, ", ".join(known))
-
-
-def accept_changes(
-    node: Node, prepare: Callable[[Mapping[str, Any]], Any], take: Callable[[Any], None]
-) -> None:
-    """Let parameters be set at run time: all of a request together, or none.
-
-    Args:
-        node: whose parameters are declared; read-only ones are refused before.
-        prepare: returns the new working objects, given the changes; a Refusal is the answer.
-        take: gets those objects if nothing is refused.
-    """
-
-    def changes(parameters: list[RosParameter]) -> dict[str, Any]:
-        own = (one for one in parameters if one.name.split(".")[0] not in ROS_PARAMETERS)
-        return {one.name: one.value for one in own}
-
-    def check(parameters: list[RosParameter]) -> SetParametersResult:
-        try:
-            prepare(changes(parameters))
-        except Refusal as reason:
-            return SetParametersResult(successful=False, reason=str(reason))
-        return SetParametersResult(successful=True)
-
-    def on_change(parameters: list[RosParameter]) -> None:
-        if given := changes(parameters):
-            take(prepare(given))
-
-    node.add_on_set_parameters_callback(check)
-    node.add_post_set_parameters_callback(on_change)
-
-
-def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Parameters:
-    """Return the parameters of a node with some changed.
-
-    Raises:
-        Refusal: a value of the wrong type or out of its range.
-    """
-    fields, where = parameters_of(type(config)), f"node {node.get_name()}"
-    given = {name: checked(value, fields[name], where) for name, value in changes.items()}
-    return dataclasses.replace(config, **given)  # type: ignore[type-var]
-
-
-def set_range(descriptor: ParameterDescriptor, one: Number | None) -> None:
-    """Set a descriptor's range for ROS tools; None: the parameter is not a number."""
-    if one is None:
-        return
-    first, last = one.ends
-    if one.whole:
-        whole = IntegerRange(from_value=round(first), to_value=round(last), step=1)
-        descriptor.integer_range = [whole]
-    else:
-        any_ = FloatingPointRange(from_value=float(first), to_value=float(last))
-        descriptor.floating_point_range = [any_]
-
-
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
     """Call back every `period` [s] of wall time, for any clock of the node."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -221,12 +107,15 @@ def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer
 class Diagnostics:
     """The node's health as text, on `diagnostics`: every second, and at once when it changes.
 
+    It is published in every state of a managed node.
+
     A message of which only figures have changed waits for its second.
 
     Refused input is counted by kind, and the newest refusal is published in full. Stamps are of the
     node's clock: wall time, or logical time with `use_sim_time`.
 
     Attributes:
+        hardware_id: of what the node serves, without its namespace.
         values: more to publish, by name.
         doubles: values and warnings while another node does the same.
         log: takes refusals, and what else the node reports; throttled.
@@ -236,8 +125,8 @@ class Diagnostics:
     def __init__(self, node: Node, hardware_id: str) -> None:
         # Several arms may publish their health on one topic: names begin with the namespace.
         self._name = node.get_fully_qualified_name().strip("/")
-        namespace = node.get_namespace().strip("/")
-        self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
+        self._namespace = node.get_namespace().strip("/")
+        self.hardware_id = hardware_id
         self._clock = node.get_clock()
         self.log = NodeLog(node.get_logger())
         self.publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
@@ -297,7 +186,7 @@ class Diagnostics:
             level=level,
             name=self._name,
             message=self._message,
-            hardware_id=self._hardware_id,
+            hardware_id=f"{self._namespace}/{self.hardware_id}".lstrip("/"),
             values=[
                 KeyValue(key=key, value=str(value))
                 for key, value in {**values, **self.values, **self.doubles}.items()
@@ -320,7 +209,7 @@ def _words(message: str) -> str:
 
 
 class StartAnew(Exception):
-    """A node must release its resources and begin again."""
+    """A node must clean up and begin again."""
 
 
 def _init() -> None:
@@ -332,25 +221,22 @@ def _init() -> None:
         raise Refusal("command line", "the ROS arguments", "be well-formed", got) from None
 
 
-def run_node(create: Callable[[], Closable]) -> None:
+def run_node(create: Callable[[], ManagedNode]) -> None:
     """Run one node until it is stopped; exit code 2 and one line if its set-up is refused."""
-    node: Any = None
+    node: ManagedNode | None = None
     ctrl_c = CtrlC()
     end_with_parent()
     try:
         with ctrl_c, until_shut_down():
             _init()
+            node = create()
             while not ctrl_c.signal:
-                node = create()
                 ctrl_c.leave_to_rclpy()
                 try:
-                    hot = getattr(node, "hot", None)
-                    LeanExecutor(node, hot, getattr(node, "housekeeping", HOUSEKEEPING)).spin()
+                    LeanExecutor(node).spin()
                 except StartAnew:
-                    node.close()
-                    node.destroy_node()
-                    node = None
                     ctrl_c.break_off_again()
+                    node.start_anew()
     except (Refusal, ParameterException) as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)

@@ -1,0 +1,300 @@
+"""A node with the states of ROS 2's managed nodes, which brings itself up unless asked not to."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.middleware import HotPath
+
+# Those that a client may ask for; the others report the end of one.
+TRANSITIONS = range(Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVE_SHUTDOWN + 1)
+
+
+class ManagedNode(LifecycleNode):
+    """A node that is configured, activated, deactivated, cleaned up, and shut down.
+
+    A subclass declares its parameters in its constructor, and calls `start` at its end. Entities
+    that it creates in `configure` work while it is active: otherwise messages to them are dropped,
+    their timers stand, and their services refuse. Those of the constructor work in every state.
+
+    Attributes:
+        settable: names of the parameters that may be set in every state; the others while it is
+            unconfigured.
+        configured, active: its state.
+        generation: number of transitions so far.
+        hot: its messages in C; None: nothing.
+        cleanup: its callbacks are called when the node is cleaned up, the last one first.
+    """
+
+    hot: HotPath | None = None
+    generation = 0
+    configured = active = False
+    _configuring = False
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        # rclpy's own callback fails at a transition that the state does not have.
+        self._service_change_state.callback = self._on_change_state
+        self.settable: set[str] = set()
+        self.cleanup = ExitStack()
+        self._before: list[Any] = []  # entities of the constructor
+        self._stopped: list[Any] = []  # timers that go on when it is active
+        self._trouble: Exception | None = None  # of the newest transition
+        what = "whether the node configures and activates itself at its start"
+        if not self.has_parameter("autostart"):
+            self.declare_parameter("autostart", True)
+        descriptor = ParameterDescriptor(description=what, dynamic_typing=True)
+        self.set_descriptor("autostart", descriptor)
+
+    # Work of a subclass
+
+    def configure(self) -> None:
+        """Create all that works while the node is active; a Refusal leaves it unconfigured."""
+
+    def activate(self) -> None:
+        """Begin to work; a Refusal leaves the node inactive."""
+
+    def deactivate(self) -> None:
+        """Stand still, so that `activate` can go on."""
+
+    # For its owner
+
+    @property
+    def state(self) -> str:
+        """The state by its name."""
+        return str(self._state_machine.current_state[1])
+
+    @property
+    def in_c(self) -> HotPath | None:
+        """Messages that are taken in C now."""
+        return self.hot if self.active else None
+
+    def start(self) -> None:
+        """Configure and activate, unless `autostart` is false.
+
+        Raises:
+            Refusal: the node cannot be configured or activated; or the parameter is no truth value.
+        """
+        wanted = self.get_parameter("autostart").value
+        if not isinstance(wanted, bool):
+            where, rule = f"node {self.get_name()}", "be true or false"
+            raise Refusal(where, "parameter autostart", rule, repr(wanted))
+        if wanted:
+            self._go_through(self.trigger_configure, self.trigger_activate)
+
+    def start_anew(self) -> None:
+        """Clean up, and start as at the begin, see `start`."""
+        self._go_through(self.trigger_deactivate, self.trigger_cleanup)
+        self._go_through(self.trigger_configure, self.trigger_activate)
+
+    def close(self) -> None:
+        """Release all resources at the end of the process.
+
+        Raises:
+            Refusal: outputs are incomplete.
+        """
+        self.active = False
+        self.cleanup.close()
+
+    # Transitions
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """See `LifecycleNode`."""
+        return self._attempt(self._configure, self._clean_up)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """See `LifecycleNode`."""
+        return self._attempt(self._activate, self._stand)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """See `LifecycleNode`."""
+        return self._attempt(self._deactivate, self._stand)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """See `LifecycleNode`."""
+        return self._attempt(self._clean_up, self._clean_up)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """See `LifecycleNode`."""
+        if self.active:
+            self._attempt(self._deactivate, self._stand)
+        return self._attempt(self._clean_up, self._clean_up)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release all, so that the node can be configured again."""
+        cause = self._trouble
+        result = self._attempt(self._clean_up, self._clean_up)
+        self._trouble = cause
+        return result
+
+    def _attempt(
+        self, do: Callable[[], None], undo: Callable[[], None]
+    ) -> TransitionCallbackReturn:
+        self.generation += 1
+        self._trouble = None
+        try:
+            do()
+        except Refusal as reason:
+            self._trouble = reason
+            undo()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self._trouble = error
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _configure(self) -> None:
+        self._before = self._entities()
+        self._configuring = True
+        try:
+            self.configure()
+        finally:
+            self._configuring = False
+        self.configured = True
+        self._stand()
+
+    def _activate(self) -> None:
+        self.activate()
+        self.active = True
+        for timer in self._stopped:
+            timer.reset()
+
+    def _deactivate(self) -> None:
+        self.deactivate()
+        self._stand()
+
+    def _stand(self) -> None:
+        self.active = False
+        running = [one for one in self._own_entities() if one in [*self.timers]]
+        self._stopped = [one for one in running if not one.is_canceled()]
+        for timer in self._stopped:
+            timer.cancel()
+
+    def _clean_up(self) -> None:
+        self.active = self.configured = False
+        self.hot = None
+        try:
+            self.cleanup.close()
+        finally:
+            for one in self._own_entities():
+                for many, destroy in (
+                    (self.publishers, self.destroy_publisher),
+                    (self.subscriptions, self.destroy_subscription),
+                    (self.services, self.destroy_service),
+                    (self.timers, self.destroy_timer),
+                ):
+                    if one in [*many]:
+                        destroy(one)
+
+    def _entities(self) -> list[Any]:
+        return [*self.publishers, *self.subscriptions, *self.services, *self.timers]
+
+    def _own_entities(self) -> list[Any]:
+        """Return what `configure` has created, and what followed it."""
+        return [one for one in self._entities() if one not in self._before]
+
+    def _go_through(self, *transitions: Callable[[], TransitionCallbackReturn]) -> None:
+        for transition in transitions:
+            transition()
+            if self._trouble is not None:
+                raise self._trouble
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        try:
+            number = self._possible(request.transition)
+            self._begin(number)
+            self._report_end()
+        except Refusal as reason:
+            self.get_logger().warning(str(reason))
+            return response
+        response.success = self._trouble is None
+        return response
+
+    def _begin(self, number: int) -> None:
+        """Go through a transition."""
+        triggers = {
+            Transition.TRANSITION_CONFIGURE: self.trigger_configure,
+            Transition.TRANSITION_CLEANUP: self.trigger_cleanup,
+            Transition.TRANSITION_ACTIVATE: self.trigger_activate,
+            Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,
+        }
+        triggers.get(number, self.trigger_shutdown)()
+
+    def _possible(self, asked: Transition) -> int:
+        """Return the number of a transition that may begin now.
+
+        Raises:
+            Refusal: it cannot; nothing has changed.
+        """
+        machine = self._state_machine
+        known = {
+            label: number
+            for number, label, *_ in machine.available_transitions
+            if number in TRANSITIONS
+        }
+        if asked.label in known:
+            return int(known[asked.label])
+        if not asked.label and asked.id in known.values():
+            return int(asked.id)
+        rule = f"be one that leads from {self.state}"
+        got, valid = asked.label or asked.id, ", ".join(known) or "none"
+        raise Refusal("change_state", "transition", rule, got, valid)
+
+    def _report_end(self) -> None:
+        """Log what came of a transition that a client has asked for.
+
+        Raises:
+            ExternalShutdownException: a signal has shut the context down meanwhile.
+        """
+        trouble, logger = self._trouble, self.get_logger()
+        if trouble is None:
+            logger.info(self.state)
+            return
+        if isinstance(trouble, ExternalShutdownException) or not self.context.ok():
+            raise ExternalShutdownException
+        if isinstance(trouble, Refusal):
+            logger.error(str(trouble))
+        else:
+            logger.error("".join(traceback.format_exception(trouble)))
+
+    # Entities
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[[Any], None], *more: Any, **named: Any
+    ) -> Any:
+        """Create a subscription; in `configure` one that works while the node is active."""
+
+        def gated(message: Any) -> None:
+            if self.active:
+                callback(message)
+
+        given = gated if self._configuring else callback
+        return super().create_subscription(msg_type, topic, given, *more, **named)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **named: Any
+    ) -> Any:
+        """Create a service; in `configure` one that refuses while the node is not active."""
+
+        def gated(request: Any, response: Any) -> Any:
+            if self.active:
+                return callback(request, response)
+            response.success = False
+            rule = "come while the node is active"
+            response.message = str(Refusal(srv_name.strip("~/"), "request", rule, self.state))
+            return response
+
+        given = gated if self._configuring else callback
+        return super().create_service(srv_type, srv_name, given, **named)

@@ -1,0 +1,179 @@
+"""The nodes' states, asked for by a generic client: every transition, and those out of order."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import (
+    ChangeState,
+    GetAvailableStates,
+    GetAvailableTransitions,
+    GetState,
+)
+from network import User, assert_same_bits, network, offline_states
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from test_network import go, pause_at
+
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.runs.offline import load_offline_run
+
+NODES = ("motion_controller", "servo", "emulator")
+LEADS_FROM = {
+    "unconfigured": {"configure": "inactive", "shutdown": "finalized"},
+    "inactive": {"activate": "active", "cleanup": "unconfigured", "shutdown": "finalized"},
+    "active": {"deactivate": "inactive", "shutdown": "finalized"},
+    "finalized": {},
+}
+LABELS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
+
+
+class Client:
+    """Asks a node for its states and changes them, as `ros2 lifecycle` does."""
+
+    def __init__(self, user: User, node: str) -> None:
+        self._user, self._node = user, node
+
+    def call(self, kind: Any, service: str, request: Any = None) -> Any:
+        client = self._user.node.create_client(kind, f"{self._node}/{service}")
+        self._user.wait(f"service {service} of {self._node}", client.service_is_ready)
+        future = client.call_async(request or kind.Request())
+        self._user.wait(f"an answer of {self._node}/{service}", future.done)
+        self._user.node.destroy_client(client)
+        return future.result()
+
+    @property
+    def state(self) -> str:
+        return str(self.call(GetState, "get_state").current_state.label)
+
+    def change(self, label: str = "", number: int = 0) -> bool:
+        transition = Transition(id=number, label=label)
+        request = ChangeState.Request(transition=transition)
+        return bool(self.call(ChangeState, "change_state", request).success)
+
+    def set(self, **values: Any) -> str:
+        given = [Parameter(name, value=v).to_parameter_msg() for name, v in values.items()]
+        request = SetParameters.Request(parameters=given)
+        (result,) = self.call(SetParameters, "set_parameters", request).results
+        return str(result.reason)
+
+
+@contextmanager
+def running(log: Path, **emulator: object) -> Iterator[tuple[User, Bringup, list[Client]]]:
+    with network(log, **emulator) as (user, nodes):
+        yield user, nodes, [Client(user, name) for name in NODES]
+
+
+def test_a_run_goes_on_after_a_node_was_inactive(tmp_path: Path) -> None:
+    """Time stands, commands are dropped, services refuse; after servo and emulator: equal bits."""
+    with running(tmp_path) as (user, _, clients):
+        go(user)
+
+        def stands(name: str, client: Client) -> None:
+            begin = user.tick
+            user.wait("the run", lambda: user.tick > begin + 30)
+            assert client.change("deactivate") and client.state == "inactive", name
+            refusal = user.call(f"{name}/reset")
+            assert not refusal.success and "got inactive" in refusal.message, refusal
+            user.wait("words", lambda: user.diagnostics[name].message.startswith("inactive"))
+            if name == "emulator":
+                stood = user.tick
+                assert not user.call("emulator/step").success and user.tick == stood
+            assert client.change("activate") and client.state == "active", name
+            stood = user.tick
+            user.wait("the run to go on", lambda: user.tick > stood + 30)
+
+        for name in ("servo", "emulator"):
+            stands(name, clients[NODES.index(name)])
+        end = pause_at(user, user.tick)
+        run = load_offline_run("three_axis")
+        assert_same_bits(user.motor_states(), offline_states(run, end), end)
+        assert user.call("emulator/pause", False).success
+        stands("motion_controller", clients[0])
+
+
+def test_every_transition_by_label_and_by_number_and_no_other(tmp_path: Path) -> None:
+    """A transition that the state does not have is refused in one line, and the node goes on."""
+    numbers = {
+        "configure": {"unconfigured": 1},
+        "cleanup": {"inactive": 2},
+        "activate": {"inactive": 3},
+        "deactivate": {"active": 4},
+        "shutdown": {"unconfigured": 5, "inactive": 6, "active": 7},
+    }
+    only = ("emulator",)
+    with running(tmp_path, only=only, start="first_answer", autostart=False) as (_user, _, clients):
+        emulator = clients[-1]
+        states = emulator.call(GetAvailableStates, "get_available_states").available_states
+        assert {State.PRIMARY_STATE_UNCONFIGURED, State.PRIMARY_STATE_ACTIVE} <= {
+            one.id for one in states
+        }
+        state, by_number = "unconfigured", itertools.cycle((False, True))
+        for way in ("configure", "activate", "deactivate", "cleanup", "configure", "activate",
+                    "deactivate", "activate", "shutdown"):  # fmt: skip
+            answer = emulator.call(GetAvailableTransitions, "get_available_transitions")
+            there = {one.transition.label for one in answer.available_transitions}
+            assert there == set(LEADS_FROM[state]), (state, there)
+            for wrong in (*(set(LABELS) - there), "destroy", "transition_success", "fly"):
+                assert not emulator.change(wrong), (state, wrong)
+            for wrong in (0, 8, 30, 97, 255, *(
+                number for of in numbers.values() for at, number in of.items() if at != state
+            )):  # fmt: skip
+                assert not emulator.change(number=wrong), (state, wrong)
+            assert emulator.state == state
+            done = (
+                emulator.change(number=numbers[way][state])
+                if next(by_number)
+                else emulator.change(way)
+            )
+            assert done, way
+            state = LEADS_FROM[state][way]
+            assert emulator.state == state
+        printed = (tmp_path / "emulator.log").read_text()
+        assert "transition must be one that leads from inactive, got fly; valid: cleanup" in printed
+        assert "Traceback" not in printed, printed
+
+
+def test_another_scene_by_parameter_and_a_refused_one(tmp_path: Path) -> None:
+    """A node that cannot be configured stays unconfigured, with the reason in its log."""
+    only = ("emulator",)
+    with running(tmp_path, only=only, start="first_answer") as (user, _, clients):
+        emulator = clients[-1]
+        user.wait("tick 0", lambda: user.tick == 0)
+        user.wait("the end of its start", lambda: emulator.state == "active")
+        assert "unconfigured, got active" in emulator.set(scene="ur5")
+        assert emulator.change("deactivate")
+        assert "unconfigured, got inactive" in emulator.set(scene="ur5")
+        assert emulator.change("cleanup")
+        assert not emulator.set(scene="nonesuch")
+        assert not emulator.change("configure") and emulator.state == "unconfigured"
+        assert "file nonesuch must exist" in (tmp_path / "emulator.log").read_text()
+        assert not emulator.set(scene="panda")
+        user.forget()
+        user.machine, user.joint_names = 0, [f"panda_joint{k}" for k in range(1, 8)]
+        assert emulator.change("configure") and emulator.state == "inactive"
+        user.spin()
+        assert user.tick == -1, "an inactive machine publishes nothing"
+        assert emulator.change("activate")
+        user.wait("tick 0", lambda: user.tick == 0)
+        assert len(user.motor_states()) == 1 and "panda" in user.description
+
+
+@pytest.mark.parametrize("name", ["servo", "motion_controller"])
+def test_a_node_is_configured_anew_in_a_run(tmp_path: Path, name: str) -> None:
+    """It serves the same arm again; the machine waits for it meanwhile."""
+    with running(tmp_path) as (user, _, clients):
+        go(user)
+        client = clients[NODES.index(name)]
+        user.wait("the run", lambda: user.tick > 60)
+        for way in ("deactivate", "cleanup", "configure", "activate"):
+            assert client.change(way), way
+        stood = user.tick
+        user.wait("the run to go on", lambda: user.tick > stood + 100)
+        assert client.change("shutdown") and client.state == "finalized"
