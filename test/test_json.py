@@ -44,6 +44,7 @@ ENDS: dict[str, list[list[str]]] = {
     "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"], ["{}/bag", "{}/none"]],
     "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],
     "move": [["--joints", "waist"]],
+    "moveit-config": [[ARM, "--into", "{}/moveit"], ["nowhere"]],
     "new": [["{}/arm.urdf", "--out", "{}/new", "--ros2-control"], ["{}/none.urdf"]],
     "record": [["{}/bag"]],
     "repair": [["{}/bag"], ["{}/none"]],

@@ -26,7 +26,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "arm_emulator_hardware"
 @pytest.mark.parametrize("name", some(["three_axis", "kuka_kr300", "ur5", "panda"], 2))
 def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
-    robot = ET.fromstring(description(scene, tmp_path))
+    robot = ET.fromstring(description(scene, f"{tmp_path / name}"))
     was = ET.fromstring(scene.urdf)
     (control,) = robot.findall("ros2_control")
     assert control.findtext("hardware/plugin") == PLUGIN

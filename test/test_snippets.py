@@ -43,6 +43,7 @@ OURS = {
     "modbus": "runs until Ctrl-C; test_modbus.py",
     "move": "needs a network; test_move.py",
     "new": "needs the reader's robot; test_new.py",
+    "moveit-config": "half a minute of compilation; test_json.py",
     "record": "needs a network; test_bags.py",
     "repair": "needs a damaged bag; test_repair.py",
     "replay": "needs a bag; test_bags.py",

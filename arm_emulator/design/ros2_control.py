@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import yaml
 
@@ -11,6 +10,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import Scene
 
 PLUGIN = "arm_emulator_hardware/ArmSystem"
+STATE_BROADCASTER = "joint_state_broadcaster"
+TRAJECTORY_CONTROLLER = "joint_trajectory_controller"
 COMMANDS = ("position", "velocity", "effort")
 STATES = (
     "position", "velocity", "effort", "current", "temperature", "motor_counts",
@@ -19,12 +20,12 @@ STATES = (
 FASTEST = 500  # Hz: of the controllers
 
 
-def description(scene: Scene, libraries: Path) -> str:
+def description(scene: Scene, compiled: str) -> str:
     """Return the scene's URDF with a ``<ros2_control>`` element.
 
     Args:
         scene: the machine.
-        libraries: folder of its compiled libraries.
+        compiled: FOLDER/NAME of its libraries.
 
     Raises:
         Refusal: a scene with couplings, whose drives are not those of its joints.
@@ -37,7 +38,7 @@ def description(scene: Scene, libraries: Path) -> str:
     control = ET.SubElement(robot, "ros2_control", name=scene.name, type="system")
     hardware = ET.SubElement(control, "hardware")
     ET.SubElement(hardware, "plugin").text = PLUGIN
-    ET.SubElement(hardware, "param", name="scene").text = str(libraries.resolve() / scene.name)
+    ET.SubElement(hardware, "param", name="scene").text = compiled
     for joint in scene.joints:
         one = ET.SubElement(control, "joint", name=joint.name)
         for name in COMMANDS:
@@ -75,8 +76,8 @@ def controllers(scene: Scene) -> str:
     """
     joints = list(scene.joint_names)
     types = {
-        "joint_state_broadcaster": "joint_state_broadcaster/JointStateBroadcaster",
-        "joint_trajectory_controller": "joint_trajectory_controller/JointTrajectoryController",
+        STATE_BROADCASTER: "joint_state_broadcaster/JointStateBroadcaster",
+        TRAJECTORY_CONTROLLER: "joint_trajectory_controller/JointTrajectoryController",
     }
     manager = {"update_rate": update_rate(scene), **{n: {"type": t} for n, t in types.items()}}
     trajectory = {
@@ -84,6 +85,6 @@ def controllers(scene: Scene) -> str:
         "command_interfaces": ["position"],
         "state_interfaces": ["position", "velocity"],
     }
-    nodes = {"controller_manager": manager, "joint_trajectory_controller": trajectory}
+    nodes = {"controller_manager": manager, TRAJECTORY_CONTROLLER: trajectory}
     parameters = {name: {"ros__parameters": one} for name, one in nodes.items()}
     return yaml.safe_dump(parameters, sort_keys=False)

@@ -16,13 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
-from arm_emulator.base.shafts import Shafts
+from arm_emulator.motion.arm_shapes import ArmShapes
 from arm_emulator.motion.instruction import FloatArray
-from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.package_folders import package_folders
 
 _DRAWN = 100  # configurations
 _ALWAYS = 0.95  # share of them above which two touching parts count as joined
@@ -57,34 +54,18 @@ class Collisions(Lasting):
         obstacles: Sequence[Obstacle],
         margin: float,
     ) -> None:
-        try:
-            self._model = pin.buildModelFromXML(urdf_xml)
-            self._shapes = pin.buildGeomFromUrdfString(
-                self._model, urdf_xml, pin.GeometryType.COLLISION, package_dirs=package_folders()
-            )
-        except (ValueError, RuntimeError, IndexError) as error:
-            rule = "have readable shapes for collisions (meshes by file:// or ROS_PACKAGE_PATH)"
-            raise Refusal(WHERE, "the robot", rule, str(error).splitlines()[0]) from error
-        self._meshes = pin.GeometryModel(self._shapes)  # as they are
-        for shape in self._shapes.geometryObjects:
-            shape.geometry = _hull(shape.geometry)
-        self._shafts = Shafts(urdf_xml, joint_names)
-        names = self._shafts.joints
-        joints = [self._model.joints[self._model.getJointId(name)] for name in names]
-        self._columns = [joint.idx_v for joint in joints]
-        self._neutral = pin.neutral(self._model)
+        self._arm = ArmShapes(urdf_xml, joint_names)
+        self._shapes, self._meshes = self._arm.hulls, self._arm.meshes
+        self._model = self._arm.model
         self._data = self._model.createData()
-        self._own = len(self._shapes.geometryObjects)
-        self._names = [
-            str(self._model.frames[shape.parentFrame].name)
-            for shape in self._shapes.geometryObjects
-        ]
+        self._own = len(self._arm.links)
+        self._names = list(self._arm.links)
         for obstacle in obstacles:
             for shapes in (self._shapes, self._meshes):
                 shapes.addGeometryObject(_solid(obstacle))
             self._names.append(obstacle.name)
         self._pair()
-        self._leave_out(margin, joints)
+        self._leave_out(margin)
         self._made(margin)
 
     @property
@@ -121,18 +102,13 @@ class Collisions(Lasting):
         return float(self._distances(q).min())
 
     def _distances(self, q: FloatArray) -> FloatArray:
-        pin.computeDistances(self._model, self._data, self._shapes, self._tested, self._whole(q))
+        whole = self._arm.whole(q)
+        pin.computeDistances(self._model, self._data, self._shapes, self._tested, whole)
         return np.array([one.min_distance for one in self._tested.distanceResults])
-
-    def _whole(self, q: FloatArray) -> FloatArray:
-        step = np.zeros(self._model.nv)
-        step[self._columns] = self._shafts.of_joints(q)
-        configuration: FloatArray = pin.integrate(self._model, self._neutral, step)
-        return configuration
 
     def _touching(self, q: FloatArray) -> list[int]:
         """Return the pairs whose meshes touch at q, of those whose convex hulls do."""
-        whole = self._whole(q)
+        whole = self._arm.whole(q)
         if not pin.computeCollisions(
             self._model, self._data, self._shapes, self._tested, whole, False
         ):
@@ -157,18 +133,14 @@ class Collisions(Lasting):
                     for one_of in (self._shapes, self._meshes):
                         one_of.addCollisionPair(pin.CollisionPair(i, k))
 
-    def _leave_out(self, margin: float, joints: Sequence[Any]) -> None:
+    def _leave_out(self, margin: float) -> None:
         """Leave out pairs of the arm's own parts that touch in valid poses."""
-        low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
-        high = np.array([min(self._upper(joint), np.pi) for joint in joints])
-        low, high = self._shafts.positions(low, high)
-        rest = np.where((low > 0.0) | (high < 0.0), 0.5 * (low + high), 0.0)
         self._made(margin)
         count = np.zeros(self.pairs)
         rng = np.random.default_rng(0)
         for _ in range(_DRAWN):
-            count += self._all(low + (high - low) * rng.random(len(low)))
-        always = (count > _ALWAYS * _DRAWN) | self._all(rest)
+            count += self._all(self._arm.drawn(rng))
+        always = (count > _ALWAYS * _DRAWN) | self._all(self._arm.rest)
         # Numbers, not the pairs: those move when one before them is removed.
         pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
         kept = [
@@ -186,12 +158,6 @@ class Collisions(Lasting):
         touching[self._touching(q)] = True
         return touching
 
-    def _lower(self, joint: Any) -> float:
-        return float(self._model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.pi
-
-    def _upper(self, joint: Any) -> float:
-        return float(self._model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.pi
-
     def _made(self, margin: float) -> None:
         self._tested = self._shapes.createData()
         self._exact = self._meshes.createData()
@@ -200,13 +166,6 @@ class Collisions(Lasting):
                 self._shapes.collisionPairs, tested.collisionRequests, strict=True
             ):
                 request.security_margin = margin * (OWN_SHARE if pair.second < self._own else 1.0)
-
-
-def _hull(shape: Any) -> Any:
-    if isinstance(shape, coal.BVHModelBase):
-        shape.buildConvexHull(True, "Qt")
-        return shape.convex
-    return shape
 
 
 def _solid(obstacle: Obstacle) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,7 @@ from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.design import ros2_control as files
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 
 
 @command()
@@ -35,6 +36,20 @@ def ros2_control(
     return 0
 
 
+def compile_drives(scene: str, machine: Scene, into: Path) -> list[Path]:
+    """Compile a scene's machine and the servo of its drives; return the libraries.
+
+    Libraries of an earlier state of the scene are removed, so that its name means one machine.
+    """
+    libraries = compile_ahead(machine, "native", into)
+    libraries += compile_units([servo_data_unit(scene)], "native", into)
+    ours = re.compile(re.escape(machine.name) + r"(-servo)?-[0-9a-f]+\.so")
+    for file in into.iterdir():
+        if ours.fullmatch(file.name) and file.name not in {one.name for one in libraries}:
+            file.unlink()
+    return libraries
+
+
 def write_ros2_control(scene: str, into: Path) -> dict[str, Any]:
     """Write the files of `ros2_control`, print their paths, and return them by what they are.
 
@@ -42,9 +57,9 @@ def write_ros2_control(scene: str, into: Path) -> dict[str, Any]:
         Refusal: a scene with couplings, without gains, or a folder that cannot be written.
     """
     machine = load_scene(find_scene(scene))
-    description, controllers = files.description(machine, into), files.controllers(machine)
-    libraries = compile_ahead(machine, "native", into)
-    libraries += compile_units([servo_data_unit(scene)], "native", into)
+    compiled = str(into.resolve() / machine.name)
+    description, controllers = files.description(machine, compiled), files.controllers(machine)
+    libraries = compile_drives(scene, machine, into)
     written = {
         "description": (into / f"{machine.name}.urdf", description),
         "controllers": (into / f"{machine.name}_controllers.yaml", controllers),

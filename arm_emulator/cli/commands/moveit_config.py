@@ -1,0 +1,49 @@
+"""Write a ROS package with which MoveIt moves a scene's arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.base.config_files import config_folder, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.ros2_control import compile_drives
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.design.moveit_package import MACHINE, moveit_files, package_name
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import load_gains
+
+
+@command()
+def moveit_config(
+    scene: SceneName = "ur5",
+    /,
+    *,
+    into: Annotated[Path, Parameter(metavar="FOLDER")] = Path(),
+) -> int:
+    """Write a ROS package with which MoveIt moves a scene's arm.
+
+    Args:
+        into: folder in which the package's folder is made, such as the src/ of a workspace.
+    """
+    file = find_scene(scene)
+    machine, motion = load_scene(file), load_gains(file).motion
+    bringup = file.stem if file.parent == config_folder() else str(file)
+    folder = into / package_name(machine)
+    texts = moveit_files(machine, motion, bringup)
+    libraries = compile_drives(scene, machine, folder / MACHINE)
+    for name, text in texts.items():
+        path = folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise Refusal("moveit-config", f"file {path}", "be writable", error.strerror) from None
+    for path in (*libraries, *(folder / name for name in texts)):
+        output.line(str(path))
+    output.facts({"package": folder, "libraries": libraries, "files": list(texts)})
+    return 0

@@ -1,0 +1,228 @@
+"""A ROS package with all that MoveIt wants of a scene, as MoveIt's own assistant lays it out."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from arm_emulator.design import moveit_semantics as semantics
+from arm_emulator.design import ros2_control
+from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.package_folders import package_folders
+
+MACHINE = "machine"  # folder of the compiled scene
+RUNS = (
+    "arm_emulator", "arm_emulator_hardware", "controller_manager", "joint_state_broadcaster",
+    "joint_trajectory_controller", "moveit_configs_utils", "moveit_kinematics", "moveit_planners",
+    "moveit_ros_move_group", "moveit_ros_visualization", "moveit_simple_controller_manager",
+    "robot_state_publisher", "rviz2", "tf2_ros", "xacro",
+)  # fmt: skip
+# Launch files of MoveIt's own functions.
+LAUNCHES = {
+    "demo": "generate_demo_launch",
+    "move_group": "generate_move_group_launch",
+    "moveit_rviz": "generate_moveit_rviz_launch",
+    "rsp": "generate_rsp_launch",
+    "spawn_controllers": "generate_spawn_controllers_launch",
+    "static_virtual_joint_tfs": "generate_static_virtual_joint_tfs_launch",
+}
+
+_CMAKE = """cmake_minimum_required(VERSION 3.16)
+project({package} LANGUAGES NONE)
+find_package(ament_cmake REQUIRED)
+install(DIRECTORY config launch {machine} DESTINATION share/${{PROJECT_NAME}})
+install(FILES .setup_assistant DESTINATION share/${{PROJECT_NAME}})
+ament_package()
+"""
+
+_LAUNCH = '''"""MoveIt for {name}: `{function}`."""
+
+from moveit_configs_utils import MoveItConfigsBuilder
+from moveit_configs_utils.launches import {function}
+
+
+def generate_launch_description():
+    return {function}(
+        MoveItConfigsBuilder("{name}", package_name="{package}").to_moveit_configs()
+    )
+'''
+
+_NETWORK = '''"""MoveIt moves the arm of our three nodes, on its time.
+
+ros2 launch {package} network.launch.py clock:=realtime
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import SetParameter
+from launch_ros.substitutions import FindPackageShare
+from moveit_configs_utils import MoveItConfigsBuilder
+from moveit_configs_utils.launches import (
+    generate_move_group_launch,
+    generate_moveit_rviz_launch,
+    generate_static_virtual_joint_tfs_launch,
+)
+
+
+def generate_launch_description():
+    config = (
+        MoveItConfigsBuilder("{name}", package_name="{package}")
+        .trajectory_execution("config/network_controllers.yaml", moveit_manage_controllers=False)
+        .to_moveit_configs()
+    )
+    bringup = PathJoinSubstitution([FindPackageShare("arm_emulator"), "launch/bringup.launch.py"])
+    arguments = {{
+        "scene": LaunchConfiguration("scene"),
+        "clock": LaunchConfiguration("clock"),
+        "use_sim_time": "true",
+    }}
+    rviz = generate_moveit_rviz_launch(config)
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("scene", default_value="{scene}"),
+            DeclareLaunchArgument("clock", default_value="realtime"),
+            DeclareLaunchArgument("use_rviz", default_value="true"),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(bringup), launch_arguments=arguments.items()
+            ),
+            GroupAction(
+                [
+                    SetParameter("use_sim_time", True),
+                    *generate_static_virtual_joint_tfs_launch(config).entities,
+                    *generate_move_group_launch(config).entities,
+                    GroupAction(
+                        rviz.entities, condition=IfCondition(LaunchConfiguration("use_rviz"))
+                    ),
+                ]
+            ),
+        ]
+    )
+'''
+
+
+def package_name(scene: Scene) -> str:
+    """Return the name of a scene's package, as ROS allows names."""
+    return f"{_ros_name(scene.name)}_moveit_config"
+
+
+def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, str]:
+    """Return the texts of a scene's package by their paths in it.
+
+    The compiled scene belongs into its folder `MACHINE`.
+
+    Args:
+        scene: the machine.
+        motion: parameters of its motion controller, for limits.
+        bringup: the scene, as `bringup.launch.py` takes it.
+
+    Raises:
+        Refusal: a scene with couplings, without a rate for controllers, or with unreadable meshes.
+    """
+    name, package = _ros_name(scene.name), package_name(scene)
+    words = {"name": name, "package": package, "scene": bringup, "machine": MACHINE}
+    texts = {
+        "package.xml": _package_xml(package, scene.name),
+        "CMakeLists.txt": _CMAKE.format(**words),
+        ".setup_assistant": _yaml(_assistant(name, package)),
+        f"config/{name}.urdf.xacro": _description(scene, package),
+        f"config/{name}.srdf": semantics.srdf(scene),
+        "config/ros2_controllers.yaml": ros2_control.controllers(scene),
+        "config/moveit.rviz": _yaml(_rviz()),
+        "launch/network.launch.py": _NETWORK.format(**words),
+    }
+    contents = {
+        "kinematics": semantics.kinematics(scene),
+        "joint_limits": semantics.joint_limits(scene, motion),
+        "pilz_cartesian_limits": semantics.cartesian_limits(motion),
+        "moveit_controllers": semantics.trajectory_execution(scene, network=False),
+        "network_controllers": semantics.trajectory_execution(scene, network=True),
+    }
+    texts |= {f"config/{file}.yaml": _yaml(content) for file, content in contents.items()}
+    for file, function in LAUNCHES.items():
+        texts[f"launch/{file}.launch.py"] = _LAUNCH.format(function=function, **words)
+    return texts
+
+
+def _ros_name(name: str) -> str:
+    """Return a name of lower-case letters, digits and underscores that begins with a letter."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return words if words[:1].isalpha() else f"arm_{words}".rstrip("_")
+
+
+def _yaml(content: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(dict(content), sort_keys=False)
+
+
+def _description(scene: Scene, package: str) -> str:
+    """Return the robot description as a xacro source that finds the machine in its package."""
+    robot = ET.fromstring(ros2_control.description(scene, "MACHINE"))
+    folders = [Path(folder) for folder in package_folders()]
+    for mesh in robot.iter("mesh"):
+        # A wheel's packages are not in the index of ROS packages.
+        rest = mesh.get("filename", "").removeprefix("package://")
+        found = next((file for at in folders if (file := at / rest).is_file()), None)
+        if found is not None:
+            mesh.set("filename", found.as_uri())
+    text = re.sub(r"\$(?=[({])", "$$", ET.tostring(robot, encoding="unicode"))
+    return text.replace(">MACHINE<", f">$(find {package})/{MACHINE}/{scene.name}<") + "\n"
+
+
+def _assistant(name: str, package: str) -> dict[str, Any]:
+    files = {
+        "urdf": {"package": package, "relative_path": f"config/{name}.urdf.xacro"},
+        "srdf": {"relative_path": f"config/{name}.srdf"},
+    }
+    return {"moveit_setup_assistant_config": files}
+
+
+def _package_xml(package: str, scene: str) -> str:
+    root = ET.Element("package", format="3")
+    for tag, text in (
+        ("name", package),
+        ("version", "0.1.0"),
+        ("description", f"MoveIt for the emulated arm {scene}"),
+    ):
+        ET.SubElement(root, tag).text = text
+    ET.SubElement(root, "maintainer", email="arm_emulator@example.org").text = "its user"
+    ET.SubElement(root, "license").text = "Apache-2.0"
+    ET.SubElement(root, "buildtool_depend").text = "ament_cmake"
+    for one in RUNS:
+        ET.SubElement(root, "exec_depend").text = one
+    ET.SubElement(ET.SubElement(root, "export"), "build_type").text = "ament_cmake"
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _rviz() -> dict[str, Any]:
+    planning = {
+        "Class": "moveit_rviz_plugin/MotionPlanning",
+        "Name": "MotionPlanning",
+        "Planning Request": {"Planning Group": semantics.GROUP},
+        "Planning Scene Topic": "monitored_planning_scene",
+        "Robot Description": "robot_description",
+        "Value": True,
+    }
+    grid = {"Class": "rviz_default_plugins/Grid", "Name": "Grid", "Value": True}
+    view = {"Class": "rviz_default_plugins/Orbit", "Name": "Current View", "Distance": 3.0,
+            "Pitch": 0.5, "Yaw": 0.8, "Target Frame": semantics.WORLD}  # fmt: skip
+    tools = ["Interact", "MoveCamera", "Select"]
+    return {
+        "Panels": [{"Class": f"rviz_common/{one}", "Name": one} for one in ("Displays", "Views")],
+        "Visualization Manager": {
+            "Displays": [grid, planning],
+            "Global Options": {"Fixed Frame": semantics.WORLD},
+            "Tools": [{"Class": f"rviz_default_plugins/{one}"} for one in tools],
+            "Value": True,
+            "Views": {"Current": view},
+        },
+        "Window Geometry": {"Height": 900, "Width": 1400},
+    }
