@@ -312,6 +312,40 @@ def test_odd_names_survive_the_files(seed: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_limit_that_stands_for_none_is_none(kind: str, tmp_path: Path) -> None:
+    """+-999999, as descriptions of mobile bases have it: the joint goes on without end."""
+    robot = ET.fromstring(OWN["gantry" if kind == "prismatic" else "planar"]())
+    joint = next(one for one in robot.findall("joint") if one.get("type") == kind)
+    limit = joint.find("limit")
+    assert limit is not None
+    limit.attrib |= {"lower": "-999999", "upper": "999999"}
+    file = tmp_path / "endless.urdf"
+    file.write_bytes(ET.tostring(robot))
+    written = write_new(file, tmp_path / "endless")
+    scene = load_scene(written.file)
+    assert [one.stops is None for one in scene.joints].count(True) == 1
+    assert scene.joints[scene.joint_names.index(joint.get("name", ""))].stops is None
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    assert kinematics.reach < 100.0, "m: the slide counts nothing"
+
+
+@pytest.mark.usefixtures("untuned")
+def test_bodies_that_are_points_are_taken(tmp_path: Path) -> None:
+    """Their inertia about the centre is what rounding leaves of that about the joint."""
+    robot = ET.fromstring(OWN["planar"]())
+    for body in robot.iter("inertial"):
+        mass, inertia, origin = (body.find(name) for name in ("mass", "inertia", "origin"))
+        assert mass is not None and inertia is not None and origin is not None
+        mass.set("value", "0.3629")
+        origin.set("xyz", "-1.29671681e-05 -9.96483011e-05 -0.0235253287")
+        inertia.attrib |= dict.fromkeys(("ixx", "iyy", "izz"), "0")
+    file = tmp_path / "slender.urdf"
+    file.write_bytes(ET.tostring(robot))
+    assert len(load_scene(write_new(file, tmp_path / "slender").file).joints) == 2
+
+
+@pytest.mark.usefixtures("untuned")
 def test_what_a_description_shows_need_not_be_sound(tmp_path: Path) -> None:
     """No name, and a look that no viewer draws: the machine is sound."""
     robot = ET.fromstring(OWN["planar"]())

@@ -7,13 +7,17 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from draws import some
 from machines import CONFIG, Oracle, write_scene
 
+from arm_emulator.analysis.servo_loop import poses
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.tune import tune
+from arm_emulator.design import tuned
 from arm_emulator.design.gain_text import write_gains
-from arm_emulator.design.tuned import link_inertias
+from arm_emulator.design.tuned import HOLDS, compute, falls, holding, link_inertias
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
@@ -89,15 +93,10 @@ def test_values_that_joints_share_are_refused_and_stay(tmp_path: Path) -> None:
 
 def test_inertias_are_those_of_the_mass_matrix() -> None:
     """Against Pinocchio over the same poses: M_jj, and 1 / (M^-1)_jj."""
-    import pinocchio as pin
-
-    from arm_emulator.analysis.servo_loop import poses
-    from arm_emulator.design.tuned import POSES
-
     scene = load_scene("ur5")
     oracle = Oracle(scene)
     least, most = [], []
-    for q in poses(scene, POSES):
+    for q in poses(scene, tuned.POSES):
         M = pin.crba(oracle.model, oracle.data, oracle.configuration(q))
         M = np.triu(M) + np.triu(M, 1).T
         least.append(1.0 / np.diag(np.linalg.inv(M)))
@@ -105,6 +104,50 @@ def test_inertias_are_those_of_the_mass_matrix() -> None:
     expected = np.array([np.min(least, axis=0), np.max(most, axis=0)]).T
     got = np.array(link_inertias([scene]))
     assert np.abs(got / expected - 1.0).max() < 1e-9, "kg m2, least and largest per joint"
+
+
+def test_links_fall_as_the_derivative_of_their_weight() -> None:
+    """Against Pinocchio's derivatives of the weight, over the same poses."""
+    scene = load_scene("ur5")
+    oracle = Oracle(scene)
+    most = np.zeros(6)
+    for q in poses(scene, tuned.POSES):
+        at = oracle.configuration(q)
+        slope = pin.computeGeneralizedGravityDerivatives(oracle.model, oracle.data, at)
+        most = np.maximum(most, -np.diag(slope))
+    np.testing.assert_allclose(falls(scene), most, atol=1e-4)  # N m/rad, of up to 58
+
+
+@pytest.mark.parametrize("seed", some(range(200), 30))
+def test_a_loop_holds_a_link_that_falls(seed: int) -> None:
+    """Poles of M s^3 + K s^2 + (K kp - G) s + K kp / Ti: stable, with half the gain, too."""
+    rng = np.random.default_rng(seed)
+    file = CONFIG / "servo" / "ur5.yaml"
+    M, K = 10.0 ** rng.uniform(-2, 2), 10.0 ** rng.uniform(-1, 3)
+    kp = K / (3.0 * M)
+    G = K * kp * 10.0 ** rng.uniform(-3.0, 0.0)
+    joint = dataclasses.replace(
+        load_servo_config(file).joints[0], velocity_gain=K, position_gain=kp, integral_time=5.0 / kp
+    )
+    held = holding(joint, G)
+    assert (held == joint) == (HOLDS * G <= K * kp)
+    for share in (0.6, 1.0, 2.0):
+        k, stiff = share * K, share * K * held.position_gain
+        poles = np.roots([M, k, stiff - G, stiff / held.integral_time])
+        assert poles.real.max() < 0.0, (share, M, K, G)
+
+
+def test_gains_of_an_arm_exceed_what_its_links_fall_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if ur5 had a tower on its shoulder: that joint alone gets more stiffness."""
+    scene, servo = load_scene("ur5"), load_servo_config(CONFIG / "servo" / "ur5.yaml")
+    inertias = link_inertias([scene])
+    before = compute(scene, servo, inertias)
+    fall = 3.0 * before.joints[1].position_gain * before.joints[1].velocity_gain
+    monkeypatch.setattr(tuned, "falls", lambda scene: fall * np.eye(6)[1])
+    after = compute(scene, servo, inertias)
+    shoulder = after.joints[1]
+    assert shoulder.position_gain * shoulder.velocity_gain >= 0.99 * HOLDS * fall
+    assert [*after.joints[:1], *after.joints[2:]] == [*before.joints[:1], *before.joints[2:]]
 
 
 def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,9 +28,10 @@ class LinkLoads:
             kind = pin.JointModelPZ() if joint.kind == "prismatic" else pin.JointModelRZ()
             parent = model.addJoint(parent, kind, pin.SE3(tilt @ turn, joint.p), joint.name)
             body = joint.body
-            com = body.moment / body.mass
-            com_x = pin.skew(com)
-            inertia = pin.Inertia(body.mass, com, body.inertia + body.mass * com_x @ com_x)
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = body.inertia
+            # As they are about the joint: of a point, rounding leaves anything about its centre.
+            numbers = np.array([body.mass, *body.moment, xx, xy, yy, xz, yz, zz])
+            inertia = pin.Inertia.FromDynamicParameters(numbers)
             model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
         gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
         model.gravity.linear = scene.chain.R_BW @ gravity

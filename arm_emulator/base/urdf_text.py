@@ -16,6 +16,7 @@ MOST_BYTES = 16 << 20
 MOST_MARKS = 400_000  # of `<`: bounds the number of elements
 MOST_LEVELS = 64
 UNLIMITED = 1e9  # rad or m: position limit of a joint without limits
+ENDLESS = 1e5  # rad or m: a limit from here on is none, but what stands for one (999999)
 
 _DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?(\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["'])""")
 _ONE_BYTE = ("ascii", "iso8859-1", "iso8859-15", "cp1252")  # encodings that URDFs come in, besides
@@ -111,7 +112,7 @@ def _check_levels(robot: ET.Element, where: str) -> None:
 
 
 def complete_limits(robot: ET.Element, where: str) -> bool:
-    """Make joints unlimited for which the URDF gives neither a lower nor an upper limit.
+    """Make joints unlimited for which the URDF gives no limit, or those from `ENDLESS` on.
 
     Other readers of a URDF refuse such a joint, or take 0 for both. A revolute joint becomes a
     continuous one, a prismatic one gets limits of +-`UNLIMITED`. They also refuse a limit without
@@ -158,7 +159,7 @@ def _bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
     if math.isnan(value):
         what = f"joint {joint.get('name')}: limit {key}"
         raise Refusal(where, what, "be a number", repr(text))
-    return value
+    return value if abs(value) < ENDLESS else math.copysign(math.inf, value)
 
 
 def limits_of(robot: ET.Element) -> dict[str, tuple[float, float]]:

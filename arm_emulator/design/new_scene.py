@@ -9,13 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import yaml
 
 from arm_emulator.analysis.holding import Overload, overloads
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import parse_urdf
+from arm_emulator.base.urdf_text import UNLIMITED, parse_urdf
 from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import published
@@ -219,7 +218,7 @@ def _texts(
             velocity=limits[joint.name]["velocity"],
             sheet=sheets[j],
             limited=bool(kinematics.lower[j] < bare.start[j] < kinematics.upper[j])
-            and bool(np.isfinite(kinematics.lower[j]) and np.isfinite(kinematics.upper[j]))
+            and max(-kinematics.lower[j], kinematics.upper[j]) < UNLIMITED
             and joint.name in links.chain.coupling.apart,
         )
         for j, joint in enumerate(links.chain.joints)

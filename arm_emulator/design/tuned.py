@@ -32,6 +32,8 @@ SETTLE, MOVE, REST = 1.0, 1.0, 6.0  # s of the run on the machine; what sticks c
 WATCHED = 0.75  # s of the rest
 TURN, SLIDE = 0.2, 0.05  # rad, m: the move
 _SOFTER = 0.7  # where a whole arm leaves too little margin
+HOLDS = 2.0  # times the torque per angle with which a link falls, that a loop holds it
+_NUDGE = 1e-4  # rad or m, over which that torque is taken
 _ROUNDS = 8
 
 
@@ -90,6 +92,46 @@ def link_inertias(scenes: list[Scene]) -> list[Range]:
     return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
+def falls(scene: Scene) -> Array:
+    """Return the largest torque per angle with which each link falls over the poses of a scene.
+
+    The weight of what stands over a joint grows with its angle, (N,) [N m/rad, N/m]; 0 where all
+    that a joint moves hangs from it.
+    """
+    plant, N = Plant(scene), len(scene.joints)
+    still, unit, most = np.zeros((N, N)), np.eye(N), np.zeros(N)
+    for q in poses(scene, POSES):
+        at = np.tile(q, (N, 1))
+        fall = plant.links.accelerations(q, still[0], still[0])
+        M = np.linalg.inv((plant.links.accelerations(at, still, unit) - fall).T)
+        weight = np.tile(-M @ fall, (N, 1))  # balances the links at q, and nearly beside it
+        ahead, behind = (
+            plant.links.accelerations(at + side * _NUDGE * unit, still, weight)
+            for side in (1.0, -1.0)
+        )
+        most = np.maximum(most, np.diag(M @ (ahead - behind).T) / (2.0 * _NUDGE))
+    return most
+
+
+def holding(joint: JointServo, fall: float) -> JointServo:
+    """Return a joint's servo whose loop holds a link that falls [N m/rad]; itself if it does.
+
+    The loop's stiffness, velocity_gain * position_gain, has to exceed `fall`. What is left of it
+    places the integral as the whole of it does elsewhere: 5 / position_gain without a fall.
+    """
+    K = joint.velocity_gain
+    if K * joint.position_gain >= HOLDS * fall:
+        return joint
+    stiffness = HOLDS * fall
+    left = stiffness - fall
+    gain, time = _rounded(stiffness / K), _rounded(5.0 * K * stiffness / left**2)
+    return dataclasses.replace(joint, position_gain=gain, integral_time=time)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
 def with_and_without(file: Path, payload: float | None = None) -> tuple[Scene, Scene | None]:
     """Return a scene, and the same without its payload; None where it has none.
 
@@ -113,8 +155,9 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
     """Return the servo with computed gains.
 
     Each joint is designed by itself (joint_gains.py); then all get the position gain of the
-    slowest, so that the joints of a tool path keep together; then joints whose loop has too little
-    margin in the whole arm are made slower.
+    slowest, so that the joints of a tool path keep together, and more where a link that stands
+    over its joint would fall; then joints whose loop has too little margin in the whole arm are
+    made slower, within that.
     """
     known = {joint.name: joint for joint in servo.joints}
     found: dict[str, JointServo] = {}
@@ -132,7 +175,11 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         )
         found[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
     slowest = min(joint.position_gain for joint in found.values())
-    joints = [dataclasses.replace(found[name], position_gain=slowest) for name in servo.joint_names]
+    fall = dict(zip(scene.joint_names, falls(scene).tolist(), strict=True))
+    joints = [
+        holding(dataclasses.replace(found[name], position_gain=slowest), fall[name])
+        for name in servo.joint_names
+    ]
     for _ in range(_ROUNDS):
         config = dataclasses.replace(servo, joints=tuple(joints))
         loops = ServoLoops(scene, config)
@@ -144,7 +191,9 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         if not little:
             break
         joints = [
-            slower(joint, _SOFTER, servo.period) if joint.name in little else joint
+            holding(slower(joint, _SOFTER, servo.period), fall[joint.name])
+            if joint.name in little
+            else joint
             for joint in joints
         ]
     return config
