@@ -15,6 +15,8 @@ from scipy.spatial import ConvexHull
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion import collisions
+from arm_emulator.motion.arm_shapes import ArmShapes
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.collisions import OWN_SHARE, Collisions
 from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
@@ -118,6 +120,60 @@ def test_what_is_hollow_may_be_entered(tmp_path: File) -> None:
             assert bool(tested.first(q)) == (apart < 0.0), q
             touched += apart < 0.0
     assert 0 < touched < 200
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_boxes_first_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the arm's own parts, a floor and a turned box, in random poses and in a row of them."""
+    scene, rng = load_scene(name), np.random.default_rng(3)
+    box = Obstacle("box", size=(0.3, 0.3, 0.6), at=(0.5, 0.1, 0.3), rpy=(0.3, 0.1, 0.5))
+    both = []
+    for many in (0, 10_000):
+        monkeypatch.setattr(collisions, "_MANY", many)
+        obstacles = (Obstacle("floor", -0.05), box)
+        both.append(Collisions(scene.urdf, scene.joint_names, obstacles, MARGIN))
+    q = scene.start + rng.normal(0.0, 0.8, (150, len(scene.start)))
+    first = [[one.first(row) for row in q] for one in both]
+    assert first[0] == first[1]
+    touching = [k for k, words in enumerate(first[0]) if words]
+    assert [*both[0].suspects(q)] == [*both[1].suspects(q)] == touching
+    assert 0 < len(touching) < 150
+
+
+@pytest.mark.parametrize("seed", some(range(60), 20))
+def test_no_part_moves_farther_than_the_bound(seed: int) -> None:
+    """Against the balls' own centres, and the corners of panda's boxes of shapes."""
+    rng = np.random.default_rng(seed)
+    shapes = ArmShapes(two_links(), ("a", "b"))
+    q = rng.uniform(-2.0, 2.0, 2)
+    way = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 0.0), 2)
+
+    def balls(a: float, b: float) -> np.ndarray:
+        outer = [math.cos(a) + math.cos(a + b), -math.sin(a) - math.sin(a + b)]
+        return np.array([[0.5 * math.cos(a), -0.5 * math.sin(a)], outer])
+
+    moved = np.linalg.norm(balls(*(q + way)) - balls(*q), axis=1).max()
+    assert moved <= shapes.moved(way) * (1.0 + 1e-9)
+    # A turn of the outer joint alone leads the outer ball's far side by 1.05 m/rad.
+    assert shapes.moved(np.array([0.0, 1.0])) == pytest.approx(1.05, abs=0.04)
+
+
+def test_parts_that_are_near_by_design_may_be() -> None:
+    """1.5 mm between two balls with all joints at 0, less than the margin: only touch counts."""
+    third = (
+        '<joint name="d" type="revolute"><parent link="second"/><child link="third"/>'
+        '<origin xyz="-0.6 0 0.03"/><axis xyz="1 0 0"/>'
+        '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+    )
+    radius = math.hypot(0.1, 0.03) - 0.1 - 1.5e-3  # of the third; the first has 0.1 m
+    urdf = two_links().replace("</robot>", f"{third}{BALL.format('third', 0.0, radius)}</robot>")
+    tested = Collisions(urdf, ("a", "b", "d"), [], MARGIN)
+    assert tested.pairs == 1
+    for b in np.linspace(-0.2, 0.2, 81):
+        place = np.array([[math.cos(b), math.sin(b)], [-math.sin(b), math.cos(b)]]) @ [-0.6, 0.03]
+        apart = float(np.linalg.norm(place - [-0.5, 0.0])) - 0.1 - radius
+        if abs(apart) > 1e-6:
+            assert bool(tested.first(np.array([0.0, b, 0.0]))) == (apart < 0.0), b
 
 
 class Arm:

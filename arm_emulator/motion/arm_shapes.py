@@ -6,6 +6,7 @@ hull, whose contacts are found faster and include those of the mesh.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ import pinocchio as pin
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
+from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.package_folders import package_folders
@@ -54,9 +56,14 @@ class ArmShapes(Lasting):
             str(self.model.frames[shape.parentFrame].name) for shape in self.hulls.geometryObjects
         ]
         self._shafts = Shafts(urdf_xml, joint_names)
-        joints = [self.model.joints[self.model.getJointId(name)] for name in self._shafts.joints]
-        self._columns = [joint.idx_v for joint in joints]
+        numbers = [self.model.getJointId(name) for name in self._shafts.joints]
+        joints = [self.model.joints[number] for number in numbers]
         self._neutral = pin.neutral(self.model)
+        self._turning = np.array([joint.nq == 2 for joint in joints])  # cosine and sine
+        self._places = np.array([joint.idx_q for joint in joints])
+        self.moved_by = [frozenset(numbers) & {*way} for way in self.model.supports]
+        """The joints commanded that move each of the model's joints."""
+        self._leads = np.array([self._farthest(number) for number in numbers])
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._upper(joint), np.pi) for joint in joints])
         self.low, self.high = self._shafts.positions(low, high)
@@ -74,11 +81,41 @@ class ArmShapes(Lasting):
         return self.low + (self.high - self.low) * rng.random(len(self.low))
 
     def whole(self, q: FloatArray) -> FloatArray:
-        """Return Pinocchio's configuration at q (N,)."""
-        step = np.zeros(self.model.nv)
-        step[self._columns] = self._shafts.of_joints(q)
-        configuration: FloatArray = pin.integrate(self.model, self._neutral, step)
-        return configuration
+        """Return Pinocchio's configuration at q (..., N)."""
+        angles = self._shafts.of_joints(q)
+        whole: FloatArray = np.tile(self._neutral, (*angles.shape[:-1], 1))
+        turning, places = self._turning, self._places
+        whole[..., places] = np.where(turning, np.cos(angles), angles)
+        whole[..., places[turning] + 1] = np.sin(angles[..., turning])
+        return whole
+
+    def moved(self, ways: FloatArray) -> FloatArray:
+        """Return how far any part moves at most on ways of the joints (..., N) [m]."""
+        moved: FloatArray = np.abs(ways @ self._shafts.C.T) @ self._leads
+        return moved
+
+    def _farthest(self, joint: int) -> float:
+        """Return how far a joint moves a part per angle or way at most [m/rad, m/m]."""
+        if _slides(self.model.joints[joint]):
+            return 1.0
+        farthest = 0.0
+        for shape in self.hulls.geometryObjects:
+            shape.geometry.computeLocalAABB()
+            centre = shape.placement.act(shape.geometry.aabb_center)
+            length, at = math.hypot(*centre) + shape.geometry.aabb_radius, shape.parentJoint
+            while at > joint:  # parents have lower numbers
+                length += math.hypot(*self.model.jointPlacements[at].translation) + self._travel(at)
+                at = self.model.parents[at]
+            if at == joint:
+                farthest = max(farthest, length)
+        return farthest
+
+    def _travel(self, joint: int) -> float:
+        one = self.model.joints[joint]
+        if not _slides(one):
+            return 0.0
+        travel = max(-self._lower(one), self._upper(one))
+        return travel if travel < UNLIMITED else 0.0
 
     def _lower(self, joint: Any) -> float:
         return float(self.model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.pi
@@ -87,8 +124,15 @@ class ArmShapes(Lasting):
         return float(self.model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.pi
 
 
+def _slides(joint: Any) -> bool:
+    return bool(joint.shortname().removeprefix("JointModel").startswith("P"))
+
+
 def _hull(shape: Any) -> Any:
     if isinstance(shape, coal.BVHModelBase):
-        shape.buildConvexHull(True, "Qt")
+        try:
+            shape.buildConvexHull(True, "Qt")
+        except RuntimeError:  # qhull, or a corner with more neighbours than coal counts
+            return shape
         return shape.convex
     return shape

@@ -44,9 +44,7 @@ class CollisionGuard:
     """
 
     def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
-        self._reach = kinematics.reach
-        self._scale, self._margin = kinematics.joint_scale, config.collision_margin
-        self._kinematics = kinematics
+        self._kinematics, self._margin = kinematics, config.collision_margin
         self.collisions = Collisions(
             kinematics.urdf_xml, kinematics.joint_names, config.obstacles, config.collision_margin
         )
@@ -69,14 +67,16 @@ class CollisionGuard:
     def along(self, angles: Angles) -> tuple[float, str] | None:
         """Return at which part of a way parts touch first, and which; None: they do not."""
         part, q = self._apart(angles)
-        begin, last = q[0], 0  # parts that touch there may move apart: `ahead` watches them
         gone = np.concatenate([[0.0], np.cumsum(self._parts(np.diff(q, axis=0)))])
+        looks = [0]
         for k in range(1, len(q)):
-            if k + 1 < len(q) and gone[k + 1] - gone[last] <= 1.0:
-                continue
-            if touching := self.collisions.fresh(q[k], begin, math.inf):
+            if k + 1 == len(q) or gone[k + 1] - gone[looks[-1]] > 1.0:
+                looks.append(k)
+        part, q = part[looks[1:]], q[looks]
+        # Parts that touch where it begins may move apart: `ahead` watches them.
+        for k in self.collisions.suspects(q[1:]):
+            if touching := self.collisions.fresh(q[1 + k], q[0], math.inf):
                 return float(part[k]), touching
-            last = k
         return None
 
     def check(self, where: str, angles: Angles) -> None:
@@ -122,5 +122,4 @@ class CollisionGuard:
 
     def _parts(self, ways: FloatArray) -> FloatArray:
         """Return how many pieces ways of the joints (..., N) are."""
-        pieces: FloatArray = np.abs(ways / self._scale).sum(axis=-1) * self._reach / _BETWEEN
-        return pieces
+        return self.collisions.moved(ways) / _BETWEEN
