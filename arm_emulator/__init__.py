@@ -89,7 +89,10 @@ def __getattr__(name: str) -> Any:
 
         return VERSION
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import sys
+
+        rule = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(rule, name=name, obj=sys.modules[__name__])
     if not _MODULES[name]:
         return importlib.import_module(f"{__name__}.{name}")
     value = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -110,7 +110,7 @@ def network(
             assert set(codes.values()) <= {0}, f"exit codes {codes}"
     except BaseException as error:
         if keep is not None:
-            error.add_note(f"driven again by: python -m arm_emulator check-bag {keep}")
+            error.add_note(f"driven again by: arm_emulator check-bag {keep}")
         raise
     if keep is not None:
         shutil.rmtree(keep)

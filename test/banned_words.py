@@ -32,6 +32,12 @@ OPENING = re.compile(
 )
 
 
+# A test is named after its claim.
+RIDDLE = re.compile(
+    r"^[ \t]*def (test_(?:what|whatever|who|whoever|which|how|where|nobody))_", re.M
+)
+
+
 def banned() -> dict[str, str]:
     """Return what to write instead of each banned word or phrase."""
     table = GLOSSARY.read_text(encoding="utf-8").split("## Banned\n")[1]
@@ -74,9 +80,15 @@ def found_in(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]
 
 
 def openings_in(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, word and replacement of each docstring or comment with a banned first word."""
+    """Yield line, word and replacement of each docstring, comment or test with such a beginning."""
     for match in OPENING.finditer(text):
         yield text.count("\n", 0, match.start(1)) + 1, match[1], "a noun or a verb at the beginning"
+    for match in RIDDLE.finditer(text):
+        yield (
+            text.count("\n", 0, match.start(1)) + 1,
+            match[1],
+            "the test's claim: subject, verb, object",
+        )
 
 
 def main() -> int:

@@ -111,7 +111,7 @@ def test_truths_of_machines_that_stick_are_as_good_as_is_stated(seed: int, tmp_p
         assert off <= found.error + 1e-10 and found.error <= wanted, f"{off:.1e}: {found}"
 
 
-def test_what_is_left_is_estimated_by_how_differences_fall() -> None:
+def test_the_remaining_error_follows_from_the_ratio_of_differences() -> None:
     assert remainder([1.0, 0.25]) == np.inf, "two differences show nothing"
     assert remainder([16.0, 4.0, 1.0]) == pytest.approx(1.0 / 3.0), "order 2"
     assert remainder([4.0, 2.0, 1.0]) == pytest.approx(1.0), "order 1"
@@ -133,7 +133,7 @@ def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
 
 # Every fifth scene is of the same class (bench/advice.py): these are one each.
 @pytest.mark.parametrize("seed", some(range(len(CLASSES)), 1))
-def test_what_is_stated_holds_and_hardly_anything_is_cheaper(
+def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`python -m bench.advice` does the same for more scenes, longer motions and more errors."""
@@ -146,7 +146,7 @@ def test_what_is_stated_holds_and_hardly_anything_is_cheaper(
         assert one.cost < 2.0, f"dear: {one}"
 
 
-def test_no_setting_is_reported_of_where_none_keeps_the_error() -> None:
+def test_no_setting_is_advised_if_none_keeps_the_error() -> None:
     judge, _ = demo()
     found = advise(Judge(judge.scene, judge.motions), 1e-11)
     assert not found.settings, "of order 2 in doubles"
@@ -373,7 +373,7 @@ def test_sections_as_people_write_them(tmp_path: Path, kind: str) -> None:
     assert file.read_bytes().decode() == f"{head}integrator: {new}{tail}", "the file"
 
 
-def test_what_would_change_more_is_refused(tmp_path: Path) -> None:
+def test_writing_that_would_change_more_is_refused(tmp_path: Path) -> None:
     """The step is an anchor that the servo period uses too."""
     file = scene_copy(tmp_path)
     text = file.read_text()

@@ -117,7 +117,7 @@ def test_a_mesh_is_its_convex_hull_and_is_found_in_its_package(tmp_path: Path) -
         np.testing.assert_allclose(tensor, expected, rtol=1e-5, atol=1e-5 * expected.max())
 
 
-def test_what_has_no_shape_is_a_rod_and_a_mass_that_is_given_stays(tmp_path: Path) -> None:
+def test_a_link_without_shape_is_a_rod_and_keeps_its_given_mass(tmp_path: Path) -> None:
     end = np.array([0.3, 0.0, -0.4])
     lost = shape('<mesh filename="package://nowhere/a.stl"/>')
     for inside in ("", lost, shape('<box size="1 x 1"/>')):

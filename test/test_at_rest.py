@@ -30,7 +30,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("place", "laws", "scheme", "events", "weightless"), some(CASES, 3))
-def test_what_nothing_holds_moves_and_what_friction_holds_rests(
+def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     place: str, laws: tuple[str, ...], scheme: str, events: str, weightless: bool
 ) -> None:
     """Rotors that rub viscously ended as a divergence in 34 of 200 poses without weights."""

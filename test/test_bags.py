@@ -302,7 +302,7 @@ def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
     assert metadata["relative_file_paths"] == ["bag_0.mcap"]
 
 
-def test_what_is_replayed_is_the_same_bytes_in_the_same_order(recording: tuple[Path, str]) -> None:
+def test_a_replay_publishes_the_same_bytes_in_the_same_order(recording: tuple[Path, str]) -> None:
     bag, _ = recording
     expected = [m.data for m in Bag(bag).messages(["/motor_states"])]
     got: list[bytes] = []
@@ -432,7 +432,7 @@ def test_nothing_of_a_state_is_passed_over_in_silence(
     assert code == exit_code and words in printed, printed
 
 
-def test_what_is_not_compared_is_published_and_strict_takes_it_for_a_failure(
+def test_messages_not_compared_are_listed_and_fail_with_strict(
     tmp_path: Path,
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 15)

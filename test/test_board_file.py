@@ -271,7 +271,7 @@ def elf_file() -> bytes:
     return header + b"".join(value.to_bytes(4, "little") for value in segment) + b"code"
 
 
-def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """In one line, with what to install."""
     find = importlib.util.find_spec
     (tmp_path / "firmware.elf").write_bytes(elf_file())

@@ -77,7 +77,7 @@ def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
 
 
 @pytest.mark.parametrize("values", NO_NUMBERS)
-def test_what_is_no_number_is_refused(values: Any) -> None:
+def test_values_that_are_no_numbers_are_refused(values: Any) -> None:
     with pytest.raises(Refusal, match=r"^here: q must "):
         POSITION.named("q").row("here", values, 3)
 

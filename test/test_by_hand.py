@@ -283,7 +283,7 @@ def session_of(one: InProcess) -> Any:
 
 
 @pytest.mark.parametrize("seed", some(range(10), 3))
-def test_what_is_set_is_set_and_all_else_stays(seed: int) -> None:
+def test_set_quantities_change_and_all_others_stay(seed: int) -> None:
     draw = random.Random(seed)
     rows = dict(zip(QUANTITIES, ("q", "v", "theta_m", "omega_m", "current"), strict=True))
     with in_process() as one:

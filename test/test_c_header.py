@@ -161,7 +161,7 @@ def kept(cache: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in cache.iterdir() if file.suffix == ".cdef"}
 
 
-def test_what_was_read_is_kept_and_read_anew_where_it_is_spoiled(
+def test_read_headers_are_cached_and_read_anew_if_the_cache_is_spoiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = tmp_path / "cache"

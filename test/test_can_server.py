@@ -149,7 +149,9 @@ def strange(rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize("seed", some(range(20), 2))
-def test_whatever_a_member_sends_the_others_are_served(server: CanServer, seed: int) -> None:
+def test_a_member_that_sends_garbage_does_not_disturb_the_others(
+    server: CanServer, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     with Client(server) as one:
         for _ in range(100):
@@ -193,7 +195,7 @@ def bus_of(comes: Callable[[], object]) -> PythonCanBus:
     return PythonCanBus(SimpleNamespace(recv=lambda _timeout: comes()))
 
 
-def test_what_python_can_receives_and_is_no_frame_is_counted() -> None:
+def test_messages_that_are_no_frames_are_counted() -> None:
     assert bus_of(message).receive(0.0) == Frame(0x123, b"\1")
     assert bus_of(lambda: None).receive(0.0) is None
     for what in ({"arbitration_id": 1 << 11}, {"arbitration_id": -1}, {"arbitration_id": "x"},

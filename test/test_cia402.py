@@ -334,7 +334,7 @@ def test_random_commands_options_and_losses_lead_where_a_model_states(seed: int)
     assert len(seen) >= 5, f"states that it was in: {seen}"
 
 
-def test_what_field_buses_need_is_compiled_ahead_on_request(
+def test_libraries_of_field_buses_are_compiled_ahead_on_request(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     units: list[str] = []
@@ -351,7 +351,7 @@ def test_what_field_buses_need_is_compiled_ahead_on_request(
     assert {"drives", "ethercat"} < set(units), "what is compiled"
 
 
-def test_what_has_no_drive_is_refused_in_one_line() -> None:
+def test_a_joint_without_a_drive_is_refused_in_one_line() -> None:
     with pytest.raises(Refusal, match=r"servo.joint_names must name every moving joint"):
         Drives(Plant(PLAIN), load_servo_config(ROOT / "config/servo/ur5.yaml"), ETHERCAT)
 

@@ -100,7 +100,7 @@ PLATES = """<robot name="plates">
 {ball}</robot>"""
 
 
-def test_what_is_hollow_may_be_entered(tmp_path: File) -> None:
+def test_a_part_may_enter_a_hollow_one(tmp_path: File) -> None:
     """A ball between two plates of one mesh, whose convex hull fills the gap: closed form."""
     corners = np.array([(x, z) for x in (-0.5, 0.5) for z in (-0.5, 0.5)])
     text = "solid plates\n"

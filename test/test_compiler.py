@@ -192,7 +192,7 @@ MISCHIEF = {
 
 
 @pytest.mark.parametrize("does", MISCHIEF)
-def test_whatever_a_compiler_does_ends_in_one_line(
+def test_failures_of_a_compiler_end_in_one_line(
     does: str,
     cache: Path,
     tmp_path: Path,

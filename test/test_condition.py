@@ -131,12 +131,12 @@ def test_a_star_means_every_joint() -> None:
         ("(" * 100 + "t > 1" + ")" * 100, "nest at most"),
     ],
 )  # fmt: skip
-def test_what_is_no_condition_is_refused(text: Any, rule: str) -> None:
+def test_malformed_conditions_are_refused(text: Any, rule: str) -> None:
     with pytest.raises(Refusal, match=re.escape(rule)):
         Condition(text, SCENE)
 
 
-def test_a_division_by_nothing_holds_nowhere() -> None:
+def test_a_condition_with_a_division_by_zero_never_holds() -> None:
     session = Session(SCENE, "lockstep", "free_run")
     for text in ("1 / v.waist > 0", "1 / v.waist <= 0", "sqrt(0 - 1) >= 0"):
         assert not Condition(text, SCENE).holds(session)

@@ -255,7 +255,7 @@ def test_couplings_that_move_nothing_are_refused(
 
 
 @pytest.mark.parametrize("key", ["external_wrench", "varied"])
-def test_what_coupled_scenes_cannot_have_is_refused(key: str, tmp_path: Path) -> None:
+def test_parts_that_coupled_scenes_cannot_have_are_refused(key: str, tmp_path: Path) -> None:
     value: Any = True if key == "external_wrench" else ["joints.j1.friction.viscous"]
     with pytest.raises(Refusal, match=f"{key} must be absent from a scene with couplings"):
         machine(tmp_path, *ARMS["telescope"], **{key: value})

@@ -255,7 +255,9 @@ def test_a_current_that_is_set_flows_on(tmp_path: Path) -> None:
         ({"kind": "current"}, "loop must belong to a motor that has an inductance .dc, pmsm., got"),
     ],
 )
-def test_what_makes_no_loop_is_refused(motor: dict[str, Any], line: str, tmp_path: Path) -> None:
+def test_unusable_current_loops_are_refused(
+    motor: dict[str, Any], line: str, tmp_path: Path
+) -> None:
     whole = {**DC, "current_loop": {"bandwidth": 500.0}, **motor}
     if "kind" in motor:
         del whole["resistance"], whole["inductance"], whole["back_emf_constant"]

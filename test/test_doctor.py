@@ -37,7 +37,7 @@ def test_each_finding_is_a_line_and_a_row_of_json(capsys: pytest.CaptureFixture[
     assert code == any(row["level"] == "problem" for row in rows)
 
 
-def test_what_is_missing_is_a_problem_with_a_remedy(
+def test_a_missing_tool_is_a_problem_with_a_remedy(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert found("compiler").level == "ok"

@@ -61,7 +61,7 @@ def test_the_page_of_python_has_every_public_name() -> None:
     assert set(arm_emulator.__all__) <= set(shown)
 
 
-def test_what_pages_generate_follows_from_the_code() -> None:
+def test_generated_parts_of_pages_follow_from_the_code() -> None:
     texts = {path: path.read_text() for path in DOCS.rglob("*.md")}
     asked = {path: text for path, text in texts.items() if "<!-- generated" in text}
     assert {path.stem for path in asked} >= {"command_line", "messages", "c"}

@@ -46,7 +46,7 @@ def test_a_spoiled_record_is_refused_or_doubted_with_the_cause(kind: str, seed: 
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
-def test_of_a_sound_record_nothing_is_stated(seed: int) -> None:
+def test_a_sound_record_gives_no_warning(seed: int) -> None:
     scene, run = record(seed)
     assert answer_to(scene, run) == ("", False)
 

@@ -90,7 +90,7 @@ def test_working_counters_and_positions_are_those_of_the_standard(master: Master
     assert master.segment.figures.unknown == 1, "one unknown command"
 
 
-def test_what_is_read_and_written_is_what_stands_there(master: Master) -> None:
+def test_objects_read_back_as_written(master: Master) -> None:
     rng = np.random.default_rng(1)
     values = [bytes(rng.integers(0, 256, 8, dtype=np.uint8)) for _ in range(master.slaves)]
     for k, value in enumerate(values):
@@ -278,7 +278,7 @@ def counts(memory: bytes) -> int:
 
 
 @pytest.mark.parametrize("seed", some(range(40), 3))
-def test_whatever_a_master_sets_when_counters_and_time_fit_the_states(seed: int) -> None:
+def test_counters_and_time_fit_the_states_under_any_order_of_a_master(seed: int) -> None:
     """States, guards, units and SYNC0 at random: an exchange counts and lasts as they are then."""
     rng = np.random.default_rng(seed)
     master = Master(segment())
@@ -335,7 +335,9 @@ def test_a_reset_puts_a_controller_to_where_it_began(master: Master) -> None:
     assert master.segment.memory(1)[:0x0900] == fresh[:0x0900], "registers as at the beginning"
 
 
-def test_what_cannot_be_opened_or_written_is_refused(master: Master, tmp_path: Path) -> None:
+def test_interfaces_and_files_that_cannot_be_opened_are_refused(
+    master: Master, tmp_path: Path
+) -> None:
     for name in ("", "no_such_thing", "lo", "x" * 300):
         with pytest.raises(Refusal, match="--interface must "):
             master.segment.open(name)

@@ -30,7 +30,7 @@ def test_the_worst_of_each_kind_and_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not FULL, reason="a machine with all faults compiles for 13 s")
-def test_of_the_three_axis_arm() -> None:
+def test_the_fault_matrix_of_the_three_axis_arm() -> None:
     rows = {one.fault: one for one in fault_matrix("three_axis")}
     stuck, sagging = rows["waist.encoder_stuck"], rows["supply_sags"]
     assert stuck.detected_by == "motion controller" and stuck.after < 0.5 and stuck.travel > 0.05

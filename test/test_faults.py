@@ -228,7 +228,7 @@ def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene)
     assert len(compared) > 30, compared
 
 
-def test_what_is_stuck_stays_as_it_was(begun: Begun, scene: Scene) -> None:
+def test_a_stuck_output_keeps_its_value(begun: Begun, scene: Scene) -> None:
     """Readings are those of the tick before, truth goes on, and off lets them catch up."""
     plant, saved, _ = begun
     plant.restore(saved)

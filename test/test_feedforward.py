@@ -167,7 +167,7 @@ def test_the_tool_follows_a_fast_line(known: Known, bound: float) -> None:
     assert found.past < bound
 
 
-def test_what_is_known_pays() -> None:
+def test_known_numbers_reduce_the_error() -> None:
     """Each mode of feed-forward leaves less than the one before, and 50 % off is between."""
     modes = "none", "speed", "torque", "full"
     off = {mode: follow("ur5", Known(mode)).off for mode in modes}

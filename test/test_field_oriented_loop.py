@@ -218,7 +218,7 @@ def test_commands_are_currents_within_the_limits_circle(tmp_path: Path) -> None:
     assert plant.measured.current_d == pytest.approx(np.zeros(3), abs=0.1)
 
 
-def test_what_a_servo_must_know_of_it(tmp_path: Path) -> None:
+def test_the_data_that_a_servo_needs_of_it(tmp_path: Path) -> None:
     joint = load_scene(write(tmp_path)).joints[0]
     data = joint.servo_data
     assert data is not None and dataclasses.asdict(data)["current_bandwidth"] == 400.0

@@ -338,7 +338,7 @@ BAD_TABLES = {
 
 
 @pytest.mark.parametrize("text", BAD_TABLES)
-def test_what_is_no_table_is_refused_in_a_line(text: str, tmp_path: Path) -> None:
+def test_files_without_a_table_are_refused_in_a_line(text: str, tmp_path: Path) -> None:
     file = tmp_path / "table.csv"
     file.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(Refusal) as refusal:

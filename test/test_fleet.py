@@ -292,7 +292,7 @@ def refusals() -> Iterator[tuple[str, Any, str]]:
 @pytest.mark.parametrize(
     ("attempt", "words"), [one[1:] for one in refusals()], ids=[one[0] for one in refusals()]
 )
-def test_what_makes_no_sense_is_refused(attempt: Any, words: str, tmp_path: Path) -> None:
+def test_senseless_arguments_are_refused(attempt: Any, words: str, tmp_path: Path) -> None:
     scene = mixture(tmp_path, 16)
     with pytest.raises(Refusal) as refused:
         attempt(scene)

@@ -231,7 +231,7 @@ def test_code_of_users_commands_arm_by_arm(tmp_path: Path, three_axis: Scene) ->
     assert fleet.state.t[9] == pytest.approx(0.020) and fleet.state.t[0] == pytest.approx(0.025)
 
 
-def test_what_makes_no_sense_is_refused(three_axis: Scene) -> None:
+def test_senseless_arguments_are_refused(three_axis: Scene) -> None:
     scene = three_axis
     fleet, servo = Fleet(scene, 2), load_gains("three_axis").servo
     servos = ServoFleet(fleet, servo)

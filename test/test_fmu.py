@@ -221,7 +221,7 @@ def test_a_reset_makes_it_new(fmu: Fmu) -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_discarded_and_nothing_changes(fmu: Fmu, bad: float) -> None:
+def test_inputs_not_finite_are_discarded_and_change_nothing(fmu: Fmu, bad: float) -> None:
     """At any place of any variable, while others in the same row are sound."""
     rng = np.random.default_rng(4)
     for one in (Instance(fmu), moved(fmu, 4)):
@@ -240,7 +240,7 @@ def test_what_is_not_finite_is_discarded_and_nothing_changes(fmu: Fmu, bad: floa
             assert one.save() == before, f"{name} changed something"
 
 
-def test_what_is_out_of_bounds_is_discarded(fmu: Fmu) -> None:
+def test_inputs_out_of_bounds_are_discarded(fmu: Fmu) -> None:
     one = moved(fmu, 5)
     before = one.save()
     for name, value, rule in (
@@ -610,7 +610,7 @@ def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -
     ({"target": "z80"}, "target must be known"),
     ({"out": Path("arm.zip")}, "--out must end in .fmu"),
 ])  # fmt: skip
-def test_what_is_not_taken_is_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_unknown_arguments_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
     given = {"scene": "three_axis", "out": tmp_path / "arm.fmu", "target": "native", **change}
     with pytest.raises(Refusal, match=words):
         write_fmu(given.pop("scene"), **given)

@@ -222,7 +222,7 @@ def test_a_motion_too_fast_for_its_step_is_reported_as_such() -> None:
 
 
 @pytest.mark.parametrize("seed", some(range(5), 1))
-def test_what_is_reported_to_hold_holds_under_the_voltage_at_hand(seed: int) -> None:
+def test_joints_reported_to_hold_do_hold_at_the_supply_voltage(seed: int) -> None:
     """Of 20 such cures by small motions alone, 5 ended as another divergence."""
     rng = np.random.default_rng([seed, 21])
     stiffness = {f"joints.{joint}.gear.stiffness": float(10 ** rng.uniform(4.0, 5.0))
@@ -248,7 +248,7 @@ def test_what_is_reported_to_hold_holds_under_the_voltage_at_hand(seed: int) -> 
                 cured.advance(fault.applied, round(2.0 * fault.t / 1e-2) * steps)
 
 
-def test_advice_is_what_was_tried() -> None:
+def test_the_advice_after_a_divergence_was_tried() -> None:
     plant = Plant(paper(1.25e-3))
     with pytest.raises(Diverged) as fault:
         drive(plant, 300)

@@ -168,7 +168,7 @@ def test_motors_that_set_out_from_rest_are_given_their_energy(gantry: Path) -> N
         assert plant.energy > 0.0, "nothing moved"
 
 
-def test_energy_from_nowhere_is_seen_all_the_same(tmp_path: Path) -> None:
+def test_a_motion_that_gains_energy_is_a_divergence(tmp_path: Path) -> None:
     """Gears that are far too stiff for `paper` at this step."""
     stiff = {"ratio": 0.01, "stiffness": 1e8}
     joints = {name: {"motor": TORQUE, "gear": stiff} for name in GANTRY}
@@ -192,7 +192,7 @@ def test_a_servo_for_voltages_and_the_reference_refuse_them(motor: dict[str, Any
 
 
 @pytest.mark.parametrize("scheme", ["extrapolated"])
-def test_what_goes_with_a_torque_that_jumps_keeps_order_two(tmp_path: Path, scheme: str) -> None:
+def test_quantities_beside_a_torque_that_jumps_keep_order_two(tmp_path: Path, scheme: str) -> None:
     """Friction with the load and ripple take the torque of the command that is there now.
 
     Nothing stops on the way, so that `step` has nothing to be late for.

@@ -249,7 +249,7 @@ def fitted(folder: Path, scene: Scene, file: Path, seed: int) -> tuple[Scene, di
 
 
 @pytest.mark.parametrize("name", ["three_axis", "ur5", "panda", "kuka_kr300", "manutec_r3"])
-def test_what_is_found_can_be_loaded_and_is_what_was_found(tmp_path: Path, name: str) -> None:
+def test_the_identified_scene_loads_with_the_identified_numbers(tmp_path: Path, name: str) -> None:
     """Of scenes with payloads, breakaway, aliases, and sections that are not there."""
     scene = load_scene(name)
     for seed in some(range(10), 2):

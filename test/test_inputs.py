@@ -227,7 +227,7 @@ def test_over_ros_and_repeated_from_its_bag(
         (["command_d"], [1e10, 0.0, 0.0], "command_d must be numbers within"),
     ],
 )
-def test_what_no_motor_takes_is_refused(
+def test_an_input_that_no_motor_has_is_refused(
     names: list[str], values: list[float], words: str, file: Path, capfd: Any
 ) -> None:
     with in_process(file=file) as one:

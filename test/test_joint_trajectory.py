@@ -196,7 +196,7 @@ def test_efforts_go_straight_between_points(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_what_is_accepted_keeps_the_limits_and_what_is_refused_does_not(seed: int) -> None:
+def test_accepted_trajectories_keep_the_limits_and_refused_ones_do_not(seed: int) -> None:
     rng = np.random.default_rng([seed, 5])
     kind = KINDS[seed % 3]
     points = draw(rng, kind, 4, 2)
@@ -265,7 +265,7 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("words", "change"), WRONG, ids=[words for words, _ in WRONG])
-def test_what_is_wrong_is_refused_in_one_line(words: str, change: dict[str, Any]) -> None:
+def test_malformed_trajectories_are_refused_in_one_line(words: str, change: dict[str, Any]) -> None:
     given = {"names": ("a", "b"), "points": [point()], **change}
     with pytest.raises(Refusal, match=f"^joint_trajectory: {words}") as refusal:
         JointTrajectory(NAMES, limits(4, 2.0, 3.0), **given)

@@ -120,7 +120,7 @@ def _heed_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def test_what_nodes_do_not_take_is_refused_in_these_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nodes_refuse_wrong_arguments_in_these_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(Path(__file__).resolve().parents[1])
     with own_domain():
         for (module, *more), words in REFUSED_NODES:
@@ -134,7 +134,7 @@ def test_what_nodes_do_not_take_is_refused_in_these_words(monkeypatch: pytest.Mo
             assert printed.startswith(words) and "\n" not in printed, printed
 
 
-def test_what_is_not_taken_is_reported_in_one_line_with_exit_code_2() -> None:
+def test_wrong_arguments_are_reported_in_one_line_with_exit_code_2() -> None:
     file = find_config("three_axis", ".yaml", "servo")
     assert file.is_file(), f"{file} is what refusals name"
     nodes, ros, commands = some(REFUSED_NODES, 3), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS

@@ -182,7 +182,7 @@ def test_a_folder_in_the_place_of_a_library_is_reported(cache: Path, sound: Soun
     assert (cache / sound.name / "precious").is_dir(), "what is not ours stays"
 
 
-def test_what_lies_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: Sound) -> None:
+def test_a_foreign_file_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: Sound) -> None:
     """Once, a link in its place led to a file that was emptied."""
     precious = cache.parent / "precious"
     precious.write_text("precious")
@@ -368,7 +368,7 @@ def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
 
 
 @as_root
-def test_who_swaps_folders_while_we_look_wins_nothing(
+def test_swapping_folders_during_the_check_gains_nothing(
     planted: Planted, sound: Sound, shared: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Folder, link to ours, link to theirs, nothing: as fast as a shell can, in our temp folder."""
@@ -409,7 +409,7 @@ def test_who_swaps_folders_while_we_look_wins_nothing(
 
 
 @as_root
-def test_who_swaps_what_dots_lead_away_from_wins_nothing(
+def test_swapping_the_folder_before_two_dots_gains_nothing(
     planted: Planted, sound: Sound, shared: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`swapped/../cache` is our folder by its text, and theirs by a link."""
@@ -442,7 +442,7 @@ def test_who_swaps_what_dots_lead_away_from_wins_nothing(
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o002, 0o022, 0o027, 0o077])
-def test_what_we_make_is_ours_alone_whatever_the_umask(
+def test_files_of_the_cache_are_private_under_any_umask(
     umask: int, cache: Path, sound: Sound, capsys: pytest.CaptureFixture[str]
 ) -> None:
     os.environ[CACHE_VARIABLE] = str(cache / "a" / "b")
@@ -544,7 +544,7 @@ def test_the_least_recently_used_go(
         assert set(folder.iterdir()) == kept, (case, allowed, sizes, busy)
 
 
-def test_what_is_used_is_not_what_goes(cache: Path, sound: Sound) -> None:
+def test_libraries_in_use_are_not_removed(cache: Path, sound: Sound) -> None:
     file = sound.put(cache)
     os.utime(file, (0.0, 0.0))
     library_of(sound.scene)

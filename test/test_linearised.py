@@ -268,7 +268,7 @@ def omega_m(linear: LinearMachine) -> Array:
     return linear.theta_m @ linear.A
 
 
-def test_what_is_no_point_of_a_machine_is_refused() -> None:
+def test_states_that_a_machine_cannot_have_are_refused() -> None:
     plant = in_three_axis()
     assert linearise(plant, command=[1e30, 0.0, -1e30]).u0.tolist() == [48.0, 0.0, -48.0]
     for wrong in ([1.0], [np.nan] * 3, "x", [True] * 3):

@@ -153,7 +153,9 @@ def test_without_events_nothing_is_cut() -> None:
         ({"integrator.scheme": "extrapolated", "threads": 2}, "an earlier sample"),
     ],
 )
-def test_what_cannot_locate_is_refused(overrides: dict[str, Any], rule: str) -> None:
+def test_schemes_that_cannot_locate_events_are_refused(
+    overrides: dict[str, Any], rule: str
+) -> None:
     with pytest.raises(Refusal, match=f"integrator.events must be step with .*{rule}"):
         load_scene("three_axis", overrides={**overrides, "integrator.events": "located"})
 

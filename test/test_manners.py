@@ -27,6 +27,8 @@ from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
+from arm_emulator.motion.jacobian import JacobianController
+from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo import Servo
 
 PATIENCE = 60.0  # s, after which a child hangs
@@ -94,6 +96,21 @@ def test_an_arm_of_a_fleet_is_copied_out_of_it(way: str, scene: Scene) -> None:
     assert other.save() == before
     other.advance(ROW, 5)
     assert fleet[1].save() == before, "the fleet moves with the copy"
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_frames_and_kinematics_are_copied(way: str, scene: Scene) -> None:
+    fleet = Fleet(scene, 3)
+    frame = fleet.step(ROW, 30)
+    other, q = WAYS[way](frame), frame.q.copy()
+    fleet.step(ROW, 30, out=frame)
+    assert np.array_equal(other.q, q) and not np.array_equal(frame.q, q)
+    assert other.measured != frame.measured, "they share their arrays"
+    fleet.step(ROW, 30, out=other)
+    assert other.t[0] > frame.t[0]
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    p = WAYS[way](JacobianController(kinematics)).kinematics.forward(scene.start)[1]
+    assert np.array_equal(p, kinematics.forward(scene.start)[1])
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -228,7 +228,7 @@ def state_of(line: ModbusLine, converter: Converter) -> tuple[object, ...]:
     return session.plant.save(), session.tick, settings, converter.wanted.tolist()
 
 
-def test_only_what_is_for_this_station_is_answered(scene: Scene) -> None:
+def test_a_station_answers_its_own_requests_only(scene: Scene) -> None:
     line, converter = line_of(scene)
     assert line.bring(sound(bytes.fromhex("02 03 0000 0001"))) == b"", "another station's request"
     assert line.bring(sound(bytes.fromhex("00 03 0000 0001"))) == b"", "a read of all stations"
@@ -493,7 +493,7 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
         ({"link": Path("/no/such/folder")}, r"modbus: link .* got No such file or directory"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], line: str) -> None:
+def test_impossible_options_are_refused(given: dict[str, object], line: str) -> None:
     usual = dict(
         clock="lockstep", baud=9600, station=1, error_rate=0.0, seed=0, watchdog=0, link=None
     )

@@ -79,7 +79,7 @@ class Ideal:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_whatever_takes_over_whatever_nothing_jumps(seed: int) -> None:
+def test_no_reference_jumps_when_one_order_replaces_another(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = Ideal()
     limit = arm.controller.kinematics.velocity_limit
@@ -461,7 +461,7 @@ BAD: list[tuple[str, str, Any]] = [
 
 
 @pytest.mark.parametrize(("topic", "words", "what"), BAD, ids=[f"{t}: {w}" for t, w, _ in BAD])
-def test_what_is_refused_is_reported_with_its_reason(
+def test_refused_orders_are_reported_with_their_reason(
     nodes: InProcess, topic: str, words: str, what: Any
 ) -> None:
     controller = nodes.nodes["motion_controller"]._controller

@@ -78,7 +78,7 @@ def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None
     assert 0.8 < on_wall[0].takes / stretched <= 1.05
 
 
-def test_what_holds_a_joint_is_the_sum_of_its_weight_and_all_that_goes_with_its_angle() -> None:
+def test_the_holding_torque_is_weight_plus_all_torques_of_the_angle() -> None:
     """A table of torques counts as the spring does that it was measured at."""
     push = {"angles": [-7.0, -2.0, 2.0, 7.0], "torques": [-1e4] * 4}
     free, pushed = (load_scene("ur5", {"joints.elbow_joint.torque_table": one})

@@ -70,7 +70,7 @@ def test_without_a_network_one_line_names_the_remedy() -> None:
         (("move", "--by", "0", "0", "0", "--namespace", "a b"), "--namespace must be a name"),
     ],
 )
-def test_what_is_no_target_is_refused(
+def test_malformed_targets_are_refused(
     words: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, errors = run(*words)

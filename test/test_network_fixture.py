@@ -32,7 +32,7 @@ def test_a_failure_leaves_a_bag_that_is_driven_again_to_equal_bits(
             net.power(False)
             net.wait_until(net.time + 0.1)
             raise AssertionError("as asked")
-    assert failure.value.__notes__ == [f"driven again by: python -m arm_emulator check-bag {bag}"]
+    assert failure.value.__notes__ == [f"driven again by: arm_emulator check-bag {bag}"]
     assert check_bag(bag, scene="three_axis") == 0
     assert "equal to the last bit" in capfd.readouterr().out
 

@@ -242,7 +242,7 @@ def test_new_and_tune_agree(tmp_path: Path) -> None:
     assert load_gains(file).servo == servo
 
 
-def test_what_the_arm_cannot_hold_is_reported(
+def test_loads_that_the_arm_cannot_hold_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By pose and by payload; against the closed form of an arm that is stretched out."""
@@ -313,7 +313,7 @@ def test_odd_names_survive_the_files(seed: int, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("untuned")
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_limit_that_stands_for_none_is_none(kind: str, tmp_path: Path) -> None:
+def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
     """+-999999, as descriptions of mobile bases have it: the joint goes on without end."""
     robot = ET.fromstring(OWN["gantry" if kind == "prismatic" else "planar"]())
     joint = next(one for one in robot.findall("joint") if one.get("type") == kind)
@@ -346,7 +346,7 @@ def test_bodies_that_are_points_are_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
-def test_what_a_description_shows_need_not_be_sound(tmp_path: Path) -> None:
+def test_visual_shapes_of_a_description_may_be_unsound(tmp_path: Path) -> None:
     """No name, and a look that no viewer draws: the machine is sound."""
     robot = ET.fromstring(OWN["planar"]())
     del robot.attrib["name"]
@@ -362,7 +362,7 @@ def test_what_a_description_shows_need_not_be_sound(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
-def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     file.write_text(OWN["planar"]())
     written = write_new(file, tmp_path / "out")
@@ -387,7 +387,7 @@ def test_a_robot_in_the_place_of_a_scene_is_reported_what_to_do(
         main()
     printed = capsys.readouterr().err.strip()
     assert end.value.code == 2 and "\n" not in printed
-    assert f"`python -m arm_emulator new {file}`" in printed, printed
+    assert f"`arm_emulator new {file}`" in printed, printed
 
 
 @pytest.mark.usefixtures("untuned")

@@ -69,7 +69,7 @@ def test_words_and_range_agree() -> None:
     assert taken > 1000
 
 
-def test_a_row_holds_what_each_of_its_numbers_does() -> None:
+def test_a_bound_of_a_row_holds_if_it_holds_for_every_number() -> None:
     rng = np.random.default_rng(23)
     verdicts = set()
     for _ in range(2000):

@@ -250,7 +250,7 @@ def rotation(rng: np.random.Generator) -> np.ndarray:
     return Q * np.linalg.det(Q)
 
 
-def test_what_is_no_rotation_is_no_pose(controller: JacobianController) -> None:
+def test_a_matrix_that_does_not_rotate_is_refused(controller: JacobianController) -> None:
     rng = np.random.default_rng(5)
     for _ in range(500):
         R = rotation(rng)

@@ -48,7 +48,7 @@ def test_the_tool_rests_where_it_was_predicted(effect: str) -> None:
 
 
 @pytest.mark.parametrize("effect", ["play", "payload"])
-def test_what_the_scene_has_is_in_the_prediction(effect: str) -> None:
+def test_all_parts_of_the_scene_are_in_the_prediction(effect: str) -> None:
     """Without its share the tool would be outside: the prediction of the arm without the effect."""
     scene, gains, plan = given("three_axis", EFFECTS[effect])
     bare = predicted_rest(*given("three_axis", {}))
@@ -195,7 +195,7 @@ def test_unknown_numbers_are_drawn_as_they_are_declared() -> None:
     assert np.mean(drawn * side > 2.0) == pytest.approx(0.5 + 0.5 / 6.0, abs=0.01)
 
 
-def test_a_motor_that_sticks_is_left_where_its_two_torques_have_it() -> None:
+def test_the_place_of_a_stuck_motor_follows_from_its_two_torques() -> None:
     """By hand, after a way that is short, long, and none."""
     at = AtRest(0.1, 10.0, 0.01, 0.0, 0.01, False, Around(5.0), 4e3, 1e4, 6e-5)
     one = at.stuck(3.0, 2.0)  # 0.1 rad: 400 N m in which the integral has lacked 2 * 2/400

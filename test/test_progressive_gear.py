@@ -249,7 +249,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
     assert set(outcomes) == {"diverged", "followed"}, outcomes
 
 
-def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:
+def test_a_gear_that_is_wrongly_declared_linear_does_not_compile(tmp_path: Path) -> None:
     """A part that fails to declare its nonlinearity does not compile."""
     core = shutil.copytree(CORE, tmp_path / "core")
     gear = core / "parts/gear.hpp"

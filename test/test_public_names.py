@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import inspect
+import pickle
 import re
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from arm_emulator import (
     load_gains,
     load_scene,
     load_servo_config,
+    sensitivities,
     testing,
 )
 from arm_emulator.base.config_files import find_config, find_scene
@@ -63,7 +65,7 @@ def test_another_name_is_an_attribute_error() -> None:
         arm_emulator.Arm  # noqa: B018
 
 
-def test_the_import_takes_nothing_along() -> None:
+def test_the_import_loads_neither_numpy_nor_ros() -> None:
     code = "import sys, arm_emulator; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
@@ -109,7 +111,7 @@ def test_no_object_shows_itself_by_its_address() -> None:
         *(plant, fleet, plant.scene, gains, kinematics, Servo("three_axis"), Recording(plant)),
         *(Session("three_axis", "lockstep", "free_run"), JacobianController(kinematics)),
         *(OfflineRun("three_axis", gains.servo, gains.motion), ServoFleet(fleet, "three_axis")),
-        fleet.step(np.zeros((2, 3))),
+        *(fleet.step(np.zeros((2, 3))), plant.links, linearise("three_axis")),
     ):
         assert not re.search(r"\bat 0x", repr(one)), repr(one)
 
@@ -154,6 +156,21 @@ class Tuned(Plant):
         self.gain = 1.0
 
 
+def test_true_values_are_not_set_in_a_copy_of_them() -> None:
+    plant, fleet = Plant("three_axis"), Fleet("three_axis", 2)
+    for rows in (plant.state.q, plant.state.current, fleet.state.q, fleet.state.t, fleet.powered):
+        with pytest.raises(ValueError, match="read-only"):
+            rows[0] = 0
+    plant.state = dataclasses.replace(plant.state, v=[0.1, 0.0, 0.0], omega_m=[10.0, 0.0, 0.0])
+    assert plant.state.v[0] == 0.1
+
+
+def test_a_name_that_is_nearly_public_is_named_in_the_error() -> None:
+    with pytest.raises(AttributeError) as error:
+        arm_emulator.Plnat  # noqa: B018
+    assert (error.value.name, error.value.obj) == ("Plnat", arm_emulator), "Python looks there"
+
+
 def test_a_class_of_a_user_may_have_attributes_of_its_own() -> None:
     tuned = Tuned("three_axis")
     tuned.gain = 2.0
@@ -162,7 +179,7 @@ def test_a_class_of_a_user_may_have_attributes_of_its_own() -> None:
         tuned.gian = 3.0  # type: ignore[attr-defined]
 
 
-def test_what_is_handed_in_is_taken_or_refused(tmp_path: Path) -> None:
+def test_arguments_are_taken_or_refused(tmp_path: Path) -> None:
     """By every public name; nothing else is raised, and nothing passes in silence."""
     assert load_servo_config("three_axis") == load_gains("three_axis").servo
     gains, plant = load_gains("three_axis"), Plant("three_axis")
@@ -262,7 +279,7 @@ def test_a_run_is_recorded_every_so_often() -> None:
         run.run(rows, 7, every=0)
 
 
-def test_what_users_test_with() -> None:
+def test_helpers_for_users_tests() -> None:
     plant = testing.plant_of("three_axis")
     servo, target = Servo(load_gains(find_config("three_axis", ".yaml")).servo), plant.scene.start
     q = testing.drive(
@@ -275,14 +292,32 @@ def test_what_users_test_with() -> None:
 
 # Tried in the first hour, and ended in a traceback of ours, in a page of text or in silence.
 ROWS = np.zeros((5, 3))
+
+
+def load_run() -> OfflineRun:
+    """Return a run of the shipped arm."""
+    gains = load_gains("three_axis")
+    return OfflineRun("three_axis", gains.servo, gains.motion)
+
+
 FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
-    (lambda: linearise("three_axis"), "plant must be a Plant"),  # type: ignore[arg-type]
+    (lambda: linearise("u5"), "must exist"),
     (lambda: Recording("three_axis"), "plant must be a Plant"),  # type: ignore[arg-type]
     (lambda: Recording(Plant("three_axis"), names="q"), "names must be several"),
     (lambda: Recording(Plant("three_axis"), names=("q",))["v"], "be recorded, got v; valid: q"),
     (lambda: Servo("no_such"), "file no_such must exist"),
     (lambda: Servo(5), "config must be a ServoConfig, a name or a file"),  # type: ignore[arg-type]
     (lambda: load_gains("u5"), "must exist"),
+    (lambda: load_gains(load_scene("three_axis")), "scene must be a name or a file"),  # type: ignore[arg-type]
+    (lambda: load_scene(load_scene("three_axis")), "scene must be a name or a file"),  # type: ignore[arg-type]
+    (lambda: Plant("three_axis").exchange(np.zeros(3), enable=1), "got enable; valid: none"),
+    (lambda: Fleet("three_axis", 2).exchange(np.zeros(3), enable=1), "got enable"),
+    (lambda: Fleet("three_axis", 2).reset([1, 1]), "a mask of 2, or indices, each once"),
+    (lambda: sensitivities("three_axis", ROWS, "start.q.elbo"), "valid: start.q.elbow"),
+    (lambda: copy.copy(load_run()), "must stay one, got a copy; valid: a new one, or `fork`"),
+    (lambda: pickle.dumps(Timeline(load_run())), "must stay one"),
+    (lambda: copy.deepcopy(ServoFleet(Fleet("three_axis", 2), "three_axis")), "must stay one"),
+    (lambda: copy.copy(Recording(Plant("three_axis"))), "must stay one"),
     (lambda: testing.assert_settles(ROWS, np.zeros(3), 1e-3, last=10), "last must be"),
     (lambda: testing.assert_settles(ROWS[:0], np.zeros(3), 1e-3, last=1), "last must be"),
     (lambda: testing.assert_settles(ROWS, 0.0, 1e-3, last=2), r"must have shapes \(K, N\) and"),
@@ -291,7 +326,7 @@ FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
 
 
 @pytest.mark.parametrize(("call", "reason"), FIRST_HOUR, ids=range(len(FIRST_HOUR)))
-def test_what_a_newcomer_mistakes_is_refused_in_a_line(
+def test_mistakes_of_newcomers_are_refused_in_a_line(
     call: Callable[[], object], reason: str
 ) -> None:
     with pytest.raises(Refusal, match=reason) as refused:

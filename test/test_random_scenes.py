@@ -93,7 +93,7 @@ def test_yaml_that_is_no_scene(
         assert words in str(refusal.value) and str(refusal.value).startswith("scene.yaml: ")
 
 
-def test_yaml_is_what_people_mean() -> None:
+def test_yaml_is_read_by_version_1_2_with_text_keys() -> None:
     """Numbers as in YAML 1.2, every key a text; a byte order mark does no harm."""
     printed = parse_yaml(
         "\ufeffa: 010\nb: 1e-4\nc: 1:30\nd: 2001-01-01\n1: 2\ntrue: 3\n~: [.inf, null]".encode(),
@@ -293,7 +293,7 @@ def test_a_body_that_no_motion_is_possible_with_is_refused_with_its_links(tmp_pa
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_numbers_make_together_is_sound(tmp_path: Path, seed: int) -> None:
+def test_combinations_of_numbers_are_sound(tmp_path: Path, seed: int) -> None:
     """Motor and gear of any size: refused, or all that the core divides by is well in range."""
     rng = np.random.default_rng(seed)
     taken = 0

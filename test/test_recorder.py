@@ -160,7 +160,7 @@ def test_a_file_has_truth_and_measurement_of_every_tick(
                     assert units[f"measured.{output.name}.{joint}"] == unit
 
 
-def test_what_is_no_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path) -> None:
+def test_a_missing_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path) -> None:
     rows = RecordRow(Plant(scene)).take()
     rows["q"][0, 1], rows["v"][0, 0] = np.nan, -np.inf
     for suffix in (".csv", ".mcap"):

@@ -233,7 +233,7 @@ def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
     assert check_bag(tmp_path / "reset") == 0
 
 
-def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
+def test_a_recorder_in_real_time_counts_its_losses_and_the_emulators_own_record_is_complete(
     tmp_path: Path,
 ) -> None:
     """A recorder that writes nothing while far more arrives than it keeps."""

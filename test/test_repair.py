@@ -162,7 +162,7 @@ def test_repair_states_what_it_did(tmp_path: Path, monkeypatch: Any, capsys: Any
         assert capsys.readouterr().out == f"{tmp_path / 'bag'}: {expected}\n"
 
 
-def test_what_is_no_bag_is_not_touched(tmp_path: Path) -> None:
+def test_a_folder_without_a_bag_stays_as_it_is(tmp_path: Path) -> None:
     talk(tmp_path / "bag", 200)
     file = tmp_path / "bag" / "bag_0.mcap"
     (end, _), *_ = whole_chunks(file)
@@ -279,7 +279,7 @@ def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EDQUOT, errno.ENOSPC, None])
 @pytest.mark.parametrize("heals", [False, True])
-def test_after_the_first_failure_nothing_is_written_behind_it(
+def test_no_row_is_written_after_the_first_failure(
     number: int | None, heals: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Writes that fail once, or for good, take a part first; None: they only take parts."""

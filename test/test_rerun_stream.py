@@ -209,7 +209,7 @@ def test_the_line_goes_on_at_a_whole_second_after_a_reset(tmp_path):
     assert sorted({*expected} - {*ends.tolist()}) == [0, 2000 * MS, 3000 * MS]
 
 
-def test_of_so_many_samples_one_goes_into_the_signals(tmp_path):
+def test_signals_keep_one_sample_in_so_many(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, file=file, signal_every=7)
     times, rows = samples(3000)  # more than one batch
@@ -218,7 +218,7 @@ def test_of_so_many_samples_one_goes_into_the_signals(tmp_path):
     assert np.array_equal(signal_of(file, "v", "turn")[0], times[::7])
 
 
-def test_what_is_not_measured_or_not_finite_leaves_no_trace(tmp_path):
+def test_values_not_measured_or_not_finite_are_not_shown(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)
     times, rows = samples(5)
@@ -407,7 +407,7 @@ def test_the_server_listens_on_this_machine_only_and_frees_its_port():
     RerunStream(URDF, NAMES, port=port).close()
 
 
-def test_after_closing_nothing_is_taken(tmp_path):
+def test_a_closed_stream_takes_no_samples(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, file=file)
     assert stream.close()

@@ -114,7 +114,7 @@ def test_a_rotor_swings_and_sticks_as_the_closed_form_states_with_order_two(
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 1))
 @pytest.mark.parametrize("seed", range(2))
-def test_where_steps_are_not_cut_the_error_is_of_first_order(
+def test_the_error_is_of_first_order_without_located_events(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
     joint, begin = swinging(np.random.default_rng([seed, 11]))

@@ -215,7 +215,7 @@ def test_three_axis_is_the_papers_arm() -> None:
         assert moments == pytest.approx([mass * 0.05**2 / 2, across, across], rel=1e-12)
 
 
-def test_what_is_not_mentioned_does_not_exist() -> None:
+def test_parts_that_a_scene_omits_do_not_exist() -> None:
     bare = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
     scene = load_scene(
         "three_axis",

@@ -105,14 +105,14 @@ def test_rare_probabilities_are_known_from_few_runs(beta, p):
     assert high < 3.0 * low and runs <= 2e5
 
 
-def test_what_never_fails_has_no_probability():
+def test_a_requirement_that_never_fails_has_no_probability():
     found = found_by(Subset(per_level=50), lambda z: 1.0 + 0.0 * z[:, 0], 2)[0]
     assert found.rows[0][1:4] == (0.0, 0.0, 1.0) and "No level reached" in found.about
     found = found_by(Subset(per_level=50, least=1e-3), plane(9.0, 2), 2)[0]
     assert found.rows[0][1:4] == (0.0, 0.0, 1.0)
 
 
-def test_often_is_no_matter():
+def test_subset_simulation_of_a_frequent_failure_is_plain_sampling():
     _, mean, low, high, runs = found_by(Subset(per_level=500), plane(0.5, 2), 2)[0].rows[0]
     assert low <= stats.norm.sf(0.5) <= high and runs == 11 * 500 and mean < 0.4
 

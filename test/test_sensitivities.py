@@ -83,7 +83,7 @@ def compare(scene: Scene, rows: Array) -> None:
 
 
 @pytest.mark.parametrize("parts", some(BESIDE, 3), ids=lambda of: "-".join(p.__name__ for p in of))
-def test_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> None:
+def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> None:
     joints = {name: drawn_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
     file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / 4, "integrator.events": "located"})
@@ -91,19 +91,19 @@ def test_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20) if FULL else [3])
-def test_by_every_number_of_a_mixture(seed: int, tmp_path: Path) -> None:
+def test_derivatives_by_every_number_of_a_mixture(seed: int, tmp_path: Path) -> None:
     scene = load_scene(write_mixture(tmp_path, seed))
     compare(scene, commands(scene, seed))
 
 
 @pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 1))
-def test_by_every_number_of_a_shipped_scene(name: str) -> None:
+def test_derivatives_by_every_number_of_a_shipped_scene(name: str) -> None:
     scene = load_scene(name)
     rows = 0.3 * scene.largest_commands * np.sin(np.arange(200)[:, np.newaxis] / 30.0)
     compare(scene, rows)
 
 
-def test_by_the_start() -> None:
+def test_derivatives_by_the_start() -> None:
     """Each link moved at the start, with the motors that follow it."""
     scene = load_scene("three_axis")
     rows = np.tile([3.0, -2.0, 1.0], (50, 1))

@@ -499,7 +499,7 @@ def test_steps_in_any_pieces_give_the_same_bits(scene: Scene) -> None:
             assert getattr(mine, field).tobytes() == getattr(its, field).tobytes(), field
 
 
-def test_what_was_measured_holds_until_the_next_tick(scene: Scene) -> None:
+def test_measurements_hold_until_the_next_tick(scene: Scene) -> None:
     plant = noisy(scene, 4.0)
     motion(plant, np.random.default_rng(2), 20)
     before = plant.measured

@@ -310,7 +310,7 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
 
 @pytest.mark.parametrize("counts", some([64, 16, 1024], 1))
 @pytest.mark.parametrize("seed", range(1))
-def test_how_still_a_link_stands_is_predicted(seed: int, counts: int) -> None:
+def test_the_limit_cycle_of_a_resting_link_is_predicted(seed: int, counts: int) -> None:
     """By a joint alone, against a whole arm in gravity; ur5's gears and limits.
 
     With 16 counts per turn each count asks for more current than the limit, and there is no rest.

@@ -38,7 +38,7 @@ def segments(process: subprocess.Popen[str]) -> set[Path]:
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
-def test_what_a_killed_node_leaves_goes_and_a_living_ones_stays(
+def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with own_domain():
@@ -66,7 +66,7 @@ def test_what_a_killed_node_leaves_goes_and_a_living_ones_stays(
                 node.stdout.close()
 
 
-def test_what_is_young_somebody_elses_or_of_another_name_stays(tmp_path: Path) -> None:
+def test_young_files_of_other_users_or_other_names_are_kept(tmp_path: Path) -> None:
     name = "fastrtps_0123456789abcdef"
     for other in ("fastrtps_port7000_el", "fastrtps_xyz_el", f"{name}_el_", "mine_el"):
         (tmp_path / other).touch()

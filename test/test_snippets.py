@@ -206,7 +206,7 @@ def test_a_command_on_a_page_exists(words: list[str]) -> None:
             assert (ROOT / "msg" / (found[1] or "") / f"{found[2]}.{kind}").exists(), word
 
 
-def test_what_ends_soon_runs(tmp_path: Path) -> None:
+def test_commands_that_end_soon_run(tmp_path: Path) -> None:
     for name in ("config", "examples"):
         (tmp_path / name).symlink_to(ROOT / name)
     ran = set()

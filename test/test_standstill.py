@@ -193,7 +193,7 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", some(range(60), 4))
-def test_what_goes_on_keeps_the_limits_and_ends_where_it_would_have(seed: int) -> None:
+def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
     """Drawn ways, interrupted anywhere, with the joints beside them."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 8))

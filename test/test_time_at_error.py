@@ -23,7 +23,7 @@ def test_the_coarsest_step_is_enough_where_it_is_better():
     assert time_at_error(points((1e-5, 0.1), (1e-6, 1.0)), 1e-4) == 0.1
 
 
-def test_what_is_not_reached_has_no_time():
+def test_an_error_out_of_reach_has_no_time():
     assert time_at_error(points((1e-3, 0.1), (1e-4, 1.0)), 1e-5) is None
     assert time_at_error(points((None, 0.1)), 1e-5) is None
 

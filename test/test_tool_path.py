@@ -300,7 +300,7 @@ def test_no_path_leads_to_numbers_that_are_not_finite(seed: int) -> None:
             np.testing.assert_allclose(p, poses[-1].p_WT, atol=1e-7)
 
 
-def test_what_cannot_be_a_path_is_refused() -> None:
+def test_malformed_paths_are_refused() -> None:
     here, far = pose([0.0, 0, 0]), pose([2 * LONGEST, 0, 0])
     for words, make in (
         (f"poses must be from 1 to {MOST_POSES}, got 0", lambda: ToolPath([], LIMITS)),

@@ -200,7 +200,9 @@ MANY = [0.01 * k for k in range(257)]
         ({"periodic": 1}, "periodic must be true or false"),
     ],
 )
-def test_what_is_no_table_is_refused_in_one_line(change: dict[str, Any], printed: str) -> None:
+def test_a_file_that_is_no_table_is_refused_in_one_line(
+    change: dict[str, Any], printed: str
+) -> None:
     with pytest.raises(Refusal) as refusal:
         load_scene("three_axis", {"joints.elbow.torque_table": GOOD | change})
     line = str(refusal.value)

@@ -76,7 +76,7 @@ def moments(scene: Scene, seed: int) -> tuple[Plant, list[tuple[bytes, np.ndarra
     return plant, found
 
 
-def test_terms_sum_up_to_nothing(tmp_path: Path) -> None:
+def test_terms_sum_up_to_zero(tmp_path: Path) -> None:
     for scene in scenes(tmp_path):
         _, found = moments(scene, 1)
         for _, _, now in found:

@@ -164,7 +164,7 @@ def test_a_number_with_bounds_of_its_size_is_set_below_zero() -> None:
         (None, "varied must be a list"),
     ],
 )
-def test_what_cannot_be_varied_is_refused(varied: object, rule: str, tmp_path: Path) -> None:
+def test_numbers_that_cannot_vary_are_refused(varied: object, rule: str, tmp_path: Path) -> None:
     file = random_arm(tmp_path, np.random.default_rng(7), "rosenbrock", 1)
     file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), "varied": varied}))
     with pytest.raises(Refusal, match=rule):

@@ -162,7 +162,7 @@ def test_motors_in_motion_follow_their_temperature(moving: Path) -> None:
     assert errors[1].max() < 1e-3 and (errors[1] < 0.3 * errors[0]).all(), f"{errors}"
 
 
-def test_what_windings_dissipate_heats_them(moving: Path) -> None:
+def test_the_dissipation_of_windings_heats_them(moving: Path) -> None:
     """Nothing else dissipates here; with next to no way out all of it stays in the copper."""
     insulated = {"joints.*.motor.winding.thermal_resistance": 1e9}
     rows, left, heat = np.random.default_rng(52).uniform(-15.0, 15.0, (6, 3)), [], []
@@ -177,7 +177,7 @@ def test_what_windings_dissipate_heats_them(moving: Path) -> None:
     assert heat[1] < 1e-4 and heat[1] < 0.35 * heat[0], f"heat: {heat}"
 
 
-def test_a_scene_without_it_has_nothing_of_it() -> None:
+def test_a_scene_without_the_part_compiles_nothing_of_it() -> None:
     unit = scene_unit(load_scene("three_axis"))
     assert "winding.hpp" not in unit and "HeatedMotor" not in unit
 
@@ -190,7 +190,7 @@ def test_a_scene_without_it_has_nothing_of_it() -> None:
         ({}, {"heat_capacity": 0.0}, r"winding\.heat_capacity must be a number > 0 J/K"),
     ],
 )
-def test_what_makes_no_sense_is_refused(
+def test_senseless_arguments_are_refused(
     motor: dict[str, Any], winding: dict[str, Any], words: str
 ) -> None:
     own = {"heat_capacity": 10.0, "thermal_resistance": 1.0, **winding}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from arm_emulator.machine.call_arguments import Commands
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.equations import Equations
 from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, scene_of
 
 MOST_ROUNDS = 30  # of Newton's method
 ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual permitted at rest
@@ -52,9 +54,16 @@ class LinearMachine(ByValue):
     v: slice
     sticks: NDArray[np.bool_]
 
+    def __repr__(self) -> str:
+        n, N = self.B.shape
+        return f"<LinearMachine of {n} states and {N} commands>"
+
 
 def linearise(
-    plant: Plant, q: ArrayLike | None = None, *, command: Commands | None = None
+    plant: Plant | Scene | str | Path,
+    q: ArrayLike | None = None,
+    *,
+    command: Commands | None = None,
 ) -> LinearMachine:
     """Return the linearised machine.
 
@@ -62,7 +71,7 @@ def linearise(
     linearised about rest: commands hold it, gears are wound up by its weight, and no joint sticks.
 
     Args:
-        plant: the machine; its state is unchanged.
+        plant: the machine, whose state is unchanged; or its scene, by name or file, at its start.
         q: the pose (N,) [rad or m]; None: where the machine is.
         command: about which (N,), or by names of joints [V, N m, A], without a pose; None: the
             newest that was applied.
@@ -72,7 +81,7 @@ def linearise(
             without a motor or a gear with play.
     """
     if not isinstance(plant, Plant):
-        raise Refusal("linearise", "plant", "be a Plant", plant)
+        plant = Plant(scene_of(plant, "linearise"))
     if q is None:
         given = plant.commanded[0] if command is None else command
         return _without_what_follows(plant.equations(given))

@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,7 @@ from arm_emulator.machine.compiler import DIRECTIONS, sensitivity_library_of
 from arm_emulator.machine.core_calls import SENSITIVITY
 from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.possible import could_vary
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.varied import Varied, choose
 
 WHERE = "sensitivities"
@@ -152,9 +153,9 @@ class SensitiveMachine:
 
 
 def sensitivities(
-    scene: Scene,
+    scene: Scene | str | Path,
     commands: ArrayLike,
-    by: Sequence[str],
+    by: str | Sequence[str],
     *,
     steps: int | None = None,
     q: ArrayLike | None = None,
@@ -170,7 +171,8 @@ def sensitivities(
     change at the ends of steps, and the derivatives do not contain that these move.
 
     Args:
-        scene: the machine; its sensors and faults are left out.
+        scene: the machine, or what `load_scene` takes: a name or a file; its sensors and faults are
+            left out.
         commands: rows (K, N) [V, N m, A], each held for `steps`.
         by: names or patterns of numbers as in `varied` of a scene, such as
             ``joints.*.gear.stiffness``, and ``start.q.JOINT``, ``start.v.JOINT`` for the links'
@@ -182,7 +184,8 @@ def sensitivities(
     Raises:
         Refusal: an unknown name, a wrong shape, not finite, or the motion diverged.
     """
-    return SensitiveMachine(scene, by).run(commands, steps, q, v)
+    names = (by,) if isinstance(by, str) else by
+    return SensitiveMachine(scene_of(scene, WHERE), names).run(commands, steps, q, v)
 
 
 def numbers_of(scene: Scene) -> dict[str, Varied]:

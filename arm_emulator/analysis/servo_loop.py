@@ -187,7 +187,7 @@ class ServoLoops:
                     f"velocity_gain {softer.velocity_gain:.3g} with position_gain "
                     f"{softer.position_gain:.3g}"
                 )
-        return "what `python -m arm_emulator tune` computes"
+        return "what `arm_emulator tune` computes"
 
     def _holds(self, joints: list[JointServo], period: float) -> bool:
         try:
@@ -221,7 +221,7 @@ class Unstable:
             )
         if self.period is not None:
             found.append(f"a servo period of {self.period:.3g} s")
-        return " or ".join(found) or "gains by `python -m arm_emulator tune`"
+        return " or ".join(found) or "gains by `arm_emulator tune`"
 
 
 def growth(loop: SampledLoop, period: float) -> float:

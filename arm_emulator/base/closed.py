@@ -36,6 +36,6 @@ class Closed(metaclass=_Closing):
         if "_closed" in own and name[0] != "_" and not hasattr(type(self), name):
             known = [one for one in dir(self) if one[0] != "_"]
             what = type(self).__name__
-            near = difflib.get_close_matches(name, known, n=1) or known
+            near = difflib.get_close_matches(name, known) or known
             raise NoAttribute(what, "attribute", "be known", name, ", ".join(near))
         object.__setattr__(self, name, value)

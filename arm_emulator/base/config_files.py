@@ -69,7 +69,7 @@ def find_config(name: str, ending: str, kind: str = ".") -> Path:
     reason = why_no_file(path)
     if reason is None:
         if path.suffix in ROBOTS:
-            valid = f"what `python -m arm_emulator new {name}` makes of it"
+            valid = f"what `arm_emulator new {name}` makes of it"
             raise Refusal("arm_emulator", f"file {name}", "be a scene", "a robot", valid)
         return path
     folder = config_folder() / kind

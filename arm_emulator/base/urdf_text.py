@@ -16,7 +16,7 @@ MOST_BYTES = 16 << 20
 MOST_MARKS = 400_000  # of `<`: bounds the number of elements
 MOST_LEVELS = 64
 UNLIMITED = 1e9  # rad or m: position limit of a joint without limits
-ENDLESS = 1e5  # rad or m: a limit from here on is none, but what stands for one (999999)
+ENDLESS = 1e5  # rad or m: a limit from here on is a placeholder (999999)
 
 _DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?(\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["'])""")
 _ONE_BYTE = ("ascii", "iso8859-1", "iso8859-15", "cp1252")  # encodings that URDFs come in, besides

@@ -40,7 +40,7 @@ _RULES = """\
 #   encoder      13 bit on the motor
 #   end_stops    where the description has limits: 0.05 rad (5 mm) deep at full speed with the most
 #                inertia, damped to 20 % of critical
-# Replace what you know, then `python -m arm_emulator tune {file} --write`.
+# Replace what you know, then `arm_emulator tune {file} --write`.
 """
 
 

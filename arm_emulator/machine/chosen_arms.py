@@ -32,4 +32,6 @@ def chosen_arms(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bo
     if not whole or chosen.ndim > 1 or (np.abs(chosen + 0.5) > count).any():
         raise Refusal(where, "arms", f"be a mask of {count}, or indices of {count} arms", arms)
     mask[chosen.astype(np.int64)] = True
+    if mask.sum() < chosen.size:  # such as a mask of 0 and 1
+        raise Refusal(where, "arms", f"be a mask of {count}, or indices, each once", arms)
     return mask

@@ -181,7 +181,10 @@ class CoreMachine(Turns):
     @property
     @in_turn
     def state(self) -> PlantState:
-        """The true state now, as a copy. It can be set: its time and torques are not read.
+        """The true state now, as a copy whose arrays are read-only.
+
+        It can be set (``plant.state = dataclasses.replace(plant.state, q=q)``): its time and
+        torques are not read.
 
         A motor behind a rigid gear turns with its link, and a joint without a motor has no current.
         The scheme begins with no past; time goes on.
@@ -191,7 +194,9 @@ class CoreMachine(Turns):
                 nothing has changed.
         """
         self._look(self._truth)
-        current, theta_m, omega_m, q, v, gear_torque = self._rows.copy()
+        rows = self._rows.copy()
+        rows.flags.writeable = False  # a number set in a copy would not move the machine
+        current, theta_m, omega_m, q, v, gear_torque = rows
         t = self._truth.time
         return PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
 

@@ -39,7 +39,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.fleet_frame import FleetFrame
-from arm_emulator.machine.inputs import further_rows
+from arm_emulator.machine.inputs import check_inputs, further_rows
 from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
@@ -253,6 +253,7 @@ class Fleet(Turns):
         where = "Fleet.exchange"
         rows = self._as_commands(command, where)
         tick = check_count(where, "tick", tick, -1)
+        check_inputs(where, self.scene, further)
         given = {
             name: self._as_commands(one, where, ANY_COMMAND.named(name))
             for name, one in further.items()
@@ -422,7 +423,9 @@ class Fleet(Turns):
         It can be set, for all arms or for each.
         """
         self._measure()
-        return self._powered.astype(bool)
+        powered = self._powered.astype(bool)
+        powered.flags.writeable = False  # an element set in a copy would stop no arm
+        return powered
 
     @powered.setter
     def powered(self, on: ArrayLike) -> None:
@@ -539,6 +542,8 @@ class Fleet(Turns):
         numbers = {name: np.zeros(shape) for name in ROWS}
         of_arm = {name: np.zeros(self._count) for name in ("t", "energy")}
         self._look(**numbers, **of_arm)
+        for rows in (*numbers.values(), *of_arm.values()):
+            rows.flags.writeable = False
         return FleetState(**numbers, **of_arm)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from arm_emulator.base.closed import Closed
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET
 from arm_emulator.machine.scene import Scene
@@ -12,7 +13,7 @@ from arm_emulator.machine.scene import Scene
 _LARGEST = 2**64 - 1  # address
 
 
-class FleetControl(Closed):
+class FleetControl(Uncopied, Closed):
     """A function in C that commands arms in every servo period, for `Fleet.follow`.
 
     Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
@@ -33,6 +34,8 @@ class FleetControl(Closed):
     Raises:
         Refusal: no addresses, or `in_lanes` that is neither True nor False.
     """
+
+    instead = "a new one for the fleet's copy"
 
     def __init__(self, step: int, with_: int = 0, *, in_lanes: bool = False) -> None:
         step = check_count("FleetControl", "step", step, 1, _LARGEST)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,12 +53,23 @@ class FleetFrame(Closed):
         self.powered: NDArray[np.bool_] = powered.view(np.bool_)
         names = ("t", "current", "theta_m", "omega_m", "q", "v")
         places = {PLACES.get(name, name): getattr(self, name) for name in names}
+        self._rows = (*places.values(), self.faults, self.powered, *place.arrays.values())
         # For the core.
         # Outputs that the scene does not have stay 0.
         there = {one.symbol.partition(".")[0] for one in outputs_of(scene)}
         arrays = {name: rows for name, rows in place.arrays.items() if name in there}
         self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **arrays)
         self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FleetFrame, self.of, self.__getstate__()
+
+    def __getstate__(self) -> list[NDArray[Any]]:
+        return [rows.copy() for rows in self._rows]
+
+    def __setstate__(self, rows: list[NDArray[Any]]) -> None:
+        for own, given in zip(self._rows, rows, strict=True):
+            own[...] = given
 
     def __repr__(self) -> str:
         return f"<FleetFrame of {self.of[1]} {self.of[0].name}>"

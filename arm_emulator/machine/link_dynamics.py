@@ -41,6 +41,9 @@ class LinkDynamics:
     def __init__(self, call: Callable[..., Any], joints: int) -> None:
         self._call, self._N = call, joints
 
+    def __repr__(self) -> str:
+        return f"<LinkDynamics of {self._N} joints>"
+
     def accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
         """Return the accelerations a [rad/s2 or m/s2] under joint torques.
 

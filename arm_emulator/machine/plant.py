@@ -30,7 +30,7 @@ from arm_emulator.machine.core_machine import Borrowed, CoreMachine
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.energy_flow import EnergyFlow
 from arm_emulator.machine.equations import Equations
-from arm_emulator.machine.inputs import further_inputs, further_rows
+from arm_emulator.machine.inputs import check_inputs, further_inputs, further_rows
 from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant_state import link_angle_per_count, start_bounds
@@ -186,6 +186,8 @@ class Plant(CoreMachine):
         row = self._as_command(command, where)
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
+        if further:
+            check_inputs(where, self.scene, further)
         rows = {name: self._as_further(where, name, given) for name, given in further.items()}
         others = further_rows(where, self.scene, rows)
         with self.turn:

@@ -156,6 +156,8 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     Raises:
         Refusal: the file, its URDF or an override breaks a rule.
     """
+    if not isinstance(path, str | Path):
+        raise Refusal("load_scene", "scene", "be a name or a file", path)
     file = find_config(str(path), ".yaml")
     data = read_yaml(file)
     if not isinstance(overrides, Mapping | None):

@@ -276,7 +276,7 @@ class Session(Turns):
                 raise Refusal(where, called, rule, f"{len(row)} values")
         with self.between_ticks():
             now = self.plant.state
-            rows = {quantity: getattr(now, quantity) for quantity in values}
+            rows = {quantity: getattr(now, quantity).copy() for quantity in values}
             for quantity, row in values.items():
                 rows[quantity][places] = row
             self.plant.put(where, rows)

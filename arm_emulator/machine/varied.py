@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -45,7 +46,8 @@ def choose(
     for one in wanted:
         found = fnmatch.filter(possible, one) if isinstance(one, str) else []
         if not found:
-            raise Refusal(where, key, rule, one, ", ".join(possible) or "none")
+            near = isinstance(one, str) and difflib.get_close_matches(one, possible)
+            raise Refusal(where, key, rule, one, ", ".join(near or possible) or "none")
         chosen.update(found)
     return tuple(one for name, one in possible.items() if name in chosen)
 

@@ -123,6 +123,10 @@ class Kinematics(Closed, Lasting):
     def __repr__(self) -> str:
         return f"<Kinematics of {', '.join(self.joint_names)} to {self.tool}>"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        task = "pose" if self.turns_tool else "position"
+        return Kinematics, (self.urdf_xml, self.joint_names, self.tool, task)
+
     def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the tool's pose: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
@@ -173,7 +177,7 @@ class Kinematics(Closed, Lasting):
         Raises:
             Refusal: a wrong length, not finite or too large.
         """
-        return _Q.row("motion_controller", q, len(self.joint_names))
+        return _Q.row("Kinematics", q, len(self.joint_names))
 
     def _configuration(self, q: npt.ArrayLike) -> FloatArray:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""

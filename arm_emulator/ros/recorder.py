@@ -97,7 +97,7 @@ def record(
     lost = "" if node is None else node.lost
     refused: Refusal | None = None
     if failure is not None:
-        cure = None if bag.whole else f"make room, then `python -m arm_emulator repair {out}`"
+        cure = None if bag.whole else f"make room, then `arm_emulator repair {out}`"
         refused = Refusal("record", f"folder {out}", "accept the recorded messages", failure, cure)
     report(Recorded(count, written, bag.seconds, lost, refused))
     code = 2 if failure is not None else 1 if lost else 0

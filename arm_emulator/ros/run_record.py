@@ -67,7 +67,7 @@ class RunRecord:
         if self._failure is not None:
             words.append(_reason(self._failure))
         if self._finished and not self._bag.whole:
-            words.append(f"it needs room, and `python -m arm_emulator repair {self._folder}`")
+            words.append(f"it needs room, and `arm_emulator repair {self._folder}`")
         if self.dropped:
             words.append(f"{self.dropped} messages were dropped, the disk is too slow")
         if self.missing:
@@ -101,7 +101,7 @@ class RunRecord:
         atexit.unregister(self._finish)
         self._finish()
         messages = sum(topic.count for topic in self._bag.topics)
-        states = "" if self._failure else f", {self._states} states of ticks"
+        states = "" if self._failure else f", {self._states} motor states"
         print(f"{self._folder}: {messages} messages{states}", flush=True)
         if self.trouble:
             where = f"record {self._folder}"

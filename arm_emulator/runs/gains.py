@@ -27,6 +27,8 @@ def load_gains(scene: str | Path) -> Gains:
     Raises:
         Refusal: a file that is missing or not taken.
     """
+    if not isinstance(scene, str | Path):
+        raise Refusal("load_gains", "scene", "be a name or a file", scene)
     file = find_scene(str(scene))
     return Gains(
         load_servo_config(find_beside(file, "servo")),

@@ -19,6 +19,7 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
@@ -35,7 +36,7 @@ from arm_emulator.servo.servo_config import ServoConfig
 FloatArray = npt.NDArray[np.float64]
 
 
-class OfflineRun(Closed):
+class OfflineRun(Uncopied, Closed):
     """One run from tick 0.
 
     Attributes:
@@ -54,6 +55,8 @@ class OfflineRun(Closed):
     Raises:
         Refusal: other types than these, or periods or joints that do not fit together.
     """
+
+    instead = "a new one, or `fork` of a `Timeline`"
 
     def __init__(self, scene: Scene | str | Path, servo: ServoConfig, motion: MotionConfig) -> None:
         scene = scene_of(scene, "OfflineRun")

@@ -16,6 +16,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.kept import check_suffix
 from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
@@ -28,7 +29,7 @@ RERUN = ".rrd"
 MEASURED = tuple(f"measured.{name}" for name in KNOWN)
 
 
-class Recording(Closed):
+class Recording(Uncopied, Closed):
     """Rows of a plant's quantities, taken whenever `take` is called.
 
     As a context it writes its file at the end.
@@ -43,6 +44,8 @@ class Recording(Closed):
     Raises:
         Refusal: another quantity or kind of file, or no such folder.
     """
+
+    instead = "its rows, as arrays by name"
 
     def __init__(
         self,

@@ -9,6 +9,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkabl
 from arm_emulator.base.closed import Closed
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.uncopied import Uncopied
 
 
 @runtime_checkable
@@ -53,7 +54,7 @@ class _Place:
         self.visitor = visitor
 
 
-class Timeline(Closed, Generic[R]):
+class Timeline(Uncopied, Closed, Generic[R]):
     """A run with checkpoints: any tick of its past is reached by restoring and driving again.
 
     What is changed by hand goes through `change`, so that it is not forgotten. Timelines that fork
@@ -76,6 +77,8 @@ class Timeline(Closed, Generic[R]):
     Raises:
         Refusal: no run that can be saved, or no such number of ticks.
     """
+
+    instead = "`fork`"
 
     def __init__(self, run: R, every: int = 1000) -> None:
         if not isinstance(run, Run):

@@ -262,7 +262,7 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         shown.close()
 
 
-def test_what_if_lays_its_futures_over_each_other(browser: Any) -> None:
+def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
     shown = RunPage(Subject.of(line, 300), lambda: (TermsNow({}, {}), []))

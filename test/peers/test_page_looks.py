@@ -88,7 +88,7 @@ def test_a_phone_shows_the_arm_above_all_controls(shown: RunPage, browser: Any) 
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_is_dark_where_its_user_likes_it(
+def test_the_page_is_dark_if_the_browser_prefers_it(
     shown: RunPage, browser: Any, scheme: str
 ) -> None:
     page = opened(browser, shown.url, color_scheme=scheme)

@@ -87,7 +87,7 @@ def _report(written: NewScene) -> dict[str, Any]:
     for overload in written.overloads:
         report(f"weak     {overload}")
     report(f"written  {written.file}, and servo/, motion/, demo/ beside it")
-    report(f"now try  python -m arm_emulator demo {written.file}")
+    report(f"next     arm_emulator demo {written.file}")
     return {
         "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
         "held": choice.held, "guessed": guesses, "sources": list(sources),

@@ -107,7 +107,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
         for name, value in times.items()
     )
     return f"""\
-/* Data of a scene's joints for servo.h. `python -m arm_emulator servo-header` writes it. */
+/* Data of a scene's joints for servo.h. `arm_emulator servo-header` writes it. */
 #ifndef SERVO_JOINTS_H
 #define SERVO_JOINTS_H
 

@@ -77,7 +77,7 @@ typedef struct servo_sum {
 } servo_sum;
 
 /* Data of a joint: its numbers follow from the data sheet and the gains
- * (arm_emulator/servo/servo_numbers.py; `python -m arm_emulator servo-header SCENE` writes them as
+ * (arm_emulator/servo/servo_numbers.py; `arm_emulator servo-header SCENE` writes them as
  * C). */
 typedef struct servo_joint {
   servo_count wrap;           /* counts of an absolute encoder's word; 0: they go on */
