@@ -55,7 +55,8 @@ def shrink(campaign: Campaign, case: Case) -> Shrunk:
     before = tries.margins(case)
     requirement = min(before, key=lambda name: before[name], default="")
     if not requirement or before[requirement] >= 0.0:
-        raise Refusal(f"{campaign.where}, run {case.index}", "the run", "fail", "all hold")
+        where, valid = f"{campaign.where}, run {case.index}", "a run with `failed` in the results"
+        raise Refusal(where, "the run", "fail", "all requirements hold", valid)
     changes = tries.changes()
 
     def fails(some: Sequence[str]) -> bool:

@@ -30,7 +30,7 @@ def draw(motion: Motion, by_period: Sequence[tuple[float, Comparison]], file: Pa
         sticking.plot(motion.t, motion.friction_mode[:, j] + lift, color=colour, lw=1)
         sticking.plot(truth.t[::20], modes[::20, j] + lift, ".", color=colour, ms=3)
     angles.set(title="link angles (points: the solution)", xlabel="s", ylabel="rad")
-    angles.legend(fontsize="small", ncols=2)
+    angles.legend(loc="upper right", fontsize="small", ncols=2)  # "best" is slow
     currents.set(title="motor currents", xlabel="s", ylabel="A")
     sticking.set(title="slides back, sticks, slides on", xlabel="s")
     sticking.set(yticks=2.5 * np.arange(AXES), yticklabels=[f"axis {j + 1}" for j in range(AXES)])
@@ -40,7 +40,7 @@ def draw(motion: Motion, by_period: Sequence[tuple[float, Comparison]], file: Pa
     errors.loglog(1e6 * period, off[:, 1], "s-", label="currents, A")
     errors.loglog(1e6 * period, off[-1, 0] * (period / period[-1]) ** 2, "k:", label="order 2")
     errors.set(title="largest difference", xlabel="servo period = step, us")
-    errors.legend(fontsize="small")
+    errors.legend(loc="lower right", fontsize="small")
     for axes in (angles, currents, sticking, errors):
         axes.grid(alpha=0.3)
     file.parent.mkdir(parents=True, exist_ok=True)

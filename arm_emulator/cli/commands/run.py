@@ -71,6 +71,8 @@ def run(
         return _run_table(scene, seconds, targets, servo, kept)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
+    if page is not None:  # a missing package is refused before the run
+        import arm_emulator.page.run_page  # noqa: F401
     one = load_offline_run(scene)
     session, kinematics = one.session, one.controller.kinematics
     machine = session.scene
