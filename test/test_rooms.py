@@ -1,0 +1,58 @@
+"""Every room has its floor in the contracts of pyproject.toml and its row in CONTRIBUTING.md."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from banned_words import ROOMS
+from documents import ROOT
+
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
+LAYERS = next(one for one in PROJECT["importlinter"]["contracts"] if one["type"] == "layers")
+FLOORS = {name.strip() for floor in LAYERS["layers"] for name in floor.split("|")}
+NO_ROOMS = {"test", "docs"}  # at the top level: nothing imports them
+
+
+def packages(folder: Path) -> set[str]:
+    """Return the names of a folder's packages."""
+    return {path.parent.name for path in folder.glob("*/__init__.py")} - NO_ROOMS
+
+
+def test_every_package_and_module_has_a_floor() -> None:
+    """import-linter checks nothing of a room that no layer names."""
+    inside = packages(ROOT / "arm_emulator")
+    inside |= {path.stem for path in (ROOT / "arm_emulator").glob("*.py")} - {"__init__"}
+    outside = packages(ROOT) - {"arm_emulator"}
+    assert {f"arm_emulator.{name}" for name in inside} | outside == FLOORS
+
+
+def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -> None:
+    top = packages(ROOT)
+    assert top == set(PROJECT["importlinter"]["root_packages"])
+    assert top <= set(PROJECT["mypy"]["files"]) and top <= set(ROOMS)
+
+
+def test_every_room_has_a_row_in_the_table() -> None:
+    table = (ROOT / "CONTRIBUTING.md").read_text().split("## The rooms")[1].split("\n- **")[0]
+    firsts = re.findall(r"^\| (`.+?) \|", table, re.M)
+    named = {
+        name.rstrip("/").split("/")[-1] for row in firsts for name in re.findall("`(.+?)`", row)
+    }
+    rooms = packages(ROOT) - {"arm_emulator"} | packages(ROOT / "arm_emulator")
+    assert named == rooms | {"arm_emulator_hardware"}
+
+
+def test_no_room_imports_the_public_names() -> None:
+    """They lie above all rooms; the contracts do not see an import of the namespace itself."""
+    for room in (*packages(ROOT) - {"bench", "oracles"},):
+        for file in (ROOT / room).rglob("*.py"):
+            if file == ROOT / "arm_emulator" / "__init__.py":
+                continue
+            for node in ast.walk(ast.parse(file.read_text())):
+                assert not (isinstance(node, ast.ImportFrom) and node.module == "arm_emulator"), (
+                    file
+                )
