@@ -33,6 +33,16 @@ from rich.table import Table
 from arm_emulator.analysis.advice import Advice, Judge, advise, step_counts
 from arm_emulator.analysis.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
 from arm_emulator.analysis.true_motion import Method
+from arm_emulator.machine.parts.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.current_motor import CurrentMotor
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.drawn import scaled
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
+from arm_emulator.machine.parts.pmsm import Pmsm
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from arm_emulator.machine.scene import Scene, load_scene
 from bench.measure import progress
 from oracles import mixtures
@@ -50,28 +60,27 @@ Numbers = dict[str, Any]
 
 def _joint(rng: Rng, kind: str) -> Numbers:
     """Return the scene's section of a joint that has what its class is about."""
-    log, draws = mixtures.scaled, mixtures.DRAWS
-    joint: Numbers = {"friction": {"viscous": log(rng, 0.05, 0.5)}}
-    motor: Numbers = {"kind": "dc", **draws["DcMotor"](rng), "rotor_inertia": log(rng, 5e-5, 3e-4)}
-    gear = draws["ElasticGear"](rng) if rng.random() < 0.5 else draws["RigidGear"](rng)
-    dry = mixtures.friction(rng, log(rng, 0.2, 2.0), 1.3, 0.1, log(rng, 0.05, 0.5))
+    inertia = {"rotor_inertia": scaled(rng, 5e-5, 3e-4)}
+    joint: Numbers = {"friction": {"viscous": scaled(rng, 0.05, 0.5)}}
+    motor = {**mixtures.drawn_motor(rng, DcMotor), **inertia}
+    gear = (ElasticGear if rng.random() < 0.5 else RigidGear).drawn(rng)
+    dry = mixtures.any_of(rng, LINK_FRICTIONS).drawn(rng)
     if kind == "friction":
         joint["friction"] = dry
         if rng.random() < 0.5:
-            motor["friction"] = mixtures.friction(rng, log(rng, 0.003, 0.02), 1.2, 1e-5, 5.0)
+            motor["friction"] = mixtures.any_of(rng, ROTOR_FRICTIONS).drawn(rng)
     elif kind == "play":
-        gear = draws["BacklashGear"](rng)
+        gear = BacklashGear.drawn(rng)
         if rng.random() < 0.5:
             joint["friction"] = dry
     elif kind == "limits":
-        motor["current_limit"] = log(rng, 2.0, 8.0)
-        joint["end_stops"] = draws["EndStops"](rng)
+        motor["current_limit"] = scaled(rng, 2.0, 8.0)
+        joint["end_stops"] = EndStops.drawn(rng)
     elif kind == "pmsm":
-        motor = {"kind": "pmsm", **draws["Pmsm"](rng), "rotor_inertia": motor["rotor_inertia"]}
+        motor = {**mixtures.drawn_motor(rng, Pmsm), **inertia}
     elif kind == "torque":
-        which = {"torque": draws["TorqueMotor"], "current": draws["CurrentMotor"]}
-        name = str(rng.choice(list(which)))
-        motor = {"kind": name, **which[name](rng), "rotor_inertia": motor["rotor_inertia"]}
+        which = mixtures.any_of(rng, (TorqueMotor, CurrentMotor))
+        motor = {**mixtures.drawn_motor(rng, which), **inertia}
         if rng.random() < 0.5:
             joint["friction"] = dry
     return {**joint, "motor": motor, "gear": gear}

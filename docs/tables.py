@@ -8,11 +8,11 @@ from pathlib import Path
 
 from arm_emulator.doors.fieldbus.declared import index_of
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
-from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.known import LOOPS, PARTS
+from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part
@@ -145,8 +145,8 @@ def _section(owner: type[Part] | type[Imu]) -> str:
         return "`imus`"
     if issubclass(owner, Motor):
         return _code(f"motor.kind: {owner.kind}")
-    of = f" of a `{owner.around_kind}`" if owner in LOOPS and issubclass(owner, CurrentLoop) else ""
-    return _code(owner.section) + of
+    kind = owner.around_kind if issubclass(owner, Decorator) else ""
+    return _code(owner.section) + (f" of a `{kind}`" if kind else "")
 
 
 def _code(text: str) -> str:

@@ -22,10 +22,21 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.parts.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.current_motor import CurrentMotor
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.drawn import scaled
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.lugre import LinkLuGre, RotorLuGre
+from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
-from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run, scaled
+from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run
 from oracles.random_chain import moving_joints, random_chain_urdf
 from oracles.smoothed_reference import Row, SmoothedMachine, Smoothing
 
@@ -52,6 +63,9 @@ def _law(rng: Rng, name: str, dry: float, speed: float) -> Numbers:
     }[name]
 
 
+# Of parts that the reference solves; dc motors, with and without their limits, as often as others.
+MOTORS = (DcMotor, DcMotor, TorqueMotor, CurrentMotor)
+GEARS = (RigidGear, ElasticGear, ProgressiveGear, BacklashGear)
 LAWS = ("viscous", "coulomb", "breakaway", "stribeck", "load", "load and stribeck")
 
 
@@ -60,12 +74,12 @@ def drawn_joint(rng: Rng) -> Numbers:
     joint: Numbers = {}
     law = str(rng.choice(("none", "lugre", *LAWS)))
     at_rotor = bool(rng.random() < 0.5)
-    joint["motor"] = {**_motor(rng), "rotor_inertia": scaled(rng, 5e-5, 3e-4)}
-    joint["gear"] = _gear(rng)
+    motor = MOTORS[rng.choice(len(MOTORS))]
+    joint["motor"] = {**mixtures.drawn_motor(rng, motor), "rotor_inertia": scaled(rng, 5e-5, 3e-4)}
+    joint["gear"] = GEARS[rng.choice(len(GEARS))].drawn(rng)
     if law == "lugre":
         place = joint["motor"] if at_rotor else joint
-        draw = "RotorLuGre" if at_rotor else "LinkLuGre"
-        place["lugre"] = mixtures.DRAWS[draw](rng)
+        place["lugre"] = (RotorLuGre if at_rotor else LinkLuGre).drawn(rng)
     elif law != "none":
         dry, speed = (
             (scaled(rng, 0.003, 0.03), scaled(rng, 2.0, 20.0))
@@ -73,26 +87,10 @@ def drawn_joint(rng: Rng) -> Numbers:
             else (scaled(rng, 0.2, 2.0), scaled(rng, 0.05, 0.5))
         )
         (joint["motor"] if at_rotor else joint)["friction"] = _law(rng, law, dry, speed)
-    if rng.random() < 0.25:
-        joint["end_stops"] = mixtures.DRAWS["EndStops"](rng)
-    if rng.random() < 0.25:
-        close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
-        joint["brake"] = {
-            "torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release
-        }  # fmt: skip
+    for part in (EndStops, Brake):
+        if rng.random() < 0.25:
+            joint[part.section] = part.drawn(rng)
     return joint
-
-
-def _motor(rng: Rng) -> Numbers:
-    kind = str(rng.choice(["dc", "dc", "torque", "current"]))
-    draw = {"dc": "DcMotor", "torque": "TorqueMotor", "current": "CurrentMotor"}[kind]
-    return {"kind": kind, **mixtures.DRAWS[draw](rng)}
-
-
-def _gear(rng: Rng) -> Numbers:
-    return mixtures.DRAWS[
-        str(rng.choice(["RigidGear", "ElasticGear", "ProgressiveGear", "BacklashGear"]))
-    ](rng)
 
 
 def write_drawn(folder: Path, seed: int) -> Path:

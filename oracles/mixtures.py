@@ -18,33 +18,34 @@ form in test/.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
-from arm_emulator.base.number import REQUIRED
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.drawn import scaled
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.known import (
     DECORATORS,
     EXTRAS,
     GEARS,
-    LOOPS,
+    LINK_FRICTIONS,
     MOTORS,
-    PARTS,
+    ROTOR_FRICTIONS,
     read_motor,
 )
-from arm_emulator.machine.parts.motor import Motor, Rating
+from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
@@ -62,251 +63,51 @@ AS_ALONE = 1e-7  # rad or m, of lanes that go through the same events
 
 Rng = np.random.Generator
 Numbers = dict[str, Any]
-
-
-def scaled(rng: Rng, low: float, high: float) -> float:
-    """Draw a number of any scale between two: its logarithm is uniform."""
-    return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
-
-
-def friction(rng: Rng, dry: float, times: float, viscous: float, speed: float) -> Numbers:
-    """Return friction of one of its laws; `speed` is that of Stribeck's fall."""
-    friction = {"coulomb": dry, "breakaway": times * dry, "viscous": viscous}
-    if rng.random() < 0.4:
-        friction["stribeck"] = speed
-    if rng.random() < 0.3:
-        friction["load"] = float(rng.uniform(0.05, 0.3))
-    return friction
+Kind = TypeVar("Kind")
 
 
 def _rotor(rng: Rng) -> Numbers:
-    law = friction(rng, scaled(rng, 0.003, 0.03), 1.3, 1e-5, scaled(rng, 2.0, 20.0))
-    return {
-        "rotor_inertia": scaled(rng, 5e-5, 3e-4),
-        **({"friction": law} if rng.random() < 0.5 else {}),
-    }
+    inertia = scaled(rng, 5e-5, 3e-4)
+    law = any_of(rng, ROTOR_FRICTIONS).drawn(rng)
+    return {"rotor_inertia": inertia, **({"friction": law} if rng.random() < 0.5 else {})}
 
 
-def _dc(rng: Rng) -> Numbers:
-    inductive = rng.random() < 0.5
-    return {
-        "resistance": scaled(rng, 0.5, 2.0),
-        "torque_constant": 0.05,
-        "back_emf_constant": 0.05,
-        **({"inductance": scaled(rng, 1e-3, 5e-3)} if inductive else {}),
-        **({"current_limit": scaled(rng, 3.0, 10.0)} if rng.random() < 0.5 else {}),
-        **({"current_loop": _current_loop(rng)} if inductive and rng.random() < 0.5 else {}),
-    }
+def any_of(rng: Rng, kinds: Sequence[Kind]) -> Kind:
+    """Return one of some kinds of parts, each as often as the others."""
+    return kinds[int(rng.integers(len(kinds)))]
 
 
-def _current_loop(rng: Rng) -> Numbers:
-    if rng.random() < 0.5:
-        return {"bandwidth": scaled(rng, 100.0, 1000.0)}
-    share = float(rng.uniform(0.0, 1.0))
-    return {
-        "proportional_gain": scaled(rng, 1.0, 10.0), "integral_gain": scaled(rng, 100.0, 5e3),
-        "emf_feedforward": share,
-    }  # fmt: skip
-
-
-def _pmsm(rng: Rng) -> Numbers:
-    return {
-        "resistance": scaled(rng, 0.3, 1.0), "inductance_d": scaled(rng, 1e-3, 3e-3),
-        "inductance_q": scaled(rng, 1e-3, 3e-3), "flux": scaled(rng, 0.005, 0.02), "pole_pairs": 4,
-        **({"current_loop": _current_loop(rng)} if rng.random() < 0.5 else {}),
-    }  # fmt: skip
-
-
-def _cogging(rng: Rng) -> Numbers:
-    return {"waves": [[4.0, scaled(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
-
-
-def _torque(rng: Rng) -> Numbers:
-    return {"torque_limit": 0.5, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
-
-
-def _current(rng: Rng) -> Numbers:
-    limit = {"current_limit": 10.0}
-    return {
-        "torque_constant": 0.05,
-        **limit,
-        **({"bandwidth": 200.0} if rng.random() < 0.5 else {}),
-    }
-
-
-def _gear(rng: Rng) -> Numbers:
-    return {"ratio": scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
-
-
-def _elastic(rng: Rng) -> Numbers:
-    return _gear(rng) | {
-        "stiffness": scaled(rng, 1e3, 1e4),
-        "damping": scaled(rng, 0.5, 10.0),
-    }
-
-
-def _progressive(rng: Rng) -> Numbers:
-    gear = _elastic(rng)
-    return gear | {"cubic_stiffness": gear["stiffness"] * scaled(rng, 1e2, 1e4)}
-
-
-def _backlash(rng: Rng) -> Numbers:
-    return _elastic(rng) | {"backlash": scaled(rng, 1e-3, 2e-2)}
-
-
-def _kinematic_error(rng: Rng) -> Numbers:
-    gear = _elastic(rng)
-    of_motor = [2.0, 0.1 * gear["ratio"], float(rng.uniform(0.0, 6.0))]
-    return gear | {
-        "kinematic_error": {"motor": [of_motor], "link": [[3.0, scaled(rng, 1e-4, 1e-2)]]}
-    }
-
-
-def _lugre(rng: Rng) -> Numbers:
-    dry = scaled(rng, 0.2, 2.0)
-    return {
-        "coulomb": dry, "breakaway": dry * float(rng.uniform(1.0, 1.5)),
-        "bristle_stiffness": dry / scaled(rng, 2e-3, 2e-2),
-        "bristle_damping": scaled(rng, 0.3, 3.0),
-    }  # fmt: skip
-
-
-def _rotor_lugre(rng: Rng) -> Numbers:
-    dry = scaled(rng, 0.003, 0.03)
-    return {
-        "coulomb": dry, "breakaway": dry * float(rng.uniform(1.0, 1.5)), "stribeck": 5.0,
-        "bristle_stiffness": dry / scaled(rng, 0.2, 1.0),
-        "bristle_damping": scaled(rng, 3e-4, 3e-3),
-    }  # fmt: skip
-
-
-def _stops(rng: Rng) -> Numbers:
-    way = scaled(rng, 0.02, 0.2)
-    return {"lower": -way, "upper": way, "stiffness": scaled(rng, 1e3, 2e4), "damping": 10.0}
-
-
-def _torque_table(rng: Rng) -> Numbers:
-    angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(4, 12)))) - 1.5
-    torques = rng.uniform(-5.0, 5.0, len(angles))
-    periodic = bool(rng.random() < 0.5)
-    if periodic:
-        torques[-1] = torques[0]
-    return {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": periodic}
-
-
-def _law(size: float, viscous: float, **more: float) -> Callable[[Rng], Numbers]:
-    """Return what draws friction of one law; dry friction about a size [N m]."""
-
-    def draw(rng: Rng) -> Numbers:
-        dry = size * scaled(rng, 0.3, 3.0)
-        return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": viscous, **more}
-
-    return draw
-
-
-def _ripple(rng: Rng) -> Numbers:
-    return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
-
-
-def _brake(rng: Rng) -> Numbers:
-    # Whole numbers of the coarsest step, so that all steps brake at the same instant.
-    close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
-    return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
-
-
-def sized(kind: type[Motor]) -> Callable[[Rng], Numbers]:
-    """Return what draws a motor as `new` sizes it, but for its rotor."""
-
-    def draw(rng: Rng) -> Numbers:
-        rating = Rating(
-            torque=scaled(rng, 0.3, 1.0), rotor_inertia=1e-4, torque_constant=0.05,
-            back_emf_constant=0.05, resistance=scaled(rng, 0.5, 2.0), inductance=2e-3,
-            bandwidth=200.0,
-        )  # fmt: skip
-        motor = kind.sized(rating)
-        values = {key: getattr(motor, key) for key in kind.numbers()}
-        limit = motor.limit if motor.circuit is not None else ""  # it would need a loop
-        return {
-            key: value
-            for key, value in values.items()
-            if value is not None and key not in ("rotor_inertia", limit)
-        }
-
-    return draw
-
-
-def declared(kind: type[Part]) -> Callable[[Rng], Numbers]:
-    """Return what draws a part by the usual values that it declares; half of what may be absent."""
-
-    def draw(rng: Rng) -> Numbers:
-        drawn: Numbers = {}
-        for key, one in kind.numbers().items():
-            if one.default is REQUIRED:
-                assert one.typical, f"{kind.__name__}.{key} states no usual values (typical=)"
-            if one.typical and (one.default is REQUIRED or rng.random() < 0.5):
-                low, high = one.typical
-                drawn[key] = scaled(rng, low, high) if low > 0.0 else float(rng.uniform(low, high))
-        return drawn
-
-    return draw
-
-
-# By the name of the Python class. Other motors are drawn as they are sized, other parts by the
-# usual values that they declare.
-DRAWS: dict[str, Callable[[Rng], Numbers]] = {
-    "DcMotor": _dc,
-    "Pmsm": _pmsm,
-    "TorqueMotor": _torque,
-    "CurrentMotor": _current,
-    "RigidGear": _gear,
-    "ElasticGear": _elastic,
-    "ProgressiveGear": _progressive,
-    "BacklashGear": _backlash,
-    "KinematicErrorGear": _kinematic_error,
-    "EndStops": _stops,
-    "Cogging": _cogging,
-    "LinkLuGre": _lugre,
-    "RotorLuGre": _rotor_lugre,
-    "TorqueTable": _torque_table,
-    "CurrentLoop": _current_loop,
-    "FieldOrientedLoop": _current_loop,
-    "TorqueRipple": _ripple,
-    "Brake": _brake,
-    "LinkFriction": _law(0.6, 0.1),
-    "LinkStribeck": _law(0.6, 0.1, stribeck=0.2),
-    "LinkLoadFriction": _law(0.6, 0.1, load=0.2),
-    "RotorFriction": _law(0.01, 1e-5),
-    "RotorStribeck": _law(0.01, 1e-5, stribeck=6.0),
-    "RotorLoadFriction": _law(0.01, 1e-5, load=0.2),
-}
-DRAWS = {
-    **{kind.__name__: declared(kind) for kind in PARTS},
-    **{kind.__name__: sized(kind) for kind in MOTORS},
-    **DRAWS,
-}
+def drawn_motor(rng: Rng, kind: type[Motor]) -> Numbers:
+    """Return the scene's section of a motor without its rotor, half of them in a loop."""
+    motor = {"kind": kind.kind, **kind.drawn(rng)}
+    for one in DECORATORS:
+        if one.inputs and _fits(one, motor | {"rotor_inertia": 1e-4}) and rng.random() < 0.5:
+            motor[_key(one)] = one.drawn(rng)
+    return motor
 
 
 def drawn_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint with random parts."""
     joint: Numbers = {}
     if rng.random() < 0.6:
-        speed = scaled(rng, 0.05, 0.5)
-        joint["friction"] = friction(rng, scaled(rng, 0.2, 2.0), 1.5, 0.1, speed)
+        joint["friction"] = any_of(rng, LINK_FRICTIONS).drawn(rng)
     if rng.random() < 0.9:
-        motor = MOTORS[rng.integers(len(MOTORS))]
-        gear = GEARS[rng.integers(len(GEARS))]
-        joint["motor"] = {"kind": motor.kind, **DRAWS[motor.__name__](rng), **_rotor(rng)}
-        joint["gear"] = DRAWS[gear.__name__](rng)
+        joint["motor"] = {**drawn_motor(rng, any_of(rng, MOTORS)), **_rotor(rng)}
+        joint["gear"] = any_of(rng, GEARS).drawn(rng)
     for extra in EXTRAS:
-        if rng.random() < 0.3:
-            place = joint
-            *above, key = extra.section.split(".")
-            if above and above[0] not in joint:
-                continue
-            for section in above:
-                place = place[section]
-            place[key] = DRAWS[extra.__name__](rng)
+        if rng.random() < 0.3 and (place := _place(joint, extra)) is not None:
+            place[_key(extra)] = extra.drawn(rng)
     return joint
+
+
+def _key(part: type[Part]) -> str:
+    return part.section.rpartition(".")[2]
+
+
+def _place(joint: Numbers, part: type[Part]) -> Numbers | None:
+    """Return the section of a joint in which a part stands, None if it is not there."""
+    above = part.section.rpartition(".")[0]
+    return joint.get(above) if above else joint
 
 
 def add_surroundings(rng: Rng, scene: Numbers) -> None:
@@ -316,19 +117,20 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
         if motor is None:
             continue
         for kind in DECORATORS[::-1]:
-            if kind not in LOOPS and _fits(kind, joint) and rng.random() < 0.3:
-                motor[kind.section.rpartition(".")[2]] = DRAWS[kind.__name__](rng)
+            if _fits(kind, motor) and rng.random() < 0.3:
+                motor[_key(kind)] = kind.drawn(rng)
         if rng.random() < 0.2:
-            joint["brake"] = _brake(rng)
+            joint[Brake.section] = Brake.drawn(rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
 
 
-def _fits(kind: type[Decorator], joint: Numbers) -> bool:
-    """Return whether a decorator goes around the motor of a joint."""
-    motor = read_motor(Section(joint["motor"], "mixture"))
-    drawn = DRAWS[kind.__name__](np.random.default_rng(0))
+def _fits(kind: type[Decorator], motor: Numbers) -> bool:
+    """Return whether a decorator goes around a motor."""
+    joint = Section({"motor": motor}, "mixture")
+    drawn = kind.drawn(np.random.default_rng(0))
     try:
-        kind.read(Section(drawn, "mixture")).check_motor(motor, Section(joint, "mixture"))
+        bare = read_motor(Section(motor, "mixture"))
+        kind.read(Section(drawn, "mixture")).check_motor(bare, joint)
     except Refusal:
         return False
     return True
@@ -347,22 +149,24 @@ def write_mixture(folder: Path, seed: int) -> Path:
 def drawn_alone(part: type[Part], seed: int) -> Numbers:
     """Return the scene's section of a joint without friction and limits but for one part."""
     rng = np.random.default_rng([seed, 4244, *part.__name__.encode()])
+    rotor = {"rotor_inertia": 1e-4}
     motor: Numbers = {
         "resistance": 1.0, "inductance": 2e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
-        "rotor_inertia": 1e-4,
+        **rotor,
     }  # fmt: skip
-    for kind in MOTORS:
-        if part in LOOPS and kind.kind == part.around_kind:
-            motor = {"kind": kind.kind, "rotor_inertia": 1e-4, **DRAWS[kind.__name__](rng)}
+    if issubclass(part, Decorator):
+        for kind in MOTORS:
+            if part.around_kind == kind.kind:
+                motor = {"kind": kind.kind, **rotor, **drawn_motor(rng, kind)}
     joint: Numbers = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 2.0}}
-    drawn = DRAWS[part.__name__](rng)
     if issubclass(part, Motor):
-        joint["motor"] = {"kind": part.kind, "rotor_inertia": 1e-4, **drawn}
+        joint["motor"] = {**rotor, **drawn_motor(rng, part)}
     elif issubclass(part, Gear):
-        joint["gear"] = drawn
+        joint["gear"] = part.drawn(rng)
     else:
-        *above, key = part.section.split(".")
-        (joint[above[0]] if above else joint)[key] = drawn
+        drawn, place = part.drawn(rng), _place(joint, part)
+        assert place is not None, "it has a motor and a gear"
+        place[_key(part)] = drawn
     return joint
 
 

@@ -28,7 +28,6 @@ from arm_emulator.runs.gains import check_joints
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
-from oracles.mixtures import sized
 
 ROTOR = {"rotor_inertia": 1.0e-4}
 DC = {"resistance": 1.5, "inductance": 3e-3, "torque_constant": 0.1, "back_emf_constant": 0.1}
@@ -58,7 +57,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 # Kinds that have a file and no line above, as they are sized.
 KINDS |= {
-    kind.kind: {"kind": kind.kind, **ROTOR, **sized(kind)(np.random.default_rng(1))}
+    kind.kind: {"kind": kind.kind, **ROTOR, **kind.drawn(np.random.default_rng(1))}
     for kind in MOTORS
     if kind.kind not in {one.get("kind", "dc") for one in KINDS.values()}
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unknown
@@ -22,6 +23,10 @@ class BacklashGear(ElasticGear):
 
     # Free play of the link with the motor held.
     backlash: float = number("play", "rad", at_least=0.0)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return super().drawn(rng) | {"backlash": scaled(rng, 1e-3, 2e-2)}
 
     def rests(self, at: AtRest) -> Share | str:
         """Anywhere within the play, unless a torque holds the teeth on one side."""

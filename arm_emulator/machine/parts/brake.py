@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
@@ -44,6 +45,12 @@ class Brake(Part):
     def rests(self, at: AtRest) -> Share | str:
         """It is open while the drives have power."""
         return Share()
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:
+        """With delays of whole steps of 0.5 ms."""
+        close, release = (5e-4 * int(n) for n in rng.integers(0, 30, 2))
+        return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
 
     def rotor(
         self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str

@@ -12,6 +12,7 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.motor import Circuit, Motor, Rating
 from arm_emulator.machine.parts.part import number
@@ -32,7 +33,6 @@ class CurrentLoop(Decorator):
     header = "current_loop.hpp"
     cxx = "CurrentControl"
     loop: ClassVar[str] = "CurrentLoop"  # in C++, around a motor
-    around_kind: ClassVar[str] = ""  # of motors that this one is for; none: for all others
 
     bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
     proportional_gain: float | None = number("P", "V/A", above=0.0, default=None)
@@ -57,8 +57,16 @@ class CurrentLoop(Decorator):
                 raise section.refusal("bandwidth", rule, "nothing")
 
     @classmethod
-    def of(cls, motor: Motor) -> type[Decorator]:  # noqa: D102
-        return next((one for one in cls.__subclasses__() if one.around_kind == motor.kind), cls)
+    def drawn(cls, rng: Rng) -> Numbers:
+        """By its bandwidth, or by its gains."""
+        if rng.random() < 0.5:
+            return {"bandwidth": scaled(rng, 100.0, 1000.0)}
+        share = float(rng.uniform(0.0, 1.0))
+        return {
+            "proportional_gain": scaled(rng, 1.0, 10.0),
+            "integral_gain": scaled(rng, 100.0, 5e3),
+            "emf_feedforward": share,
+        }
 
     @classmethod
     def sized(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.input import CURRENT
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData
 from arm_emulator.machine.parts.part import number
@@ -36,6 +37,11 @@ class CurrentMotor(Motor):
             bandwidth=rating.bandwidth,
             current_limit=rating.current,
         )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        numbers = {"torque_constant": 0.05, "current_limit": 10.0}
+        return {**numbers, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

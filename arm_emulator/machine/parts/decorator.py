@@ -36,12 +36,13 @@ class Decorator(Part):
     shaft = "rotor"
     layer: ClassVar[int]
     inputs: ClassVar[tuple[Input, ...]] = ()  # of the motor with it, if they are others
+    around_kind: ClassVar[str] = ""  # of motors that it is for; none: of any
     electrical: ClassVar[bool] = True  # whether it stands between the command and the torque
 
     @classmethod
     def of(cls, motor: Motor) -> type[Decorator]:
-        """Return the kind of it that goes around a motor."""
-        return cls
+        """Return the kind of it that goes around a motor, which may be for such motors alone."""
+        return next((one for one in cls.__subclasses__() if one.around_kind == motor.kind), cls)
 
     @classmethod
     def sized(cls, motor: Motor, rating: Rating) -> Self | None:

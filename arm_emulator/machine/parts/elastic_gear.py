@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.part import number
 
@@ -19,6 +20,11 @@ class ElasticGear(Gear):
 
     stiffness: float = number("Kg", "N m/rad", above=0.0)
     damping: float = number("Dg", "N m s/rad", at_least=0.0, default=0.0)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        gear = super().drawn(rng)
+        return gear | {"stiffness": scaled(rng, 1e3, 1e4), "damping": scaled(rng, 0.5, 10.0)}
 
     def wind_up(self, torque: float) -> float:  # noqa: D102
         return torque / self.stiffness

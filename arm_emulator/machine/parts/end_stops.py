@@ -8,6 +8,7 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
@@ -42,6 +43,11 @@ class EndStops(Extra):
     @property
     def stops(self) -> tuple[float, float]:  # noqa: D102
         return self.lower, self.upper
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        way = scaled(rng, 0.02, 0.2)
+        return {"lower": -way, "upper": way, "stiffness": scaled(rng, 1e3, 2e4), "damping": 10.0}
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:

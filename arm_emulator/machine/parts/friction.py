@@ -10,6 +10,7 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -26,9 +27,18 @@ class Friction(Part):
     cxx = "Friction"
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 
+    usual_dry: ClassVar[float] = 0.6  # N m, while it slides
+    usual_viscous: ClassVar[float] = 0.1  # N m s/rad
+    usual_speed: ClassVar[float] = 0.2  # rad/s, of slow motion
+
     viscous: float = number("Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0)
     coulomb: float = number("Dc", "N m", at_least=0.0, sought="unknown", default=0.0)
     breakaway: float = number("Ds", "N m", follows="coulomb", default=0.0)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        dry = cls.usual_dry * scaled(rng, 0.3, 3.0)
+        return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": cls.usual_viscous}
 
     def sliding(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""
@@ -79,6 +89,9 @@ class OfRotor(Friction):
 
     section = "motor.friction"
     shaft = "rotor"
+    usual_dry = 0.01
+    usual_viscous = 1e-5
+    usual_speed = 6.0
 
     def rests(self, at: AtRest) -> Share | str:
         """A rotor sticks until the servo's integral exceeds its breakaway torque."""

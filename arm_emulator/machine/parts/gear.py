@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -32,6 +33,10 @@ class Gear(Part):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: rotor and link move alike below the resonances."""
         return np.zeros_like(motion.t)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {"ratio": scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
 
     def rests(self, at: AtRest) -> Share | str:
         """The motor is ahead of its link by the wind-up."""

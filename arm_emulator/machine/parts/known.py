@@ -7,7 +7,6 @@ from typing import TypeVar
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.found import kinds_below, kinds_of, last_kinds
@@ -41,13 +40,13 @@ EXTRAS = tuple(sorted(last_kinds(Extra), key=lambda one: one.rank))
 # Decorators around a motor, innermost first.
 DECORATORS = tuple(sorted(kinds_of(Decorator), key=lambda one: one.layer))
 
-# Of motors that have one of their own.
-LOOPS: tuple[type[CurrentLoop], ...] = tuple(CurrentLoop.__subclasses__())
+# Those for motors of one kind, in the place of another.
+_OF_ONE_MOTOR = tuple(one for kind in DECORATORS for one in kind.__subclasses__())
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
     *DECORATORS,
-    *LOOPS,
+    *_OF_ONE_MOTOR,
     *GEARS,
     *LINK_FRICTIONS,
     *ROTOR_FRICTIONS,

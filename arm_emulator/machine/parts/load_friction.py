@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -23,6 +24,12 @@ class LoadFriction(Friction):
 
     stribeck: float | None = number("vs", "rad/s", above=0.0, sought="known", default=None)
     load: float = number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known")
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:
+        """With and without a fall of the dry torque."""
+        falls = {"stribeck": cls.usual_speed} if rng.random() < 0.5 else {}
+        return super().drawn(rng) | {"load": 0.2, **falls}
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().sliding(motion)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.friction import sticking_link
 from arm_emulator.machine.parts.part import number
@@ -45,6 +46,19 @@ class LuGre(Extra):
         torque: Array = self.bristle_stiffness * z + self.bristle_damping * (w - rate * z)
         return torque
 
+    @classmethod
+    def drawn_of(cls, rng: Rng, dry: tuple[float, float], bend: tuple[float, float],
+                 damping: tuple[float, float], **more: float) -> Numbers:  # fmt: skip
+        """Return a random section by the usual dry torque [N m], bend [rad] and damping."""
+        torque = scaled(rng, *dry)
+        return {
+            "coulomb": torque,
+            "breakaway": torque * float(rng.uniform(1.0, 1.5)),
+            **more,
+            "bristle_stiffness": torque / scaled(rng, *bend),
+            "bristle_damping": scaled(rng, *damping),
+        }
+
     @property
     def cxx_type(self) -> str:  # noqa: D102
         return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
@@ -58,6 +72,10 @@ class LinkLuGre(LuGre):
     rank = 2
     shaft = "link"
 
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return cls.drawn_of(rng, dry=(0.2, 2.0), bend=(2e-3, 2e-2), damping=(0.3, 3.0))
+
     def rests(self, at: AtRest) -> Share | str:
         """Its bristles stay bent, and the gear stays wound up."""
         return sticking_link(at, self.breakaway, self.coulomb)
@@ -70,6 +88,12 @@ class RotorLuGre(LuGre):
     section = "motor.lugre"
     rank = 3
     shaft = "rotor"
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return cls.drawn_of(
+            rng, dry=(0.003, 0.03), bend=(0.2, 1.0), damping=(3e-4, 3e-3), stribeck=5.0
+        )
 
     def rests(self, at: AtRest) -> Share | str:
         """The rotor sticks until the servo's integral exceeds its breakaway torque."""

@@ -20,6 +20,7 @@ from arm_emulator.base.number import REQUIRED, Number, field_of, numbers_of
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng, usual
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -85,6 +86,17 @@ class Part:
     def numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key."""
         return numbers_of(cls)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:
+        """Return the section of a random part, with half of what may be absent."""
+        drawn: Numbers = {}
+        for key, one in cls.numbers().items():
+            needed = one.default is REQUIRED
+            assert one.typical or not needed, f"{cls.__name__}.{key} states no `typical`"
+            if one.typical and (needed or rng.random() < 0.5):
+                drawn[key] = usual(rng, *one.typical)
+        return drawn
 
     @classmethod
     def read(cls, section: Section) -> Self:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from arm_emulator.base.section import Section
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData
 from arm_emulator.machine.parts.output import FURTHER, Output
@@ -66,6 +67,16 @@ class Pmsm(Motor):
             rotor_inertia=rating.rotor_inertia,
             current_limit=rating.torque / (1.5 * POLE_PAIRS * flux),
         )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {
+            "resistance": scaled(rng, 0.3, 1.0),
+            "inductance_d": scaled(rng, 1e-3, 3e-3),
+            "inductance_q": scaled(rng, 1e-3, 3e-3),
+            "flux": scaled(rng, 0.005, 0.02),
+            "pole_pairs": POLE_PAIRS,
+        }
 
     @property
     def circuit(self) -> Circuit:

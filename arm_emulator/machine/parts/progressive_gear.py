@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
 
@@ -19,6 +20,11 @@ class ProgressiveGear(ElasticGear):
     stiffens = True
 
     cubic_stiffness: float = number("Kg3", "N m/rad3", at_least=0.0)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        gear = super().drawn(rng)
+        return gear | {"cubic_stiffness": gear["stiffness"] * scaled(rng, 1e2, 1e4)}
 
     def wind_up(self, torque: float) -> float:  # noqa: D102
         if not self.cubic_stiffness:

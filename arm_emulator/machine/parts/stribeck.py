@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -28,6 +29,10 @@ class Stribeck(Friction):
     named_by = ("stribeck",)
 
     stribeck: float = number("vs", "rad/s", above=0.0, sought="known")
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return super().drawn(rng) | {"stribeck": cls.usual_speed}
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.input import TORQUE
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData
 from arm_emulator.machine.parts.part import number
@@ -32,6 +33,10 @@ class TorqueMotor(Motor):
             bandwidth=rating.bandwidth,
             torque_limit=rating.torque,
         )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {"torque_limit": 0.5, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

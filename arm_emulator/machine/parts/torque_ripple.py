@@ -8,6 +8,7 @@ from typing import Any
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
+from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -34,6 +35,10 @@ class TorqueRipple(Decorator):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {"waves": read_waves(section, "waves", "1")}
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
 
     def rests(self, at: AtRest) -> Share | str:
         """The servo's integral takes up a constant torque."""

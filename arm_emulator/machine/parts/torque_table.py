@@ -13,6 +13,7 @@ from arm_emulator.base.number import LARGEST, Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -44,6 +45,15 @@ class TorqueTable(Extra):
             "torques": _read(section, _TORQUES),
             "periodic": section.flag("periodic"),
         }
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(LEAST, 12)))) - 1.5
+        torques = rng.uniform(-5.0, 5.0, len(angles))
+        periodic = bool(rng.random() < 0.5)
+        if periodic:
+            torques[-1] = torques[0]
+        return {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": periodic}
 
     def check(self, section: Section) -> None:  # noqa: D102
         if len(self.torques) != len(self.angles):
