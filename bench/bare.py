@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-BARE: dict[str, None] = {
-    "joints.*.brake": None,
-    "joints.*.end_stops": None,
-    "joints.*.motor.current_loop": None,
-    "joints.*.motor.current_limit": None,
-}
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.known import DECORATORS, EXTRAS, without
+
+BARE = {**without((Brake, *EXTRAS, *DECORATORS)), "joints.*.motor.current_limit": None}

@@ -27,7 +27,9 @@ from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
+from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.friction import RotorFriction
+from arm_emulator.machine.parts.known import EXTRAS, without
 from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
@@ -54,7 +56,7 @@ def ur5() -> Scene:
     overrides: dict[str, Any] = {"joints.*.friction": None, "joints.*.encoder": None}
     overrides |= {f"joints.{j}.motor.friction": friction for j in load_scene("ur5").joint_names}
     overrides |= {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
-    overrides |= {"joints.*.brake": None, "joints.*.end_stops": None}
+    overrides |= without((Brake, *EXTRAS))
     return load_scene("ur5", overrides)
 
 

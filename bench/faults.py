@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.faults.fault import Fault
 from arm_emulator.machine.faults.known import FAULTS
+from arm_emulator.machine.parts.fault import Fault
 
 OWNERS = {"joints": "joint", "links": "link", "imus": "unit", "": "machine"}
 

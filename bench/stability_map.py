@@ -13,7 +13,6 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -78,8 +77,8 @@ def _axes(quick: bool) -> dict[str, dict[str, Any]]:
     scene = load_scene(SCENE)
     stiffness, constants, ratios = decades(2, 8), decades(-7, -2), decades(-4, 4)
     inertia = _link_inertia(scene)
-    motor = scene.joints[0].motor
-    resistance = motor.resistance if isinstance(motor, DcMotor) else 1.0
+    data = scene.joints[0].servo_data
+    resistance = data.resistance if data and data.resistance else 1.0
     return {
         "stiffness": {
             "label": "gear stiffness [N m/rad]",

@@ -9,19 +9,17 @@ from pathlib import Path
 from arm_emulator.doors.fieldbus.declared import index_of
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.parts.decorator import Decorator
-from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.sensors import SENSORS
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference" / "parts"
-SENSORS: tuple[type[Part] | type[Imu], ...] = (Encoder, LinkEncoder, *ANALOG, Imu)
 OWNERS: tuple[type[Part] | type[Imu], ...] = (*PARTS, *SENSORS)
 FIELDS = set(re.findall(r"^\w+\[\] (\w+)$", (ROOT / "msg/MotorState.msg").read_text(), re.M))
 IN_C = {READINGS: "`readings`, a row", FURTHER: "`further`, a row"}

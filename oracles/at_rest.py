@@ -28,6 +28,8 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, without
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
@@ -43,11 +45,7 @@ RESOLVED = 0.01  # of the torques at a joint: what winding up and speed make of 
 # The law stands alone: other friction, brakes and springs are put away.
 ALONE: dict[str, Any] = {
     "gravity": [0.0, 0.0, -9.81],
-    "joints.*.friction": None,
-    "joints.*.motor.friction": None,
-    "joints.*.brake": None,
-    "joints.*.counterbalance": None,
-    "joints.*.end_stops": None,
+    **without((*LINK_FRICTIONS, *ROTOR_FRICTIONS, Brake, *EXTRAS)),
 }
 
 Numbers = dict[str, float]

@@ -1,70 +1,136 @@
-"""Knowledge of a part or a scheme stands in its own files: no other code imports or names it."""
+"""No room outside the files of a part knows the part by its name.
+
+What others need, a part declares. The names are those of the registry: classes, C++ types and
+headers, kinds of motors, sections and keys.
+"""
 
 from __future__ import annotations
 
+import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
-from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.parts.sensors import ANALOG
-from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
+import pytest
+
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
+from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.sensors import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
-# Sections of a joint of which the core, every door or every robot has exactly one, and a truth that
-# is independent of the core and knows the parts that it solves.
-KNOWN_THERE = {
-    "arm_emulator/machine/joint.py": {"brake", "encoder", "end_stops", "torque_motor"},
-    "arm_emulator/machine/outputs.py": {"encoder"},
-    "arm_emulator/design/sizing.py": {"encoder"},
-    "arm_emulator/analysis/rest_shares.py": {"encoder"},
-    "arm_emulator/analysis/reference.py": {
-        *("brake", "current_loop", "dc_motor", "elastic_gear", "end_stops", "progressive_gear"),
-    },
+OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/")
+ROOMS = (
+    "arm_emulator", "arm_emulator_hardware", "bench", "docs", "emulator_node", "examples", "launch",
+    "motion_controller_node", "oracles", "servo_node", "tools",
+)  # fmt: skip
+TEXTS = (
+    "bench/",
+    "examples/",
+    "oracles/",
+    "arm_emulator/validation/",
+    "arm_emulator/machine/faults/",
+)
+"""Rooms that write scenes, or name numbers of scenes, as users do."""
+
+# Of the device itself, not of a drive: arm.h has a field for each in every machine.
+OF_THE_DEVICE: tuple[type[Part] | type[Imu], ...] = (Brake, Encoder, LinkEncoder, Imu)
+KINDS = tuple(kind for kind in (*PARTS, *SENSORS) if kind not in OF_THE_DEVICE)
+
+# Kinds of motors that are called as what they are commanded: the words are quantities, too.
+QUANTITIES = {"current", "torque"}
+CLASSES = {kind.__name__ for kind in KINDS}
+CXX = {kind.cxx for kind in KINDS if issubclass(kind, Part)}
+HEADERS = {kind.header for kind in KINDS if issubclass(kind, Part)}
+SHARED = {"motor", "gear", "friction"}  # sections of any motor, gear, friction
+WORDS = {
+    *(kind.kind for kind in MOTORS),
+    *(kind.section.rpartition(".")[2] for kind in KINDS if issubclass(kind, Part)),
+    *(key for kind in PARTS for key in getattr(kind, "named_by", ())),
+} - {*SHARED, *QUANTITIES, "stiffness", "load"}  # the last: keys of many things
+
+INDEPENDENT = "an independent solution or peer, whose equations must not follow from the parts"
+ABOUT = "a bench about these very parts"
+ALLOWED = {
+    "arm_emulator/analysis/reference.py": INDEPENDENT,
+    "oracles/smoothed_reference.py": INDEPENDENT,
+    "oracles/alone.py": "draws what the smoothed reference solves",
+    "bench/mujoco_peer.py": INDEPENDENT,
+    "bench/advice.py": ABOUT,
+    "bench/doubtful_records.py": ABOUT,
+    "bench/field_oriented.py": ABOUT,
+    "arm_emulator/motion/elastic_arm.py": "the key of a number that its own data sheet declares",
+    "arm_emulator/servo/servo_numbers.py": "a coefficient of the servo's law, called winding",
+    "arm_emulator/core/mechanics/imu.hpp": "three sensors of the kind of any quantity",
+    "arm_emulator/core/mechanics/sensors.hpp": "rows of the kind of any quantity",
 }
-# Files that have bases beside a part.
-BASES = {"friction", "gear", "sensors"}
 
 
-def _code() -> list[Path]:
-    return [file for name in PACKAGES for file in sorted((ROOT / name).rglob("*.py"))]
-
-
-def test_no_code_imports_a_part_but_by_the_list_of_parts() -> None:
-    files = {kind.__module__.rpartition(".")[2] for kind in (*PARTS, *ANALOG)} - BASES
-    files |= {"encoder"}
-    found: dict[str, set[str]] = {}
-    for file in _code():
-        place = file.relative_to(ROOT).as_posix()
-        if not place.startswith("arm_emulator/machine/parts/"):
-            names = set(re.findall(r"machine\.parts\.(\w+) import", file.read_text()))
-            if names & files:
-                found[place] = names & files
-    assert found == KNOWN_THERE, "knowledge of a part belongs to its own file"
-
-
-def test_no_code_outside_the_schemes_names_one() -> None:
-    """But the motion controller, one of whose methods is called as the paper, too."""
-    words = re.compile(f'"({"|".join(SCHEMES)})"|arm::({"|".join(map(str.title, SCHEMES))})\\b')
-    named = {
-        file.relative_to(ROOT).as_posix()
-        for file in _code()
-        if "machine/schemes" not in file.as_posix() and words.search(file.read_text())
+def in_python(text: str, with_words: bool) -> set[str]:
+    """Return the names of parts in a Python source: what it imports and, if asked, its words."""
+    tree = ast.parse(text)
+    found = set()
+    prose = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
     }
-    assert named == {"arm_emulator/motion/motion_config.py"}
-    core = ROOT / "arm_emulator" / "core"
-    own = {f"{name}.hpp" for name in SCHEMES}
-    types = re.compile(rf"\b({'|'.join(one.__name__ for one in SCHEMES.values())})\b(?! \w)")
-    for file in core.rglob("*.hpp"):
-        lines = (line.partition("//")[0] for line in file.read_text().splitlines())
-        assert file.name in own or not types.search("\n".join(lines)), file.name
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and "machine.parts" in (node.module or ""):
+            found |= {one.name for one in node.names} & CLASSES
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_words:
+            if id(node) not in prose and re.fullmatch(r"[\w.*{}]+", node.value):
+                found |= set(node.value.split(".")) & WORDS
+    return found
 
 
-def test_a_scheme_has_its_header_and_its_page() -> None:
-    for name, one in SCHEMES.items():
-        header = (ROOT / "arm_emulator" / "core" / one.header()).read_text()
-        assert f"struct {one.__name__} : AnyScheme" in header, name
-        page = ROOT / "docs" / "reference" / "schemes" / f"{name}.md"
-        assert page.read_text().startswith(f"# `{name}`"), name
-    pages = {page.stem for page in (ROOT / "docs" / "reference" / "schemes").glob("*.md")}
-    assert pages == set(SCHEMES), "a page of each, and no other"
+def in_cxx(text: str) -> set[str]:
+    """Return the names of parts in a source of the core, beside its comments."""
+    code = re.sub(r"//[^\n]*|/\*.*?\*/", "", text, flags=re.S)
+    types = set(re.findall(r"(?:arm::|<|^|(?<=[\s(,]))(\w+)\b(?!::)", code)) & CXX
+    aliases = set(re.findall(r"\busing (\w+) =", code))
+    return (types - aliases) | set(re.findall(r'"parts/(\S+)"', code)) & HEADERS
+
+
+def sources() -> Iterator[tuple[str, set[str]]]:
+    for room in ROOMS:
+        for file in sorted((ROOT / room).rglob("*.*")):
+            path = file.relative_to(ROOT).as_posix()
+            if path.startswith(OWN) or "/build/" in path:
+                continue
+            if file.suffix == ".py":
+                yield path, in_python(file.read_text(), not path.startswith(TEXTS))
+            elif file.suffix in (".hpp", ".cpp", ".h", ".c"):
+                yield path, in_cxx(file.read_text())
+
+
+def test_nobody_names_a_part() -> None:
+    seen = dict(sources())
+    assert len(seen) > 500, "the rooms are there"
+    named = {path: names for path, names in seen.items() if names and path not in ALLOWED}
+    assert not named, f"what these need of a part the part declares: {named}"
+
+
+def test_every_exception_is_needed() -> None:
+    seen = dict(sources())
+    assert not {path for path in ALLOWED if not seen.get(path)}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_the_search_finds_every_part(kind: type[Part]) -> None:
+    line = f"from {kind.__module__} import {kind.__name__}\n"
+    assert in_python(line, False) == {kind.__name__}
+    assert in_cxx(f'#include "parts/{kind.header}"\n') == {kind.header}
+    assert in_cxx(f"  const arm::{kind.cxx}<1> one;") == in_cxx(f"f({kind.cxx} x)") == {kind.cxx}
+    assert not in_cxx(f"// {kind.cxx} in parts/{kind.header}\n")
+
+
+@pytest.mark.parametrize("word", sorted(WORDS))
+def test_the_search_finds_every_word(word: str) -> None:
+    assert in_python(f'x = {{"joints.*.{word}": None}}', True) == {word}
+    assert in_python(f'x = joint["{word}"]', True) == {word}
+    assert not in_python(f'"""{word}"""', True), "prose"

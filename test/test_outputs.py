@@ -37,7 +37,7 @@ from arm_emulator.machine.outputs import (
 )
 from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.sensors import ANALOG, SENSORS
+from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
@@ -321,7 +321,7 @@ def test_tables_of_the_site_have_all_of_them() -> None:
     rows = tables.inputs("")
     assert all(f"| `{one.name}` |" in rows for kind in MOTORS for one in kind.inputs)
     rows = tables.sensors("")
-    for one in SENSORS:
+    for one in SENSOR_PARTS:
         assert "| `imus` |" in rows if one.owners == "imus" else one.section in rows, one.section
     rows = tables.parts("../reference/scene.md")
     for page in re.findall(r"\]\((\S+)\)", rows):

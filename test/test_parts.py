@@ -17,7 +17,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part, PartNumber
-from arm_emulator.machine.parts.sensors import ANALOG, SENSORS
+from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.torque_table import TorqueTable
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
@@ -176,7 +176,7 @@ def written_range(one: PartNumber) -> str:
     return ("size " if one.in_size else "") + ", ".join(words)
 
 
-@pytest.mark.parametrize("part", (*PARTS, *SENSORS), ids=lambda part: part.__name__)
+@pytest.mark.parametrize("part", (*PARTS, *SENSOR_PARTS), ids=lambda part: part.__name__)
 def test_every_key_has_a_row_with_its_unit_range_and_default(part: type[Part]) -> None:
     """In the page of its part, or in that of the scene."""
     page = DOCS / "reference" / "parts" / f"{part.__module__.rsplit('.', 1)[1]}.md"

@@ -14,8 +14,6 @@ import numpy.typing as npt
 from arm_emulator.analysis.stability import at_rest
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
-from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share, Stuck
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
@@ -117,10 +115,8 @@ def _of_joint(
 
 
 def _ask(scene: Scene, joint: Joint, at: AtRest) -> list[Share]:
-    sensors: dict[str, Part] = {"encoder": Encoder(counts_per_turn=IDEAL_COUNTS_PER_TURN)}
-    parts = [*joint.parts, *(sensors | joint.sensors.parts).values()]
     shares = []
-    for part in parts:
+    for part in (*joint.parts, *joint.sensors.measuring.values()):
         share = part.rests(at)
         if isinstance(share, str):
             raise _declined(scene, joint, part.section, share)

@@ -74,7 +74,7 @@ def write_new(
     *,
     payload: float | None = None,
     density: float = DENSITY,
-    motor: str = MOTORS[0].kind,
+    motor: str | None = None,
     force: bool = False,
 ) -> NewScene:
     """Write a scene for a robot.
@@ -87,7 +87,7 @@ def write_new(
         arguments: of the xacro source.
         payload: mass at the tool [kg].
         density: density of bodies without inertia in the description [kg/m3].
-        motor: kind of all motors.
+        motor: kind of all motors; None: that of a scene that gives none.
         force: whether to overwrite existing files.
 
     Raises:
@@ -96,7 +96,8 @@ def write_new(
     if payload is not None and not 0.0 <= payload <= LARGEST_MASS:
         raise Refusal("new", "--payload", f"be from 0 to {LARGEST_MASS:g} kg", payload)
     kinds = {kind.kind: kind for kind in MOTORS}
-    if motor not in kinds:
+    kind = MOTORS[0] if motor is None else kinds.get(motor)
+    if kind is None:
         raise Refusal("new", "--motor", "be a kind of motor", motor, ", ".join(kinds))
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
@@ -113,7 +114,7 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed, kinds[motor])
+    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed, kind)
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})

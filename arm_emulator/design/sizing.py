@@ -15,7 +15,6 @@ import numpy as np
 
 from arm_emulator.design.data_sheets import JointSheet
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.parts.encoder import Encoder
 from arm_emulator.machine.parts.known import DECORATORS, MOTORS, gear_of, link_friction_of
 from arm_emulator.machine.parts.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
@@ -203,7 +202,7 @@ def _drive(
             stiffness=rounded(stiffness),
             damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
-        sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
+        sensors=JointSensors.with_counts(COUNTS_PER_TURN),
         friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
         decorators=tuple(_rounded(one) for one in around if one is not None),
     )

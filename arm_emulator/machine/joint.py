@@ -13,16 +13,16 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
-from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
-from arm_emulator.machine.parts.end_stops import put_limits
+from arm_emulator.machine.parts.encoder import Encoder
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.friction import Friction
 from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.input import VOLTAGE, Input
+from arm_emulator.machine.parts.input import TORQUE, VOLTAGE, Input
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
     gear_of,
+    ideal_motor,
     link_friction_of,
     read_decorators,
     read_extras,
@@ -33,7 +33,6 @@ from arm_emulator.machine.parts.known import (
 from arm_emulator.machine.parts.motor import Motor, ServoData
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
-from arm_emulator.machine.parts.torque_motor import TorqueMotor
 
 Kind = TypeVar("Kind", bound=Part)
 
@@ -71,9 +70,9 @@ class Joint:
 
         Parts between a voltage or a current and the torque of the windings are left out.
         """
-        if self.motor is None or self.inputs == TorqueMotor.inputs:
+        if self.motor is None or self.inputs == (TORQUE,):
             return self
-        motor = TorqueMotor(rotor_inertia=self.motor.inertia)
+        motor = ideal_motor(TORQUE, self.motor.inertia)
         kept = tuple(one for one in self.decorators if not one.electrical)
         return replace(self, motor=motor, decorators=kept)
 
@@ -139,7 +138,7 @@ class Joint:
     @property
     def counts_per_turn(self) -> int:
         """Counts of the encoder in a turn of the motor; without one, of the finest there is."""
-        return self.encoder.counts_per_turn if self.encoder else IDEAL_COUNTS_PER_TURN
+        return self.sensors.counting.counts_per_turn
 
 
 def read_joints(
@@ -185,12 +184,10 @@ def read_joints(
 def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
-    brake, stops = one.section("brake"), one.section("end_stops")
-    for key, part in (("gear", gear), ("brake", brake)):
+    brake = one.section(Brake.section)
+    for key, part in ((Gear.section, gear), (Brake.section, brake)):
         if motor is None and part is not None:
             raise one.refusal(key, "belong to a joint with a motor", "no motor section")
-    if stops is not None:
-        put_limits(stops, limits)
     driven = None if motor is None else read_motor(motor)
     joint = Joint(
         name=name,
@@ -204,7 +201,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
         decorators=read_decorators(driven, motor) if driven and motor else (),
         brake=None if brake is None else Brake.read(brake),
-        extras=read_extras(one),
+        extras=read_extras(one, limits),
     )
     one.finish()
     if joint.motor is not None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import ClassVar, Protocol
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs, input_at, input_units
-from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
-from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.output import COMMAND, FAULTS, FURTHER, READINGS, Output
-from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.sensors import SENSORS
 from arm_emulator.machine.scene import Scene
 
 # Of every drive, whatever its parts.
@@ -36,7 +34,13 @@ _APPLIED = Output(
 ALWAYS = (_COUNTS, _CURRENT, _APPLIED, FAULTS)
 
 
-def _declared(owners: Iterable[type[Part] | type[Imu]]) -> list[Output]:
+class Declaring(Protocol):
+    """A kind of part, or of unit, with outputs."""
+
+    outputs: ClassVar[tuple[Output, ...]]
+
+
+def _declared(owners: Iterable[type[Declaring]]) -> list[Output]:
     found: dict[Output, None] = {}
     for owner in owners:
         found |= dict.fromkeys(owner.outputs)
@@ -50,7 +54,7 @@ KNOWN: dict[str, Output] = {
         *(_COUNTS, _CURRENT),
         *_declared(MOTORS),
         *(_APPLIED, FAULTS),
-        *_declared((*PARTS, Encoder, LinkEncoder, *ANALOG, Imu)),
+        *_declared((*PARTS, *SENSORS)),
     )
 }
 
@@ -84,7 +88,7 @@ def outputs_of(scene: Scene) -> tuple[Output, ...]:
 
 def _reported(scene: Scene) -> set[Output]:
     parts = (part for one in scene.joints for part in (*one.parts, *one.sensors.parts.values()))
-    of_units = Imu.outputs if scene.imus else ()
+    of_units = (output for unit in scene.imus for output in unit.outputs)
     return {*of_units, *(output for part in parts for output in part.reports)}
 
 

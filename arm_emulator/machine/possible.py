@@ -6,8 +6,7 @@ from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.imu import Imu
-from arm_emulator.machine.parts.line import Line
-from arm_emulator.machine.parts.lost_phase import has_phases
+from arm_emulator.machine.parts.line import line_numbers
 from arm_emulator.machine.varied import Varied
 from arm_emulator.machine.varied_body import varied_body
 
@@ -41,21 +40,19 @@ def possible_faults(
           for part in (*joint.parts, *joint.sensors.parts.values())),
         *((imu.name, part) for imu in imus for part in imu.parts),
     ]  # fmt: skip
+    hidden = {
+        f"joints.{joint.name}.{joint.motor.section}.{one.hides}"
+        for joint in joints if joint.motor for one in joint.decorators if one.hides
+    }  # fmt: skip
     numbers = {
-        f"{part.owners}.{name}.{part.section}.{key}": value
+        place: value
         for name, part in parts
-        for key, value in part.own_numbers().items()
+        for key, value in part.fault_numbers().items()
+        if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
     }
     numbers |= {one.name: one.value for joint in chain.joints for one in varied_body(joint)}
-    numbers |= {f"joints.{joint.name}.brake.closed": 0.0 for joint in joints if joint.brake}
-    for joint in joints:
-        of = f"joints.{joint.name}.line."
-        numbers |= dict.fromkeys((of + key for key in Line.numbers()), None)
-    del numbers[f"joints.{joints[-1].name}.line.swapped"]  # it has no next joint
-    wound = [joint for joint in joints if joint.motor is not None and joint.motor.has_winding]
-    phased = [one for one in wound if has_phases(one.motor, one.decorators)]
-    numbers |= {f"joints.{joint.name}.motor.phase_lost": 0.0 for joint in phased}
-    if wound:
+    numbers |= line_numbers([joint.name for joint in joints])
+    if any(joint.motor and joint.motor.has_winding for joint in joints):
         numbers["supply.share"] = 1.0
     if gravity is not None:
         numbers["base.tilt"] = 0.0

@@ -31,7 +31,7 @@ from arm_emulator.machine.integrator import Integrator, dividing, odds
 from arm_emulator.machine.joint import Joint, read_joints
 from arm_emulator.machine.overrides import override, plain
 from arm_emulator.machine.parts.imu import Imu
-from arm_emulator.machine.parts.sensors import SENSORS
+from arm_emulator.machine.parts.sensors import SENSOR_PARTS
 from arm_emulator.machine.payload import MASS, Load, load_of, read_payload
 from arm_emulator.machine.possible import could_vary, possible_faults
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
@@ -86,7 +86,7 @@ class Scene(ByValue, Lasting):
     @property
     def sensed(self) -> bool:
         """Whether it has sensors with errors."""
-        sensors = {one.section for one in SENSORS}
+        sensors = {one.section for one in SENSOR_PARTS}
         spoiled = any(not sensors.isdisjoint(one.kind.sections) for one in self.faults)
         return bool(self.imus) or spoiled or not all(joint.sensors.plain for joint in self.joints)
 

@@ -13,9 +13,9 @@ from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.parts.decorator import CxxMotor, Supply
-from arm_emulator.machine.parts.line import Line, lines
-from arm_emulator.machine.parts.lost_phase import without_a_phase
+from arm_emulator.machine.parts.decorator import Supply
+from arm_emulator.machine.parts.line import lines
+from arm_emulator.machine.parts.motor import CxxMotor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import measured_kinds, suite
 from arm_emulator.machine.scene import Scene
@@ -54,8 +54,14 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
     around = _surroundings(scene, places)
-    headers = sorted({f"parts/{part.header}" for joint in scene.joints for part in joint.parts})
-    headers += ["parts/torque_ripple.hpp"] * any(".motor.phase_lost" in one for one in places)
+    headers = sorted(
+        {
+            f"parts/{header}"
+            for joint in scene.joints
+            for part in joint.parts
+            for header in part.headers(joint.name, places)
+        }
+    )
     sensors, seed = "", places.get("seed") or number(scene.seed)
     if scene.sensed:
         kinds = measured_kinds(joint.sensors for joint in scene.joints)
@@ -63,7 +69,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
         of_joints = {joint.name: joint.sensors for joint in scene.joints}
         sensors = suite(seed, of_joints, scene.imus, places)
     if of_lines := lines(seed, scene.joint_names, places):
-        headers.append(f"parts/{Line.header}")
+        headers.append("parts/line.hpp")
         sensors += of_lines
     includes = "".join(f'#include "{header}"\n' for header in headers)
     parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
@@ -250,8 +256,7 @@ def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> st
         for one in joint.decorators:
             supply = Supply(supply_voltage, places.get("supply.share", ""))
             motor = one.around(joint.motor, motor, part(one), supply)
-        if lost := places.get(f"joints.{joint.name}.motor.phase_lost"):
-            motor = without_a_phase(motor, joint.motor, lost)
+        motor = joint.motor.around(motor, joint.name, places)
     kinds = [
         motor.type,
         joint.gear.cxx_type,

@@ -25,7 +25,7 @@ def new(
     joints: Annotated[list[str] | None, Parameter(metavar="JOINT ...")] = None,
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     density: Annotated[float, Parameter(metavar="KG/M3")] = 1200.0,
-    motor: Annotated[str, Parameter(metavar="KIND")] = "dc",
+    motor: Annotated[str | None, Parameter(metavar="KIND")] = None,
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     force: bool = False,
     ros2_control: bool = False,
@@ -39,7 +39,7 @@ def new(
         joints: moving joints; the others are held (default: chosen).
         payload: mass at the tool (default: none).
         density: density of bodies without inertia in the description.
-        motor: kind of all motors, as `motor.kind` in scenes.
+        motor: kind of all motors, as `motor.kind` in scenes (default: that of scenes).
         out: folder of the scene's files (default: the robot's name, here).
         force: overwrite existing files.
         ros2_control: compile the scene for ros2_control, too, and write its robot description and

@@ -20,22 +20,19 @@
 
 #include "mechanics/drive_input.hpp"
 #include "numerics/finite.hpp"
-#include "parts/dc_motor.hpp"
-#include "parts/friction.hpp"
-#include "parts/gear.hpp"
 #include "parts/mode.hpp"
+#include "parts/no_motor.hpp"
 #include "parts/place.hpp"
 #include "parts/rotor_friction.hpp"
 
 namespace arm {
 
-template <class Motor, class Gear, class LinkFriction = Friction, class Rotor = FreeRotor,
-          class... Extras>
+template <class Motor, class Gear, class LinkFriction, class Rotor, class... Extras>
 struct Drive {
   Motor motor;
   Gear gear;
-  LinkFriction friction = {};
-  Rotor rotor = {};
+  LinkFriction friction;
+  Rotor rotor;
   std::tuple<Extras...> extras = {};
 
   static constexpr bool driven = Motor::present;

@@ -117,14 +117,4 @@ struct DcMotorOf {
 using DcMotor = DcMotorOf<false>;
 using LimitedDcMotor = DcMotorOf<true>;
 
-// A joint without a motor.
-struct NoMotor {
-  static constexpr bool present = false;
-  static constexpr int states = 0, modes = 0;
-  static constexpr Real Mm = 0.0;
-  static constexpr Command takes = Command::voltage;
-  constexpr const NoMotor& linear() const { return *this; }
-  constexpr Real largest_current() const { return 0.0; }
-};
-
 }  // namespace arm

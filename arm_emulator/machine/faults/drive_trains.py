@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.faults.fault import Fault, falling, rise, rising, share
+from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(
@@ -22,12 +22,6 @@ FAULTS = (
         text="the gear's damping falls",
         sets=falling(("gear.damping",)),
         magnitude=share(),
-    ),
-    Fault(
-        name="backlash_grows",
-        text="the teeth wear, and the gear's play grows",
-        sets=rising(("gear.backlash",)),
-        magnitude=rise("rad", 1e-3, 1.0),
     ),
     Fault(
         name="friction_steps",
@@ -58,29 +52,5 @@ FAULTS = (
         text="viscous friction of the rotor rises",
         sets=rising(("motor.friction.viscous",)),
         magnitude=rise("N m s/rad", 1e-3, 1e6),
-    ),
-    Fault(
-        name="seal_grips",
-        text="friction of bristles rises",
-        sets=rising(("lugre.coulomb", "motor.lugre.coulomb")),
-        magnitude=rise("N m", 1.0, 1e6),
-    ),
-    Fault(
-        name="stop_softens",
-        text="the end stops' stiffness falls",
-        sets=falling(("end_stops.stiffness",)),
-        magnitude=share(0.9, 0.999),
-    ),
-    Fault(
-        name="stop_moves",
-        text="the end stops turn on their shaft",
-        sets=rising(("end_stops.lower", "end_stops.upper")),
-        magnitude=rise("rad", 0.1, 10.0, signed=True),
-    ),
-    Fault(
-        name="counterbalance_weakens",
-        text="the counterbalance loses a share of its force",
-        sets=falling(("counterbalance.force", "counterbalance.stiffness")),
-        magnitude=share(0.5),
     ),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.faults.fault import Fault, falling, rise, rising, share
+from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.faults.fault import GROWS, RISES, Fault, falling, rise, rising, share
+from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(
@@ -22,13 +22,6 @@ FAULTS = (
         text="a wire of the winding breaks: its resistance is 1e4 times as large",
         sets={"motor.resistance": "{x} * (1.0 + 1e4 * {m})"},
         magnitude=share(),
-    ),
-    Fault(
-        name="phase_lost",
-        text="one of three phases carries no current, with the star point connected",
-        sets={"motor.flux": "{x} * (1.0 - {m} / 3.0)", "motor.phase_lost": RISES},
-        magnitude=share(),
-        needs="motor.phase_lost",
     ),
     Fault(
         name="turns_short",
@@ -54,17 +47,5 @@ FAULTS = (
         text="the loop of current or torque within the drive has less bandwidth",
         sets=falling(("motor.bandwidth",)),
         magnitude=share(0.9, 0.999),
-    ),
-    Fault(
-        name="cooling_fails",
-        text="the winding's thermal resistance grows",
-        sets={"motor.winding.thermal_resistance": GROWS},
-        magnitude=rise("1", 9.0, 1e6),
-    ),
-    Fault(
-        name="ambient_rises",
-        text="the air around the motor is warmer",
-        sets=rising(("motor.winding.ambient",)),
-        magnitude=rise("K", 40.0, 300.0),
     ),
 )

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.faults.fault import Fault
+from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.varied import Varied
 
 

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
+from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import read_delay
+from arm_emulator.machine.parts.fault import FALLS, HOLDS, RISES, STUCK, Fault, rise, share
 from arm_emulator.machine.parts.part import Part, PartNumber, number
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
@@ -24,6 +26,7 @@ class Converter(Part):
     header = "analog_sensor.hpp"
     cxx = "AnalogSensor"
     unit: ClassVar[str]  # of the quantity
+    zero: ClassVar[str] = "offset"  # the key of its reading where the quantity is 0
 
     gain_error: float | None = number("gain_error", "1", at_least=-1.0, at_most=1.0, default=None)
     noise: float | None = number("noise", "", at_least=0.0, at_most=LARGEST_ERROR, default=None)
@@ -42,6 +45,38 @@ class Converter(Part):
             key: dataclasses.replace(one, unit=units.get(one.unit, one.unit))
             for key, one in super().numbers().items()
         }
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        def kind(
+            name: str,
+            text: str,
+            key: str,
+            size: Number,
+            to: str = RISES,
+            absent: float | None = 0.0,
+        ) -> Fault:
+            return Fault(
+                name=f"{cls.section}_{name}",
+                of=cls.owners,
+                text=f"{cls.section.replace('_', ' ')}: {text}",
+                sets={f"{cls.section}.{key}": to},
+                magnitude=size,
+                absent=absent,
+            )
+
+        return (
+            kind("offset", "the amplifier's zero moves", cls.zero,
+                 rise(cls.unit, 0.5, LARGEST_ERROR, signed=True)),
+            kind("drifts", "the amplifier's zero drifts", "drift",
+                 rise(f"{cls.unit}/s", 0.5, LARGEST_ERROR, signed=True)),
+            kind("gain", "the amplifier's gain is off", "gain_error",
+                 rise("1", 0.1, 1.0, signed=True)),
+            kind("stuck", STUCK, "held", share(), HOLDS),
+            kind("noisy", "the shield is broken", "noise", rise(cls.unit, 0.1, LARGEST_ERROR)),
+            kind("saturates", "the amplifier's range falls", "range", share(0.9, 0.999), FALLS,
+                 absent=None),
+        )  # fmt: skip
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         return [("present", "true"), *super().members(joint, places)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unknown
 
@@ -27,6 +28,17 @@ class BacklashGear(ElasticGear):
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
         return super().drawn(rng) | {"backlash": scaled(rng, 1e-3, 2e-2)}
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="backlash_grows",
+                text="the teeth wear, and the gear's play grows",
+                sets=rising(("gear.backlash",)),
+                magnitude=rise("rad", 1e-3, 1.0),
+            ),
+        )
 
     def rests(self, at: AtRest) -> Share | str:
         """Anywhere within the play, unless a torque holds the teeth on one side."""

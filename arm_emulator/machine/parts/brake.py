@@ -9,6 +9,7 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
+from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
@@ -51,6 +52,34 @@ class Brake(Part):
         """With delays of whole steps of 0.5 ms."""
         close, release = (5e-4 * int(n) for n in rng.integers(0, 30, 2))
         return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:
+        """Faults of the brake; the drive reports its command, not these."""
+        return (
+            Fault(
+                name="brake_slips",
+                text="oil on the brake: it holds a smaller torque",
+                sets=falling(("brake.torque",)),
+                magnitude=share(0.9),
+            ),
+            Fault(
+                name="brake_stays_open",
+                text="the brake does not close, at a share of its way",
+                sets=falling(("brake.closed",)),
+                magnitude=share(),
+            ),
+            Fault(
+                name="brake_drags",
+                text="the brake presses while it is open, at 1 as if closed",
+                sets={"brake.closed": "{x} + {m} * (1.0 - {x})"},
+                magnitude=share(),
+            ),
+        )
+
+    def fault_numbers(self) -> dict[str, float | None]:
+        """Its numbers, and whether it is closed."""
+        return {**super().fault_numbers(), "closed": 0.0}
 
     def rotor(
         self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str

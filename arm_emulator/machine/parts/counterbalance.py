@@ -9,6 +9,7 @@ import numpy as np
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -52,6 +53,17 @@ class Counterbalance(Extra):
             F = self.force - self.stiffness * longer
         torque: Array = -F * a * b * np.sin(at) / l
         return torque
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="counterbalance_weakens",
+                text="the counterbalance loses a share of its force",
+                sets=falling(("counterbalance.force", "counterbalance.stiffness")),
+                magnitude=share(0.5),
+            ),
+        )
 
     def rests(self, at: AtRest) -> Share | str:  # noqa: D102
         return Share(torque=Around(-float(self.effort(at.motion)[0])))

@@ -11,10 +11,10 @@ import numpy as np
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
+from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import CURRENT, Input
-from arm_emulator.machine.parts.motor import Circuit, Motor, Rating
+from arm_emulator.machine.parts.motor import Circuit, CxxMotor, Motor, Rating
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion

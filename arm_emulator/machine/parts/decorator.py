@@ -7,15 +7,8 @@ from typing import ClassVar, NamedTuple, Self
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.motor import Motor, Rating
+from arm_emulator.machine.parts.motor import CxxMotor, Motor, Rating
 from arm_emulator.machine.parts.part import Part
-
-
-class CxxMotor(NamedTuple):
-    """A motor in C++, with what is around it."""
-
-    type: str
-    value: str
 
 
 class Supply(NamedTuple):
@@ -37,6 +30,7 @@ class Decorator(Part):
     layer: ClassVar[int]
     inputs: ClassVar[tuple[Input, ...]] = ()  # of the motor with it, if they are others
     around_kind: ClassVar[str] = ""  # of motors that it is for; none: of any
+    hides: ClassVar[str] = ""  # a number of its motor that faults cannot change beside it
     electrical: ClassVar[bool] = True  # whether it stands between the command and the torque
 
     @classmethod

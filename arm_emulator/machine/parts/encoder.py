@@ -10,6 +10,7 @@ from typing import ClassVar, Self
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.parts.fault import HOLDS, RISES, STUCK, Fault, rise, share
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import (
@@ -43,6 +44,7 @@ class Encoder(Part):
     """
 
     section = "encoder"
+    about: ClassVar[str] = "encoder"  # in texts
     header = "encoder.hpp"
     cxx = "Encoder"
     outputs: ClassVar[tuple[Output, ...]] = (
@@ -114,6 +116,31 @@ class Encoder(Part):
             ripple_order=section.integer(_RIPPLE_ORDER),
             **numbers,
         )
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        def kind(name: str, text: str, key: str, size: Number, to: str = RISES) -> Fault:
+            return Fault(
+                name=f"{cls.section}_{name}",
+                text=f"{cls.about}: {text}",
+                sets={f"{cls.section}.{key}": to},
+                magnitude=size,
+                absent=0.0,
+            )
+
+        return (
+            kind("slips", "the disc turns on its shaft", "offset",
+                 rise("rad", 0.1, 1e3, signed=True)),
+            kind("misses_edges", "edges, or words of an absolute encoder, are missed", "missed",
+                 share(0.1, 0.5), "{x} + {m} * (1.0 - 2.0 * {x})"),
+            kind("stuck", STUCK, "held", share(), HOLDS),
+            kind("flips_bits", "a bit of a reading is wrong", "flips", share(0.1), HOLDS),
+            kind("noisy", "the shield is broken", "noise", rise("rad", 1e-3, 1.0)),
+            kind("off_centre", "the disc has lost its centre", "eccentricity",
+                 rise("rad", 0.01, 1.0)),
+            kind("ripples", "the sine and cosine signals differ", "ripple",
+                 rise("rad", 1e-3, 1.0)),
+        )  # fmt: skip
 
     @property
     def reports(self) -> tuple[Output, ...]:
@@ -193,6 +220,7 @@ class LinkEncoder(Encoder):
     """Encoder at the link."""
 
     section: ClassVar[str] = "link_encoder"
+    about = "encoder at the link"
     outputs = (
         Output("link_encoder_counts", "counts of the encoder at each link", "sensors.link_encoder",
                kind="count"),

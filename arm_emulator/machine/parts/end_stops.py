@@ -10,6 +10,7 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -37,12 +38,42 @@ class EndStops(Extra):
         torque: Array = above - below
         return torque
 
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="stop_softens",
+                text="the end stops' stiffness falls",
+                sets=falling(("end_stops.stiffness",)),
+                magnitude=share(0.9, 0.999),
+            ),
+            Fault(
+                name="stop_moves",
+                text="the end stops turn on their shaft",
+                sets=rising(("end_stops.lower", "end_stops.upper")),
+                magnitude=rise("rad", 0.1, 10.0, signed=True),
+            ),
+        )
+
     def rests(self, at: AtRest) -> Share | str:  # noqa: D102
         return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     @property
     def stops(self) -> tuple[float, float]:  # noqa: D102
         return self.lower, self.upper
+
+    @classmethod
+    def put_limits(cls, section: Section, limits: tuple[float, float] | None) -> None:
+        """Put the ends of its way where the section has `at: limits`."""
+        if not section.has("at"):
+            return
+        section.choice("at", ("limits",), default="limits")
+        for key, value in zip(("lower", "upper"), limits or (0.0, 0.0), strict=True):
+            if section.has(key):
+                raise section.refusal(key, "be absent beside `at: limits`", "both")
+            section.put(key, value)
+        if limits is None:
+            raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
@@ -53,20 +84,3 @@ class EndStops(Extra):
         if self.lower >= self.upper:
             rule = f"be > {self.lower:g} rad, the lower one"
             raise section.refusal("upper", rule, self.upper)
-
-
-def put_limits(section: Section, limits: tuple[float, float] | None) -> None:
-    """Put the URDF's limits of the joint into a section that asks for them by `at: limits`.
-
-    Raises:
-        Refusal: no limits in the URDF, or other ends are given, too.
-    """
-    if not section.has("at"):
-        return
-    section.choice("at", ("limits",), default="limits")
-    for key, value in zip(("lower", "upper"), limits or (0.0, 0.0), strict=True):
-        if section.has(key):
-            raise section.refusal(key, "be absent beside `at: limits`", "both")
-        section.put(key, value)
-    if limits is None:
-        raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")

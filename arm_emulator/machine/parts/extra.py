@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.part import Part
 
 
@@ -19,6 +20,14 @@ class Extra(Part):
 
     rank: ClassVar[float] = math.inf
     of_angle: ClassVar[bool] = False  # whether the angle alone determines its torque
+
+    @classmethod
+    def put_limits(cls, section: Section, limits: tuple[float, float] | None) -> None:
+        """Put the URDF's limits of the joint into a section that asks for them.
+
+        Raises:
+            Refusal: it asks for what is not there.
+        """
 
     @property
     def stops(self) -> tuple[float, float] | None:

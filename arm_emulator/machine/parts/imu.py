@@ -28,6 +28,7 @@ class Axes(Converter):
     """Three sensors along the axes of a unit's frame, equal except for their biases."""
 
     owners = "imus"
+    zero = "bias_x"
 
     bias_x: float | None = number("offset", "", **_BIAS)
     bias_y: float | None = number("offset", "", **_BIAS)

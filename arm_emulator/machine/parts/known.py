@@ -12,6 +12,7 @@ from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.found import kinds_below, kinds_of, last_kinds
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.gear import Gear
+from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 
@@ -55,10 +56,21 @@ PARTS: tuple[type[Part], ...] = (
 )
 
 
+def without(kinds: Iterable[type[Part]]) -> dict[str, None]:
+    """Return overrides of a scene that take parts of some kinds out of all joints."""
+    return {f"joints.*.{kind.section}": None for kind in kinds}
+
+
 def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
     return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
+
+
+def ideal_motor(takes: Input, inertia: float) -> Motor:
+    """Return the motor that gives at once what it is commanded, and takes only that."""
+    kind = next(one for one in MOTORS if one.inputs == (takes,))
+    return kind(rotor_inertia=inertia)  # type: ignore[call-arg]
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
@@ -94,11 +106,17 @@ def read_friction(section: Section, kinds: Sequence[type[Friction]]) -> Friction
     return next(one for one in kinds if all(map(section.has, one.named_by))).read(section)
 
 
-def read_extras(joint: Section) -> tuple[Extra, ...]:
-    """Return the parts of a joint that stand in sections of their own."""
+def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Extra, ...]:
+    """Return the parts of a joint that stand in sections of their own.
+
+    Args:
+        joint: the section of the joint.
+        limits: of the joint in the URDF [rad or m], if it has any.
+    """
     found = []
     for kind in EXTRAS:
         section = joint.below(kind.section)
         if section is not None:
+            kind.put_limits(section, limits)
             found.append(kind.read(section))
     return tuple(found)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from arm_emulator.base.number import Number
+from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, share
 from arm_emulator.machine.parts.part import Part, number
 
 LATEST = 16.0  # servo periods
@@ -42,6 +44,49 @@ class Line(Part):
     measurement_corrupted: float | None = _probability("measurement.corrupted")
     silent: float | None = _probability("silent")
     swapped: float | None = _probability("swapped")
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:
+        """Faults of the line, and of the controller at its end."""
+
+        def kind(name: str, text: str, key: str, size: Number, to: str = HOLDS) -> Fault:
+            sets = {f"line.{key}": to}
+            return Fault(name=name, text=text, sets=sets, magnitude=size, absent=0.0)
+
+        late = Number("magnitude", "servo periods", at_least=0.0, at_most=LATEST, default=3.0)
+        ways = (
+            one
+            for way, receiver in (("command", "the drive"), ("measurement", "the controller"))
+            for one in (
+                kind(f"{way}_late", f"{receiver} receives each {way} whole periods late",
+                     f"{way}_late", late, RISES),
+                kind(f"{way}_lost", f"{way}s are lost with a probability, and the one before "
+                     "stands", f"{way}_lost", share(0.3)),
+                kind(f"{way}_repeated", f"the {way} before comes once more, behind the newest",
+                     f"{way}_repeated", share(0.3)),
+                kind(f"{way}_overtaken", f"{way}s come a period later, behind the one that follows",
+                     f"{way}_overtaken", share(0.3)),
+                kind(f"{way}_corrupted", f"a bit of a {way} is received wrong",
+                     f"{way}_corrupted", share(0.1)),
+            )
+        )  # fmt: skip
+        return (
+            *ways,
+            kind("controller_frozen", "the controller stops, and its last command stands",
+                 "command_lost", share()),
+            kind("controller_restarts", "no command comes, and the drive is disabled", "silent",
+                 share()),
+            kind("encoders_swapped", "the plugs of its encoders and the next joint's are swapped",
+                 "swapped", share()),
+        )  # fmt: skip
+
+
+def line_numbers(joints: Sequence[str]) -> dict[str, None]:
+    """Return the numbers of joints' lines that faults can change, base to tool."""
+    numbers = {f"joints.{name}.{Line.section}.{key}": None for name in joints
+               for key in Line.numbers()}  # fmt: skip
+    del numbers[f"joints.{joints[-1]}.{Line.section}.swapped"]  # it has no next joint
+    return numbers
 
 
 def lines(seed: str, joints: Iterable[str], places: Mapping[str, str]) -> str:

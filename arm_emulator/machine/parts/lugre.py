@@ -9,6 +9,7 @@ import numpy as np
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.friction import sticking_link
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
@@ -45,6 +46,17 @@ class LuGre(Extra):
             z[k] = bent
         torque: Array = self.bristle_stiffness * z + self.bristle_damping * (w - rate * z)
         return torque
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="seal_grips",
+                text="friction of bristles rises",
+                sets=rising(("lugre.coulomb", "motor.lugre.coulomb")),
+                magnitude=rise("N m", 1.0, 1e6),
+            ),
+        )
 
     @classmethod
     def drawn_of(cls, rng: Rng, dry: tuple[float, float], bend: tuple[float, float],

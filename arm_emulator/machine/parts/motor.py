@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
@@ -20,6 +21,13 @@ class Circuit:
     resistance: float  # ohm
     inductance: float  # H, above 0
     back_emf_constant: float  # V s/rad
+
+
+class CxxMotor(NamedTuple):
+    """A motor in C++, with what is around it."""
+
+    type: str
+    value: str
 
 
 AT_ONCE = 1e9  # Hz, the bandwidth of what follows its command at once
@@ -105,6 +113,16 @@ class Motor(Part):
         """The rotor's inertia; what is measured is the torque that the windings give."""
         torque: Array = self.inertia * motion.acceleration
         return torque
+
+    def around(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
+        """Return the motor in C++ with what its faults put around it and its decorators.
+
+        Args:
+            inner: the motor with its decorators.
+            joint: the joint's name.
+            places: where the values of varied numbers stand, by their name.
+        """
+        return inner
 
     @property
     def follows_speed_at_once(self) -> bool:

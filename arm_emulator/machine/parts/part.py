@@ -21,6 +21,7 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, usual
+from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -69,6 +70,11 @@ class Part:
     def reports(self) -> tuple[Output, ...]:
         """Outputs of this part, among `outputs`."""
         return self.outputs
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:
+        """Return the kinds of faults of such a part, beside those of the package `faults`."""
+        return ()
 
     @property
     def sticks(self) -> bool:
@@ -157,6 +163,14 @@ class Part:
             for key, one in self.numbers().items()
             if one.varied and not one.whole and one.follows is None
         }
+
+    def fault_numbers(self) -> dict[str, float | None]:
+        """Return the numbers that faults may change, by key: its own, and states of no section."""
+        return self.own_numbers()
+
+    def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the headers of the core that its C++ needs; arguments as of `initialiser`."""
+        return (self.header,)
 
     @property
     def cxx_type(self) -> str:

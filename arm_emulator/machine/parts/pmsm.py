@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
 from arm_emulator.base.section import Section
+from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
+from arm_emulator.machine.parts.fault import RISES, Fault, share
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData
+from arm_emulator.machine.parts.motor import Circuit, CxxMotor, Motor, Rating, ServoData
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 
@@ -77,6 +80,45 @@ class Pmsm(Motor):
             "flux": scaled(rng, 0.005, 0.02),
             "pole_pairs": POLE_PAIRS,
         }
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="phase_lost",
+                text="one of three phases carries no current, with the star point connected",
+                sets={"motor.flux": "{x} * (1.0 - {m} / 3.0)", "motor.phase_lost": RISES},
+                magnitude=share(),
+                needs="motor.phase_lost",
+            ),
+        )
+
+    def fault_numbers(self) -> dict[str, float | None]:
+        """Its numbers, and how far one of its phases is lost."""
+        return {**super().fault_numbers(), "phase_lost": 0.0}
+
+    def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
+        return (self.header, *(["torque_ripple.hpp"] if self._lost(joint, places) else []))
+
+    def around(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
+        """Return it with the ripple of a lost phase.
+
+        The other two carry what they carried, their star point being connected. Of the torque
+        ``k iq 2/3 sum sin^2(p tm - 2 pi j / 3)`` over three phases is left
+        ``k iq (1 - 2/3 sin^2 p tm) = k iq 2/3 (1 + cos(2 p tm) / 2)``, and of the induced voltage
+        the same share: a smaller flux with a ripple.
+        """
+        lost = self._lost(joint, places)
+        if not lost:
+            return inner
+        kind = f"arm::RippledMotor<{inner.type}, 1>"
+        order, quarter = (cxx_literals.number(x) for x in (2.0 * self.pole_pairs, 0.5 * math.pi))
+        wave = f"{{{order}, {lost} / (3.0 - {lost}), {quarter}}}"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {{{{{wave}}}}}}}")
+
+    def _lost(self, joint: str, places: Mapping[str, str]) -> str | None:
+        """Return the share of a phase that is lost, in C++; None: no fault of it is listed."""
+        return places.get(f"joints.{joint}.{self.section}.phase_lost")
 
     @property
     def circuit(self) -> Circuit:

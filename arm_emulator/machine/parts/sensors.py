@@ -23,8 +23,11 @@ def _analog() -> tuple[type[AnalogSensor], ...]:
 
 ANALOG = _analog()
 
-# All kinds of numbers that sensors have.
-SENSORS: tuple[type[Part], ...] = (Encoder, *ANALOG, Accelerometer, Gyroscope)
+# Sensors of joints and of links.
+SENSORS: tuple[type[Part] | type[Imu], ...] = (Encoder, LinkEncoder, *ANALOG, Imu)
+
+# Kinds of numbers that they have; those of both encoders are alike.
+SENSOR_PARTS: tuple[type[Part], ...] = (Encoder, *ANALOG, Accelerometer, Gyroscope)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +68,21 @@ class JointSensors:
         encoders = {"encoder": self.encoder, "link_encoder": self.link_encoder}
         there: dict[str, Part] = {name: one for name, one in encoders.items() if one is not None}
         return there | {one.section: one for one in self.analog}
+
+    @classmethod
+    def with_counts(cls, counts_per_turn: int) -> JointSensors:
+        """Return sensors of which the encoder at the motor is the only one."""
+        return cls(encoder=Encoder(counts_per_turn=counts_per_turn))
+
+    @property
+    def counting(self) -> Encoder:
+        """The encoder at the motor; without one, the finest."""
+        return self.encoder or Encoder(counts_per_turn=IDEAL_COUNTS_PER_TURN)
+
+    @property
+    def measuring(self) -> dict[str, Part]:
+        """Those present by their sections, with the finest encoder where the motor has none."""
+        return {Encoder.section: self.counting, **self.parts}
 
     @property
     def current(self) -> CurrentSensor | None:
@@ -112,8 +130,7 @@ def suite(
     rows = {kind.section: f"std::get<{k}>(all.analog).at" for k, kind in enumerate(kinds)}
     members = {"encoder": "all.encoder", "link_encoder": "all.link_encoder", **rows}
     for j, (name, sensors) in enumerate(joints.items()):
-        finest = Encoder(counts_per_turn=IDEAL_COUNTS_PER_TURN)
-        for section, part in {"encoder": finest, **sensors.parts}.items():
+        for section, part in sensors.measuring.items():
             lines.append(f"{members[section]}[{j}] = {part.initialiser(name, places)};")
     lines += [f"all.imu[{m}] = {imu.initialiser(places)};" for m, imu in enumerate(imus)]
     body = "\n".join(f"    {line}" for line in [*lines, "return all;"])

@@ -7,9 +7,9 @@ from typing import Any
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
+from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum
@@ -21,6 +21,7 @@ class TorqueRipple(Decorator):
 
     section = "motor.ripple"
     layer = 3
+    hides = "phase_lost"
     electrical = False
     header = "torque_ripple.hpp"
     cxx = "RippledMotor"

@@ -8,8 +8,9 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.decorator import CxxMotor, Decorator, Supply
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.decorator import Decorator, Supply
+from arm_emulator.machine.parts.fault import GROWS, Fault, rise, rising
+from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
@@ -49,6 +50,23 @@ class Winding(Decorator):
     def effort(self, motion: ShaftMotion) -> Array | None:
         """Known only if the magnets are constant: then heat changes the resistance alone."""
         return None if self.magnet_coefficient else np.zeros_like(motion.t)
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="cooling_fails",
+                text="the winding's thermal resistance grows",
+                sets={"motor.winding.thermal_resistance": GROWS},
+                magnitude=rise("1", 9.0, 1e6),
+            ),
+            Fault(
+                name="ambient_rises",
+                text="the air around the motor is warmer",
+                sets=rising(("motor.winding.ambient",)),
+                magnitude=rise("K", 40.0, 300.0),
+            ),
+        )
 
     def rests(self, at: AtRest) -> Share | str:
         """The servo's integral compensates the lower torque of a warm motor."""

@@ -10,7 +10,7 @@ from arm_emulator.base.number import Number
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """A kind of fault; all kinds in the files of this package are found.
+    """A kind of fault; parts declare theirs, the package `faults` those of several.
 
     Attributes:
         name: in scenes, behind the name of what has it.
