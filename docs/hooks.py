@@ -106,6 +106,8 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "file": _code,
     "inputs": _of_parts("inputs"),
     "interfaces": _interfaces,
+    "joint_keys": _of_parts("joint_keys"),
+    "keys": _of_parts("keys"),
     "outputs": _of_parts("outputs"),
     "parts": _of_parts("parts"),
     "schemes": _of_parts("schemes"),

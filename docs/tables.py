@@ -4,23 +4,38 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
+from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.doors.fieldbus.declared import index_of
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.gear import RATIO_UNIT, Gear
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.key import Key
+from arm_emulator.machine.parts.known import LINK_FRICTIONS, MOTORS, PARTS, ROTOR_FRICTIONS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
-from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import SENSORS
+from arm_emulator.machine.parts.part import Part, PartNumber
+from arm_emulator.machine.parts.sensors import IMU_SENSORS, SENSORS
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference" / "parts"
 OWNERS: tuple[type[Part] | type[Imu], ...] = (*PARTS, *SENSORS)
+SHARED = {
+    Motor.section,
+    Gear.section,
+    *(one.section for one in (*LINK_FRICTIONS, *ROTOR_FRICTIONS)),
+}
+SLIDES = {
+    "rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m",
+    "N m/rad3": "N/m³", RATIO_UNIT: "m/rad",
+}  # fmt: skip
+"""Units of sliding joints by those of joints that turn."""
 FIELDS = set(re.findall(r"^\w+\[\] (\w+)$", (ROOT / "msg/MotorState.msg").read_text(), re.M))
 IN_C = {READINGS: "`readings`, a row", FURTHER: "`further`, a row"}
 UNITS = {COMMAND: "that of the command"}
@@ -80,6 +95,112 @@ def outputs(_: str) -> str:
     """Return all outputs of parts."""
     head = ("output", "what", "of", "unit", "`arm.h`", "`motor_states`", "FMU", "CiA 402")
     return "\n".join(_table(head, map(_output, KNOWN.values())))
+
+
+def keys(module: str) -> str:
+    """Return the keys of the parts of a file, by their sections."""
+    kinds = [one for one in OWNERS if one.__module__.rpartition(".")[2] == module]
+    if not kinds:
+        raise KeyError(f"parts in {module}.py")
+    owners = "imus" if issubclass(kinds[0], Imu) else kinds[0].owners
+    return _keys_table(owners, (row for kind in kinds for row in _keys(kind)))
+
+
+def joint_keys(folder: str) -> str:
+    """Return the keys of a joint: of parts without a page all of them, of others their sections.
+
+    Args:
+        folder: of the pages of parts.
+    """
+    rows = [_row(key, one) for key, one in numbers_of(Joint).items()]
+    kinds = ", ".join(_code(one.kind) for one in MOTORS)
+    rows.append(_row("motor.kind", Key(
+        name="", range=kinds, absent=_code(MOTORS[0].kind),
+        text="which motor; those with a page of their own have other keys",
+    )))  # fmt: skip
+    of_joints = [one for one in OWNERS if not issubclass(one, Imu)]
+    for kind in of_joints:
+        rows += [] if _page(kind) else _keys(kind)
+    for kind in of_joints:
+        if (page := _page(kind)) and not issubclass(kind, Motor):
+            text = f"{_sentence(kind)}, see [{page[0]}]({folder}/{page[1]})"
+            own = [f"{kind.section}.{key}" for key in getattr(kind, "named_by", ())]
+            rows += [_row(place, Key(name="", range="" if own else "section", text=text))
+                     for place in own or [kind.section]]  # fmt: skip
+    return _keys_table("joints", rows)
+
+
+def _keys_table(owners: str, rows: Iterable[list[str]]) -> str:
+    head = (f"key in `{owners}.NAME`", "unit", "range", "if absent", "effect")
+    first: dict[str, list[str]] = {}
+    for row in rows:
+        first.setdefault(row[0], row)
+    return "\n".join(_table(head, first.values()))
+
+
+def _keys(kind: type[Part] | type[Imu]) -> list[list[str]]:
+    """Return the rows of a kind of part: its section, if it has one of its own, and its keys."""
+    if issubclass(kind, Imu):
+        own = [_row(one.name, one) for one in kind.keys]
+        return own + [row for one in IMU_SENSORS for row in _keys(one)]
+    rows = []
+    if issubclass(kind, Motor):
+        this = Key(name="", range=_code(kind.kind), absent=_code(MOTORS[0].kind), text="this motor")
+        rows.append(_row("motor.kind", this))
+    elif kind.section not in SHARED and kind.owners == Part.owners:
+        own_section = Key(name="", range="section", text=_sentence(kind))
+        rows.append(_row(kind.section, own_section))
+    rows += [_row(f"{kind.section}.{one.name}", one) for one in kind.keys]
+    moves = kind.owners == Part.owners and (kind.shaft == "link" or issubclass(kind, Gear))
+    for key, one in kind.numbers().items():
+        if key in getattr(kind, "named_by", ()):
+            one = replace(one, default=None)  # the part is another one then
+        rows.append(_row(f"{kind.section}.{key}", one, moves))
+    return rows
+
+
+def _sentence(kind: type[Part] | type[Imu]) -> str:
+    line = _first_line(kind)
+    return line[0].lower() + line[1:] if line[:2] in ("A ", "An", "Th") else line
+
+
+def _row(place: str, one: Key | Number, moves: bool = False) -> list[str]:
+    """Return a row; `moves`: of a quantity that is another one of a sliding joint."""
+    if isinstance(one, Key):
+        return [_code(place), one.unit, one.range, one.absent, one.text]
+    fall = "/s" * one.unit.endswith("/s/s")  # of a drift
+    slide = SLIDES.get(one.unit.removesuffix(fall) if fall else one.unit)
+    shown = f"{one.unit} ({slide}{fall})" if moves and slide else one.unit
+    return [_code(place), _raised(shown), _range(one), _absent(one), one.text]
+
+
+def _range(one: Number) -> str:
+    if one.whole:
+        return f"whole, {one.least:g} to {one.most:g}"
+    words = []
+    if one.above is not None:
+        words.append(f"> {one.above:g}")
+    if one.at_least is not None:
+        words.append(f"≥ {one.at_least:g}")
+    if isinstance(one, PartNumber) and one.follows is not None:
+        words.append(f"≥ `{one.follows}`")
+    if one.at_most is not None:
+        words.append(f"≤ {one.at_most:g}")
+    return ("size " if one.in_size else "") + ", ".join(words)
+
+
+def _absent(one: Number) -> str:
+    if isinstance(one, PartNumber) and one.follows is not None:
+        return _code(one.follows)
+    if one.default is REQUIRED:
+        return "refused"
+    if one.default is None:
+        return one.absent if isinstance(one, PartNumber) else "none"
+    return f"{one.default:g}"
+
+
+def _raised(unit: str) -> str:
+    return re.sub(r"(?<=[a-z])[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
 
 
 def _page(kind: type[Part] | type[Imu]) -> tuple[str, str] | None:

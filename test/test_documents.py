@@ -103,7 +103,7 @@ def test_every_key_of_a_scene_is_listed() -> None:
     source = (ROOT / "arm_emulator" / "machine" / "scene.py").read_text()
     keys = set(re.findall(r"\.(?:text|choice|(?:required_)?section)\(\s*\"(\w+)\"", source))
     keys |= {one.name for one in vars(scene).values() if isinstance(one, Number)}
-    for kind in (scene.Scene, scene.Integrator, scene.Joint):
+    for kind in (scene.Scene, scene.Integrator):
         keys |= set(numbers_of(kind))
     assert {"gravity", "servo_period", "threads"} <= keys  # the pattern still finds them
     text = page_of("scene").read_text()

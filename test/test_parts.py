@@ -5,17 +5,20 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from pathlib import Path
+import runpy
 from typing import Any
 
 import numpy as np
 import pytest
-from documents import DOCS, page_of
+from documents import DOCS
 
 from arm_emulator.base.number import LARGEST, REQUIRED, SMALLEST
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
+from arm_emulator.machine.parts.encoder import Encoder
+from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.torque_table import TorqueTable
@@ -155,47 +158,74 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
             assert number.number.least <= number.value <= number.number.most, name
 
 
-def rows_of(page: Path) -> dict[str, list[str]]:
-    """The table rows of a page by key: unit, range, if absent, effect."""
-    rows = re.findall(r"^\| `([\w.]+)` \|(.*)\|$", page.read_text(), re.M)
+TABLES = runpy.run_path(str(DOCS / "tables.py"))
+
+
+def rows_of(table: str) -> dict[str, list[str]]:
+    """The rows of a table by key: unit, range, if absent, effect."""
+    rows = re.findall(r"^\| `([\w.]+)` \|(.*)\|$", table, re.M)
     return {key: [cell.strip() for cell in rest.split("|")] for key, rest in rows}
 
 
-def written_range(one: PartNumber) -> str:
-    if one.whole:
-        return f"whole, {one.least:g} to {one.most:g}"
-    words = []
-    if one.above is not None:
-        words.append(f"> {one.above:g}")
-    if one.at_least is not None:
-        words.append(f"≥ {one.at_least:g}")
-    if one.follows is not None:
-        words.append(f"≥ `{one.follows}`")
-    if one.at_most is not None:
-        words.append(f"≤ {one.at_most:g}")
-    return ("size " if one.in_size else "") + ", ".join(words)
+def keys_of(part: type[Part]) -> dict[str, list[str]]:
+    """The rows of a part in the table of its page, or in that of joints, below its section."""
+    module = part.__module__.rsplit(".", 1)[1]
+    page = DOCS / "reference" / "parts" / f"{module}.md"
+    line = f"<!-- generated: keys {module} -->\n"
+    assert not page.exists() or line in page.read_text(), f"{page.name} has its table"
+    table = TABLES["keys"](module) if page.exists() else TABLES["joint_keys"]("parts")
+    of = f"{part.section}."
+    return {key.removeprefix(of): row for key, row in rows_of(table).items() if key.startswith(of)}
+
+
+class Asked(Section):
+    """A section that knows which keys its reader has asked for."""
+
+    @property
+    def keys_asked(self) -> set[str]:
+        return self._known
+
+
+def given(part: type[Part], rng: np.random.Generator) -> dict[str, Any]:
+    """A section of a part that is sound."""
+    if issubclass(part, Encoder):
+        return {"counts_per_turn": 1000}
+    if part in SENSOR_PARTS:
+        return dict(drawn_numbers(part, rng))
+    return ({"rotor_inertia": 1e-4} if issubclass(part, Motor) else {}) | part.drawn(rng)
 
 
 @pytest.mark.parametrize("part", (*PARTS, *SENSOR_PARTS), ids=lambda part: part.__name__)
-def test_every_key_has_a_row_with_its_unit_range_and_default(part: type[Part]) -> None:
-    """In the page of its part, or in that of the scene."""
-    page = DOCS / "reference" / "parts" / f"{part.__module__.rsplit('.', 1)[1]}.md"
-    rows = rows_of(page if page.exists() else page_of("scene"))
-    for key, one in part.numbers().items():
-        at = f"{part.section}.{key}"
-        assert at in rows, f"{at} in {page.name}"
-        unit, bounds, absent = rows[at][:3]
-        # A prismatic joint's unit follows in brackets.
-        assert unit.translate(str.maketrans("²³", "23")).split(" (")[0] == one.unit, at
-        assert bounds.replace(",", "").split() == written_range(one).replace(",", "").split(), at
-        default = one.default
-        if one.follows is not None:
-            assert absent == f"`{one.follows}`", at
-        elif key in getattr(part, "named_by", ()):
-            assert absent not in ("", "refused"), at  # the gear is another one then
-        elif default is REQUIRED:
-            assert absent == "refused", at
-        elif default is not None:
-            assert absent == f"{default:g}", at
-        else:
-            assert absent not in ("", "refused", "0"), at
+def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]) -> None:
+    section = Asked(given(part, np.random.default_rng(3)), "drawn.yaml", part.section)
+    if issubclass(part, Extra):
+        part.put_limits(section, None)
+    part.read(section)
+    rows = keys_of(part)
+    declared = {*part.numbers(), *(one.name for one in part.keys)}
+    assert declared <= rows.keys() and all(rows[key][3] for key in declared), "what each is"
+    of_others = {kind.section.partition(".")[2] for kind in PARTS}
+    known = {key.partition(".")[0] for key in declared}
+    assert section.keys_asked - of_others == known - of_others
+
+
+def test_rows_state_units_ranges_and_defaults() -> None:
+    """As people write them, of numbers of each kind."""
+    pages = ("end_stops", "pmsm", "friction", "winding", "tachometer")
+    tables = [TABLES["joint_keys"]("parts"), *(TABLES["keys"](page) for page in pages)]
+    rows = {key: row for table in tables for key, row in rows_of(table).items()}
+    expected = {
+        "end_stops.stiffness": ["N m/rad (N/m)", "> 0", "refused"],
+        "end_stops.damping": ["N m s/rad (N s/m)", "≥ 0", "0"],
+        "motor.pole_pairs": ["pairs", "whole, 1 to 1000", "refused"],
+        "motor.rotor_inertia": ["kg m²", "> 0", "refused"],
+        "friction.breakaway": ["N m (N)", "≥ `coulomb`", "`coulomb`"],
+        "motor.friction.coulomb": ["N m", "≥ 0", "0"],
+        "motor.winding.ambient": ["degC", "≥ -50, ≤ 150", "20"],
+        "motor.winding.limit": ["degC", "> 0, ≤ 1000", "none"],
+        "tachometer.drift": ["rad/s/s (m/s/s)", "≥ -1e+06, ≤ 1e+06", "none"],
+        "gear.ratio": ["link turns per motor turn (m/rad)", "size > 0, ≤ 1000", "refused"],
+        "gear.cubic_stiffness": ["N m/rad³ (N/m³)", "≥ 0", "none"],
+        "start": ["rad or m", "≥ -10000, ≤ 10000", "0"],
+    }
+    assert {key: rows[key][:3] for key in expected} == expected

@@ -42,7 +42,13 @@ class Joint:
     """Section of one moving joint in a scene. A joint without a motor swings freely."""
 
     name: str
-    start: float = number("rad or m", at_least=-1e4, at_most=1e4, default=0.0)
+    start: float = number(
+        "rad or m",
+        at_least=-1e4,
+        at_most=1e4,
+        default=0.0,
+        text="position after a reset; the motor stands along with it, the gear carries no torque",
+    )
     motor: Motor | None
     gear: Gear
     sensors: JointSensors

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
-from arm_emulator.machine.parts.encoder import read_delay
+from arm_emulator.machine.parts.encoder import DELAY, read_delay
 from arm_emulator.machine.parts.fault import FALLS, HOLDS, RISES, STUCK, Fault, rise, share
 from arm_emulator.machine.parts.part import Part, PartNumber, number
 
@@ -28,13 +28,38 @@ class Converter(Part):
     unit: ClassVar[str]  # of the quantity
     zero: ClassVar[str] = "offset"  # the key of its reading where the quantity is 0
 
-    gain_error: float | None = number("gain_error", "1", at_least=-1.0, at_most=1.0, default=None)
-    noise: float | None = number("noise", "", at_least=0.0, at_most=LARGEST_ERROR, default=None)
-    range: float | None = number("range", "", above=0.0, default=None)
-    resolution: float | None = number("resolution", "", above=0.0, default=None)
-    held: float | None = number("held", "1", at_least=0.0, at_most=1.0, default=None)
+    gain_error: float | None = number(
+        "gain_error", "1", at_least=-1.0, at_most=1.0, default=None, text="0.01: reads 1 % high"
+    )
+    noise: float | None = number(
+        "noise",
+        "",
+        at_least=0.0,
+        at_most=LARGEST_ERROR,
+        default=None,
+        text="standard deviation, white",
+    )
+    range: float | None = number(
+        "range", "", above=0.0, default=None, text="larger readings are reported as ±`range`"
+    )
+    resolution: float | None = number(
+        "resolution", "", above=0.0, default=None, text="readings are multiples of it"
+    )
+    held: float | None = number(
+        "held",
+        "1",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
+        text="probability that a reading is lost and the previous one stands",
+    )
     drift: float | None = number(
-        "drift", "/s", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR, default=None
+        "drift",
+        "/s",
+        at_least=-LARGEST_ERROR,
+        at_most=LARGEST_ERROR,
+        default=None,
+        text="growth of the offset; a reset removes it",
     )
 
     @classmethod
@@ -94,6 +119,8 @@ class AnalogSensor(Converter):
     of: ClassVar[str] = "motor"  # the section of a joint that it needs; none: it stands alone
     channel: ClassVar[int | None] = None  # its place among the draws of a joint, if it has one
 
+    keys = (DELAY,)
+
     @classmethod
     def draws(cls) -> tuple[int, int]:
         """Return its noise stream at joint 0, and the increment per joint."""
@@ -103,7 +130,12 @@ class AnalogSensor(Converter):
         return MOST_JOINTS * (1 + zlib.crc32(cls.section.encode()) % 2**18), 1
 
     offset: float | None = number(
-        "offset", "", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR, default=None
+        "offset",
+        "",
+        at_least=-LARGEST_ERROR,
+        at_most=LARGEST_ERROR,
+        default=None,
+        text="added to the reading",
     )
     delay: int = 0  # servo periods
 

@@ -23,7 +23,9 @@ class BacklashGear(ElasticGear):
     named_by = ("stiffness", "backlash")
 
     # Free play of the link with the motor held.
-    backlash: float = number("play", "rad", at_least=0.0)
+    backlash: float = number(
+        "play", "rad", at_least=0.0, text="free play of the link while the motor is held"
+    )
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102

@@ -31,12 +31,26 @@ class Brake(Part):
         ),
     )
 
-    torque: float = number("torque", "N m", above=0.0)
+    torque: float = number(
+        "torque", "N m", above=0.0, text="Tb, at the motor's shaft; at the link it is Tb / Ng"
+    )
     close_delay: float = number(
-        "close_delay", "s", at_least=0.0, at_most=10.0, varied=False, default=0.0
+        "close_delay",
+        "s",
+        at_least=0.0,
+        at_most=10.0,
+        varied=False,
+        default=0.0,
+        text="from power off to closed",
     )
     release_delay: float = number(
-        "release_delay", "s", at_least=0.0, at_most=10.0, varied=False, default=0.0
+        "release_delay",
+        "s",
+        at_least=0.0,
+        at_most=10.0,
+        varied=False,
+        default=0.0,
+        text="from power on to open",
     )
 
     def effort(self, motion: ShaftMotion) -> Array:

@@ -12,7 +12,7 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum
+from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +25,7 @@ class Cogging(Extra):
     shaft = "rotor"
     header = "cogging.hpp"
     cxx = "Cogging"
+    keys = (waves_key("waves", "N m", "a ±1e3", "waves per turn of the motor, amplitude, phase"),)
 
     waves: tuple[Wave, ...] = ()  # N m
 

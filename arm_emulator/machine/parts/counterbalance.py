@@ -26,22 +26,54 @@ class Counterbalance(Extra):
     cxx = "Counterbalance"
 
     base_distance: float = number(
-        "a", "m", above=0.0, at_most=100.0, varied=False, typical=(0.3, 0.5)
+        "a", "m", above=0.0, at_most=100.0, varied=False, typical=(0.3, 0.5), text="a"
     )
     link_distance: float = number(
-        "b", "m", above=0.0, at_most=100.0, varied=False, typical=(0.05, 0.2)
+        "b",
+        "m",
+        above=0.0,
+        at_most=100.0,
+        varied=False,
+        typical=(0.05, 0.2),
+        text="b; differs from a by 1 % of it or more",
     )
     angle: float = number(
-        "phi", "rad", at_least=-1e4, at_most=1e4, default=0.0, typical=(-3.0, 3.0)
+        "phi",
+        "rad",
+        at_least=-1e4,
+        at_most=1e4,
+        default=0.0,
+        typical=(-3.0, 3.0),
+        text="phi: the joint angle at which the spring is shortest",
     )
     force: float = number(
-        "F0", "N", at_least=-1e7, at_most=1e7, sought="known", typical=(20.0, 200.0)
+        "F0",
+        "N",
+        at_least=-1e7,
+        at_most=1e7,
+        sought="known",
+        typical=(20.0, 200.0),
+        text="F0, at the length `length`; > 0 pushes, < 0 pulls",
     )
-    length: float = number("l0", "m", above=0.0, at_most=200.0, typical=(0.4, 0.6))
+    length: float = number("l0", "m", above=0.0, at_most=200.0, typical=(0.4, 0.6), text="l0")
     stiffness: float = number(
-        "k", "N/m", at_least=0.0, sought="known", default=0.0, typical=(20.0, 200.0)
+        "k",
+        "N/m",
+        at_least=0.0,
+        sought="known",
+        default=0.0,
+        typical=(20.0, 200.0),
+        text="k: growth of the force per metre of compression",
     )
-    gas_column: float = number("h", "m", at_least=0.0, varied=False, default=0.0)
+    gas_column: float = number(
+        "h",
+        "m",
+        at_least=0.0,
+        varied=False,
+        default=0.0,
+        text="h; 0: a straight line. Else 1.01 of the way by which the gas is "
+        "compressed beyond `length`, or more, and no `stiffness`",
+    )
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         a, b, at = self.base_distance, self.link_distance, motion.angle - self.angle

@@ -34,10 +34,28 @@ class CurrentLoop(Decorator):
     cxx = "CurrentControl"
     loop: ClassVar[str] = "CurrentLoop"  # in C++, around a motor
 
-    bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
-    proportional_gain: float | None = number("P", "V/A", above=0.0, default=None)
-    integral_gain: float | None = number("I", "V/(A s)", at_least=0.0, default=None)
-    emf_feedforward: float = number("feedforward", "1", at_least=0.0, at_most=1.0, default=1.0)
+    bandwidth: float | None = number(
+        "bandwidth",
+        "Hz",
+        above=0.0,
+        default=None,
+        absent="by the gains",
+        text="f; P and I follow from it",
+    )
+    proportional_gain: float | None = number(
+        "P", "V/A", above=0.0, default=None, absent="by the bandwidth", text="P"
+    )
+    integral_gain: float | None = number(
+        "I", "V/(A s)", at_least=0.0, default=None, absent="by the bandwidth", text="I"
+    )
+    emf_feedforward: float = number(
+        "feedforward",
+        "1",
+        at_least=0.0,
+        at_most=1.0,
+        default=1.0,
+        text="E, share of the induced voltages that the drive compensates",
+    )
 
     def effort(self, motion: ShaftMotion) -> Array:
         """None: measured torques are those behind it."""

@@ -22,11 +22,23 @@ class CurrentMotor(Motor):
     limit = "current_limit"
     rules = ("current of the peak torque, bandwidth of drives that sample at 16 kHz",)
 
-    torque_constant: float = number("Kt", "N m/A", above=0.0)
-    resistance: float = number("R", "ohm", at_least=0.0, default=0.0)
-    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
-    bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
-    current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
+    torque_constant: float = number("Kt", "N m/A", above=0.0, text="Kt")
+    resistance: float = number(
+        "R",
+        "ohm",
+        at_least=0.0,
+        default=0.0,
+        text="R, for the power that the winding takes: it changes no motion",
+    )
+    rotor_inertia: float = number(
+        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
+    )
+    bandwidth: float | None = number(
+        "bandwidth", "Hz", above=0.0, default=None, text="f; none: the current follows at once"
+    )
+    current_limit: float | None = number(
+        "current_limit", "A", above=0.0, default=None, text="largest command, in either direction"
+    )
 
     @classmethod
     def sized(cls, rating: Rating) -> Self:  # noqa: D102

@@ -25,13 +25,28 @@ class DcMotor(Motor):
         "L/R 1 ms; current of the peak torque; current loop of drives that sample at 16 kHz",
     )
 
-    resistance: float = number("R", "ohm", above=0.0)
-    inductance: float = number("L", "H", at_least=0.0, default=0.0)
-    torque_constant: float = number("Kt", "N m/A", above=0.0)
-    back_emf_constant: float = number("Kb", "V s/rad", at_least=0.0)
+    resistance: float = number("R", "ohm", above=0.0, text="R of the winding")
+    inductance: float = number(
+        "L", "H", at_least=0.0, default=0.0, text="L of the winding; 0: the current follows at once"
+    )
+    torque_constant: float = number("Kt", "N m/A", above=0.0, text="Kt")
+    back_emf_constant: float = number(
+        "Kb",
+        "V s/rad",
+        at_least=0.0,
+        text="Kb; equals Kt in SI units if the motor has no other losses",
+    )
     # With the gear's primary side.
-    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
-    current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
+    rotor_inertia: float = number(
+        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
+    )
+    current_limit: float | None = number(
+        "current_limit",
+        "A",
+        above=0.0,
+        default=None,
+        text="the drive lets no larger current flow, in either direction",
+    )
 
     @classmethod
     def sized(cls, rating: Rating) -> Self:  # noqa: D102

@@ -18,8 +18,16 @@ class ElasticGear(Gear):
     cxx = "ElasticGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness",)
 
-    stiffness: float = number("Kg", "N m/rad", above=0.0)
-    damping: float = number("Dg", "N m s/rad", at_least=0.0, default=0.0)
+    stiffness: float = number(
+        "Kg", "N m/rad", above=0.0, absent="a rigid gear", text="Kg, seen at the link"
+    )
+    damping: float = number(
+        "Dg",
+        "N m s/rad",
+        at_least=0.0,
+        default=0.0,
+        text="Dg, seen at the link; refused without a stiffness",
+    )
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102

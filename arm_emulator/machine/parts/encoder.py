@@ -11,6 +11,7 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.fault import HOLDS, RISES, STUCK, Fault, rise, share
+from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import (
@@ -29,11 +30,33 @@ KINDS = ("incremental", "absolute")
 INDICES = ("none", "latch", "correct")  # what an index pulse does
 LARGEST_ANGLE = 1e4  # rad, of errors
 
-_COUNTS_PER_TURN = Number("counts_per_turn", at_least=1, at_most=LARGEST_COUNT, whole=True)
+_COUNTS_PER_TURN = Number(
+    "counts_per_turn",
+    "counts",
+    at_least=1,
+    at_most=LARGEST_COUNT,
+    whole=True,
+    text="per turn of the shaft, per m of a slide; 2²⁰ where the motor has no encoder",
+)
 # Of a word; a servo computes with whole numbers up to 2^52.
 _BITS = Number("bits", at_least=1, at_most=48, whole=True)
-_DELAY = Number("delay", "servo periods", at_least=0, at_most=100, whole=True, default=0)
-_RIPPLE_ORDER = Number("ripple_order", at_least=1, at_most=1_000_000, whole=True, default=2)
+DELAY = Number(
+    "delay",
+    "servo periods",
+    at_least=0,
+    at_most=100,
+    whole=True,
+    default=0,
+    text="delay of the readings",
+)
+_RIPPLE_ORDER = Number(
+    "ripple_order",
+    at_least=1,
+    at_most=1_000_000,
+    whole=True,
+    default=2,
+    text="refused without `ripple`",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +67,7 @@ class Encoder(Part):
     """
 
     section = "encoder"
+    shaft = "rotor"
     about: ClassVar[str] = "encoder"  # in texts
     header = "encoder.hpp"
     cxx = "Encoder"
@@ -53,6 +77,30 @@ class Encoder(Part):
         Output("index_pulses", "index pulses at each motor", "sensors.index_pulses", kind="count"),
     )  # fmt: skip
 
+    keys = (
+        Key(
+            name="kind",
+            range=", ".join(f"`{one}`" for one in KINDS),
+            absent=f"`{KINDS[0]}`",
+            text="see above",
+        ),
+        _COUNTS_PER_TURN,
+        Key(
+            name="bits",
+            range="whole, as many as a turn takes, to 48",
+            absent="refused of an absolute encoder",
+            text="word length; refused of an incremental one",
+        ),
+        Key(
+            name="index",
+            range=", ".join(f"`{one}`" for one in INDICES),
+            absent=f"`{INDICES[0]}`",
+            text="what an index pulse does; of an incremental encoder",
+        ),
+        DELAY,
+        _RIPPLE_ORDER,
+    )
+
     kind: str = KINDS[0]
     counts_per_turn: int
     index: str = INDICES[0]
@@ -60,23 +108,79 @@ class Encoder(Part):
     delay: int = 0
     turn: float = 2.0 * math.pi
     offset: float | None = number(
-        "offset", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE, default=None
+        "offset",
+        "rad",
+        at_least=-LARGEST_ANGLE,
+        at_most=LARGEST_ANGLE,
+        default=None,
+        text="angle of the disc on its shaft; a change at run time is a slip",
     )
     eccentricity: float | None = number(
-        "eccentricity", "rad", at_least=0.0, at_most=1.0, default=None
+        "eccentricity",
+        "rad",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
+        text="amplitude of the error that repeats with a turn",
     )
     eccentricity_phase: float | None = number(
-        "eccentricity_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE, default=None
+        "eccentricity_phase",
+        "rad",
+        at_least=-LARGEST_ANGLE,
+        at_most=LARGEST_ANGLE,
+        default=None,
+        text="refused without `eccentricity`",
     )
-    ripple: float | None = number("ripple", "rad", at_least=0.0, at_most=1.0, default=None)
+    ripple: float | None = number(
+        "ripple",
+        "rad",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
+        text="amplitude of the error that repeats `ripple_order` times in a turn",
+    )
     ripple_order: int = 2
     ripple_phase: float | None = number(
-        "ripple_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE, default=None
+        "ripple_phase",
+        "rad",
+        at_least=-LARGEST_ANGLE,
+        at_most=LARGEST_ANGLE,
+        default=None,
+        text="refused without `ripple`",
     )
-    noise: float | None = number("noise", "rad", at_least=0.0, at_most=1.0, default=None)
-    missed: float | None = number("missed", "1", at_least=0.0, at_most=0.5, default=None)
-    held: float | None = number("held", "1", at_least=0.0, at_most=1.0, default=None)
-    flips: float | None = number("flips", "1", at_least=0.0, at_most=1.0, default=None)
+    noise: float | None = number(
+        "noise",
+        "rad",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
+        text="standard deviation of the angle before rounding",
+    )
+    missed: float | None = number(
+        "missed",
+        "1",
+        at_least=0.0,
+        at_most=0.5,
+        default=None,
+        text="probability that an edge is missed; that a word is lost",
+    )
+    held: float | None = number(
+        "held",
+        "1",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
+        text="probability that a reading is lost and the previous one stands; edges "
+        "are still counted",
+    )
+    flips: float | None = number(
+        "flips",
+        "1",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
+        text="probability that a bit of a reading is wrong",
+    )
 
     @classmethod
     def read(cls, section: Section, turn: float = 2.0 * math.pi) -> Self:
@@ -220,6 +324,7 @@ class LinkEncoder(Encoder):
     """Encoder at the link."""
 
     section: ClassVar[str] = "link_encoder"
+    shaft = "link"
     about = "encoder at the link"
     outputs = (
         Output("link_encoder_counts", "counts of the encoder at each link", "sensors.link_encoder",
@@ -242,4 +347,4 @@ class LinkEncoder(Encoder):
 
 def read_delay(section: Section) -> int:
     """Return the delay of a sensor's readings in servo periods."""
-    return section.integer(_DELAY)
+    return section.integer(DELAY)

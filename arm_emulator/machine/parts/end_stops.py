@@ -11,6 +11,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
+from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -25,10 +26,31 @@ class EndStops(Extra):
     header = "end_stops.hpp"
     cxx = "EndStops"
 
-    lower: float = number("lower", "rad", at_least=-1e4, at_most=1e4)
-    upper: float = number("upper", "rad", at_least=-1e4, at_most=1e4)
-    stiffness: float = number("K", "N m/rad", above=0.0)
-    damping: float = number("D", "N m s/rad", at_least=0.0, default=0.0)
+    keys = (
+        Key(
+            name="at",
+            range="`limits`",
+            absent="`lower` and `upper` are given",
+            text="both ends at the URDF's limits of the joint",
+        ),
+    )
+
+    lower: float = number(
+        "lower",
+        "rad",
+        at_least=-1e4,
+        at_most=1e4,
+        text="q at which the lower stop is touched; refused beside `at`",
+    )
+    upper: float = number(
+        "upper",
+        "rad",
+        at_least=-1e4,
+        at_most=1e4,
+        text="q at which the upper stop is touched; above `lower`",
+    )
+    stiffness: float = number("K", "N m/rad", above=0.0, text="K, at the link")
+    damping: float = number("D", "N m s/rad", at_least=0.0, default=0.0, text="D, at the link")
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         q, v = motion.angle, motion.speed

@@ -31,9 +31,24 @@ class Friction(Part):
     usual_viscous: ClassVar[float] = 0.1  # N m s/rad
     usual_speed: ClassVar[float] = 0.2  # rad/s, of slow motion
 
-    viscous: float = number("Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0)
-    coulomb: float = number("Dc", "N m", at_least=0.0, sought="unknown", default=0.0)
-    breakaway: float = number("Ds", "N m", follows="coulomb", default=0.0)
+    viscous: float = number(
+        "Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0, text="Dv, per speed"
+    )
+    coulomb: float = number(
+        "Dc",
+        "N m",
+        at_least=0.0,
+        sought="unknown",
+        default=0.0,
+        text="Dc, while the shaft turns",
+    )
+    breakaway: float = number(
+        "Ds",
+        "N m",
+        follows="coulomb",
+        default=0.0,
+        text="Ds, what a shaft at rest withstands; refused without `coulomb`",
+    )
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102

@@ -26,7 +26,15 @@ class Gear(Part):
     stiffens: ClassVar[bool] = False  # with its wind-up
 
     # Negative: the link turns the other way.
-    ratio: float = number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, in_size=True, varied=False)
+    ratio: float = number(
+        "Ng",
+        RATIO_UNIT,
+        above=0.0,
+        at_most=1e3,
+        in_size=True,
+        varied=False,
+        text="Ng; 0.01 is a 100:1 reduction; with a negative one the link turns the other way",
+    )
     stiffness: float | None = None  # at the link, not wound up; None: rigid
     damping: float = 0.0  # at the link
 

@@ -11,7 +11,8 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Chain, Frame, frame_of
 from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR, Converter
-from arm_emulator.machine.parts.encoder import read_delay
+from arm_emulator.machine.parts.encoder import DELAY, read_delay
+from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.varied import Varied
@@ -30,9 +31,9 @@ class Axes(Converter):
     owners = "imus"
     zero = "bias_x"
 
-    bias_x: float | None = number("offset", "", **_BIAS)
-    bias_y: float | None = number("offset", "", **_BIAS)
-    bias_z: float | None = number("offset", "", **_BIAS)
+    bias_x: float | None = number("offset", "", **_BIAS, text="added on this axis")
+    bias_y: float | None = number("offset", "", **_BIAS, text="added on this axis")
+    bias_z: float | None = number("offset", "", **_BIAS, text="added on this axis")
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the three sensors in C++."""
@@ -67,6 +68,7 @@ class Imu:
     """Specific force and angular rate in a frame fixed to a link.
 
     Attributes:
+        keys: of its section.
         outputs: of each unit.
 
     Args:
@@ -77,6 +79,30 @@ class Imu:
         accelerometer, gyroscope: their errors; None: ideal.
     """
 
+    section: ClassVar[str] = ""
+    keys: ClassVar[tuple[Key | Number, ...]] = (
+        Key(
+            name="link",
+            range="a link of the URDF that a joint moves",
+            absent="refused",
+            text="link that carries the unit; links fixed to it are valid, too",
+        ),
+        Key(
+            name="xyz",
+            unit="m",
+            range="3 numbers, each ±100",
+            absent="`[0, 0, 0]`",
+            text="its origin in the link's frame (that of the URDF)",
+        ),
+        Key(
+            name="rpy",
+            unit="rad",
+            range="3 numbers, each ±100",
+            absent="`[0, 0, 0]`",
+            text="its frame, by roll, pitch and yaw as in a URDF",
+        ),
+        DELAY,
+    )
     outputs: ClassVar[tuple[Output, ...]] = (
         Output("specific_force", "specific force, in the frame of the unit", "imu.specific_force",
                "m/s2", per_unit=True),

@@ -10,9 +10,10 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.resting import AtRest, Share, waves_at
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_slope
+from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +23,16 @@ class KinematicErrorGear(ElasticGear):
     header = "kinematic_error.hpp"
     cxx = "KinematicErrorGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
+
+    keys = tuple(
+        Key(
+            name=f"kinematic_error.{shaft}",
+            unit=f"1{slide}, rad (m), rad",
+            range=f"at most {MOST} waves",
+            text=f"waves [order, amplitude at the link, phase] of the {shaft}'s angle",
+        )
+        for shaft, slide in (("motor", ""), ("link", " (1/m)"))
+    )
 
     motor: tuple[Wave, ...] = ()
     link: tuple[Wave, ...] = ()

@@ -22,8 +22,16 @@ class LoadFriction(Friction):
     cxx = "LoadFriction"
     named_by = ("load",)
 
-    stribeck: float | None = number("vs", "rad/s", above=0.0, sought="known", default=None)
-    load: float = number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known")
+    stribeck: float | None = number(
+        "vs",
+        "rad/s",
+        above=0.0,
+        sought="known",
+        default=None,
+        absent="Coulomb friction",
+        text="vs, see [Stribeck friction](stribeck.md)",
+    )
+    load: float = number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known", text="mu")
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:
@@ -51,9 +59,9 @@ class LoadFriction(Friction):
 
 @dataclass(frozen=True, kw_only=True)
 class LinkLoadFriction(LoadFriction, LinkFriction):
-    """At the link."""
+    """Friction of a link that grows with the load on its gear."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotorLoadFriction(OfRotor, LoadFriction):
-    """At the motor's shaft."""
+    """Friction of a rotor that grows with the load on its gear."""

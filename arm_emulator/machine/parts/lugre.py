@@ -24,11 +24,24 @@ class LuGre(Extra):
     header = "lugre.hpp"
     cxx = "LuGre"
 
-    coulomb: float = number("Dc", "N m", above=0.0, sought="unknown")
-    breakaway: float = number("Ds", "N m", follows="coulomb", default=0.0)
-    stribeck: float = number("vs", "rad/s", above=0.0, default=0.1)
-    bristle_stiffness: float = number("s0", "N m/rad", above=0.0)
-    bristle_damping: float = number("s1", "N m s/rad", at_least=0.0, default=0.0)
+    coulomb: float = number("Dc", "N m", above=0.0, sought="unknown", text="Dc, sliding fast")
+    breakaway: float = number(
+        "Ds", "N m", follows="coulomb", default=0.0, text="Ds, sliding slowly"
+    )
+    stribeck: float = number("vs", "rad/s", above=0.0, default=0.1, text="vs")
+    bristle_stiffness: float = number(
+        "s0",
+        "N m/rad",
+        above=0.0,
+        text="s0; the shaft yields by Ds / s0 at most before it slides",
+    )
+    bristle_damping: float = number(
+        "s1",
+        "N m s/rad",
+        at_least=0.0,
+        default=0.0,
+        text="s1; √(s0 times the inertia that moves) damps its swing on the bristles",
+    )
 
     def effort(self, motion: ShaftMotion) -> Array:
         """Bend the bristles along the motion, from straight ones."""
@@ -78,7 +91,7 @@ class LuGre(Extra):
 
 @dataclass(frozen=True, kw_only=True)
 class LinkLuGre(LuGre):
-    """At the link."""
+    """Friction of a link by bristles that bend before they slip."""
 
     section = "lugre"
     rank = 2
@@ -95,7 +108,7 @@ class LinkLuGre(LuGre):
 
 @dataclass(frozen=True, kw_only=True)
 class RotorLuGre(LuGre):
-    """At the motor's shaft."""
+    """Friction of a rotor by bristles that bend before they slip."""
 
     section = "motor.lugre"
     rank = 3

@@ -22,6 +22,7 @@ from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, usual
 from arm_emulator.machine.parts.fault import Fault
+from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -40,6 +41,7 @@ class PartNumber(Number):
         sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
             "unknown".
         typical: ends of usual values, between which random machines have it.
+        absent: what holds where it is left out and its default is None, in a few words.
     """
 
     symbol: str
@@ -47,6 +49,7 @@ class PartNumber(Number):
     varied: bool = True
     sought: str = ""
     typical: tuple[float, float] | None = None
+    absent: str = "none"
 
 
 def number(symbol: str, unit: str, *, default: Any = REQUIRED, **declared: Any) -> Any:
@@ -62,6 +65,7 @@ class Part:
     section: ClassVar[str]  # where it stands below its owner's, such as "motor.friction"
     header: ClassVar[str]  # that has the C++ part
     cxx: ClassVar[str]  # and its name
+    keys: ClassVar[tuple[Key | Number, ...]] = ()  # beside its numbers
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth

@@ -42,13 +42,27 @@ class Pmsm(Motor):
         Output("applied_d", "what each motor got of command_d", FURTHER),
     )
 
-    resistance: float = number("R", "ohm", above=0.0)
-    inductance_d: float = number("Ld", "H", above=0.0)
-    inductance_q: float = number("Lq", "H", above=0.0)
-    flux: float = number("psi", "V s", at_least=0.0)
-    pole_pairs: int = number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)
-    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
-    current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
+    resistance: float = number("R", "ohm", above=0.0, text="R of a phase")
+    inductance_d: float = number("Ld", "H", above=0.0, text="Ld, along the flux")
+    inductance_q: float = number("Lq", "H", above=0.0, text="Lq, across it")
+    flux: float = number(
+        "psi",
+        "V s",
+        at_least=0.0,
+        text="psi, amplitude of the magnets' flux linkage; 0: a reluctance motor",
+    )
+    pole_pairs: int = number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True, text="p")
+    rotor_inertia: float = number(
+        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
+    )
+    current_limit: float | None = number(
+        "current_limit",
+        "A",
+        above=0.0,
+        default=None,
+        absent="unlimited",
+        text="of the commands of its [current loops](field_oriented_loop.md); refused without them",
+    )
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.current_limit is not None and not section.has("current_loop"):

@@ -19,7 +19,12 @@ class ProgressiveGear(ElasticGear):
     named_by = ("stiffness", "cubic_stiffness")
     stiffens = True
 
-    cubic_stiffness: float = number("Kg3", "N m/rad3", at_least=0.0)
+    cubic_stiffness: float = number(
+        "Kg3",
+        "N m/rad3",
+        at_least=0.0,
+        text="Kg3, seen at the link: the gear stiffens as it winds up; refused without a stiffness",
+    )
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102

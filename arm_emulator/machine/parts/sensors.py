@@ -27,7 +27,8 @@ ANALOG = _analog()
 SENSORS: tuple[type[Part] | type[Imu], ...] = (Encoder, LinkEncoder, *ANALOG, Imu)
 
 # Kinds of numbers that they have; those of both encoders are alike.
-SENSOR_PARTS: tuple[type[Part], ...] = (Encoder, *ANALOG, Accelerometer, Gyroscope)
+IMU_SENSORS: tuple[type[Part], ...] = (Accelerometer, Gyroscope)
+SENSOR_PARTS: tuple[type[Part], ...] = (Encoder, *ANALOG, *IMU_SENSORS)
 
 
 @dataclass(frozen=True, kw_only=True)

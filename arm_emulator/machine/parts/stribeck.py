@@ -28,7 +28,13 @@ class Stribeck(Friction):
     cxx = "Stribeck"
     named_by = ("stribeck",)
 
-    stribeck: float = number("vs", "rad/s", above=0.0, sought="known")
+    stribeck: float = number(
+        "vs",
+        "rad/s",
+        above=0.0,
+        sought="known",
+        text="vs: speed at which 63 % of the fall from Ds to Dc has happened",
+    )
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
@@ -40,9 +46,9 @@ class Stribeck(Friction):
 
 @dataclass(frozen=True, kw_only=True)
 class LinkStribeck(Stribeck, LinkFriction):
-    """At the link."""
+    """Friction of a link that falls as it begins to slide."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotorStribeck(OfRotor, Stribeck):
-    """At the motor's shaft."""
+    """Friction of a rotor that falls as it begins to turn."""

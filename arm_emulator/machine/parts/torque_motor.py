@@ -22,9 +22,19 @@ class TorqueMotor(Motor):
     limit = "torque_limit"
     rules = ("limit at the peak torque, bandwidth of drives that sample at 16 kHz",)
 
-    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
-    bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
-    torque_limit: float | None = number("torque_limit", "N m", above=0.0, default=None)
+    rotor_inertia: float = number(
+        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
+    )
+    bandwidth: float | None = number(
+        "bandwidth", "Hz", above=0.0, default=None, text="f; none: the torque follows at once"
+    )
+    torque_limit: float | None = number(
+        "torque_limit",
+        "N m",
+        above=0.0,
+        default=None,
+        text="largest command at the motor shaft, in either direction",
+    )
 
     @classmethod
     def sized(cls, rating: Rating) -> Self:  # noqa: D102

@@ -12,7 +12,7 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum
+from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +25,14 @@ class TorqueRipple(Decorator):
     electrical = False
     header = "torque_ripple.hpp"
     cxx = "RippledMotor"
+    keys = (
+        waves_key(
+            "waves",
+            "1",
+            "amplitudes that sum up to 0.9 at most",
+            "waves per turn of the motor, share of the torque, phase",
+        ),
+    )
 
     waves: tuple[Wave, ...] = ()  # of 1
 

@@ -15,6 +15,7 @@ from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -33,6 +34,30 @@ class TorqueTable(Extra):
     of_angle = True
     header = "torque_table.hpp"
     cxx = "TorqueTable"
+
+    keys = (
+        Key(
+            name="angles",
+            unit="rad (m)",
+            range=f"{LEAST} to {MOST} numbers, size ≤ 10000, "
+            f"each ≥ {CLOSEST:g} above the one before",
+            absent="refused",
+            text="angles of the joint",
+        ),
+        Key(
+            name="torques",
+            unit="N m (N)",
+            range=f"as many, size ≤ {LARGEST:g}",
+            absent="refused",
+            text="torques on the link; of a periodic table the last equals the first",
+        ),
+        Key(
+            name="periodic",
+            range="`true`, `false`",
+            absent="`false`",
+            text="whether the table repeats, or keeps the torque of its ends",
+        ),
+    )
 
     angles: tuple[float, ...]  # rad (m), increasing
     torques: tuple[float, ...]  # N m (N), on the link

@@ -8,6 +8,7 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.key import Key
 
 MOST = 16  # waves of a shaft
 _ORDER = Number("order", above=0.0, at_most=1e5)
@@ -15,6 +16,12 @@ _PHASE = Number.within("phase", "rad", 1e4)
 
 # Waves per turn of the shaft, amplitude, phase [rad].
 Wave = tuple[float, float, float]
+
+
+def waves_key(name: str, unit: str, rule: str, text: str) -> Key:
+    """Return the key of a list of waves; `rule`: of its amplitudes."""
+    lists = f"up to {MOST} lists `[k, a]` or `[k, a, phi]`: k > 0, ≤ 1e5; {rule}; phi ±1e4 rad"
+    return Key(name=name, unit=unit, range=lists, absent="`[]`", text=text)
 
 
 def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:

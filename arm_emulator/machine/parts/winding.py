@@ -34,18 +34,49 @@ class Winding(Decorator):
                "degC"),
     )  # fmt: skip
 
-    heat_capacity: float = number("C", "J/K", above=0.0, typical=(0.2, 5.0))
-    thermal_resistance: float = number("Rth", "K/W", above=0.0, typical=(0.1, 2.0))
-    ambient: float = number("ambient", "degC", at_least=-50.0, at_most=150.0, default=20.0)
-    reference: float = number("reference", "degC", at_least=-50.0, at_most=150.0, default=20.0)
+    heat_capacity: float = number(
+        "C", "J/K", above=0.0, typical=(0.2, 5.0), text="C, of the winding"
+    )
+    thermal_resistance: float = number(
+        "Rth", "K/W", above=0.0, typical=(0.1, 2.0), text="Rth, from the winding to the ambient"
+    )
+    ambient: float = number(
+        "ambient",
+        "degC",
+        at_least=-50.0,
+        at_most=150.0,
+        default=20.0,
+        text="temperature around the motor, at which it starts",
+    )
+    reference: float = number(
+        "reference",
+        "degC",
+        at_least=-50.0,
+        at_most=150.0,
+        default=20.0,
+        text="temperature at which the motor's numbers hold",
+    )
     # Of copper.
     resistance_coefficient: float = number(
-        "alpha", "1/K", at_least=0.0, at_most=0.0045, default=0.0039
+        "alpha", "1/K", at_least=0.0, at_most=0.0045, default=0.0039, text="alpha, of copper"
     )
     magnet_coefficient: float = number(
-        "beta", "1/K", at_least=-0.01, at_most=0.0, default=0.0, typical=(-0.001, 0.0)
+        "beta",
+        "1/K",
+        at_least=-0.01,
+        at_most=0.0,
+        default=0.0,
+        typical=(-0.001, 0.0),
+        text="beta; some -0.001 of NdFeB, -0.002 of ferrite",
     )
-    limit: float | None = number("limit", "degC", above=0.0, at_most=1000.0, default=None)
+    limit: float | None = number(
+        "limit",
+        "degC",
+        above=0.0,
+        at_most=1000.0,
+        default=None,
+        text="the drive is off above it; must exceed `ambient`",
+    )
 
     def effort(self, motion: ShaftMotion) -> Array | None:
         """Known only if the magnets are constant: then heat changes the resistance alone."""

@@ -1,0 +1,24 @@
+"""Keys of a part's section that are no numbers of the part, for the pages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Key:
+    """A key that the reader of a section knows, as its page shows it.
+
+    Attributes:
+        name: below the section of the part; of a part that shares a section with others, in it.
+        unit: empty where it has none.
+        range: valid values.
+        absent: what holds without it.
+        text: what it is, in a line.
+    """
+
+    name: str
+    unit: str = ""
+    range: str
+    absent: str = "none"
+    text: str
