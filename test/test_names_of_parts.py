@@ -108,7 +108,7 @@ def sources() -> Iterator[tuple[str, set[str]]]:
                 yield path, in_cxx(file.read_text())
 
 
-def test_nobody_names_a_part() -> None:
+def test_no_room_names_a_part() -> None:
     seen = dict(sources())
     assert len(seen) > 500, "the rooms are there"
     named = {path: names for path, names in seen.items() if names and path not in ALLOWED}
