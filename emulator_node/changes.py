@@ -39,3 +39,10 @@ class Changes:
             change()
             saved = self._session.plant.save()
         self.reports.event(kind, saved)
+
+    def put(self, kind: int, change: Callable[[], None]) -> None:
+        """Change the machine, publish its new state, and continue from there, see `make`."""
+        self.make(kind, change)
+        self.reports.change()
+        if self._session.answered:
+            self.pacer.go_on()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -27,12 +28,14 @@ class Intake:
     """Subscribes to topics, and passes their messages on.
 
     Attributes:
+        answered: called when a command has been taken.
         commands: subscription to motor commands.
         taking: takes them.
     """
 
     def __init__(self, own: Context, pacer: Pacer, changes: Changes) -> None:
         self._session, self._pacer, self._changes = own.session, pacer, changes
+        self.answered: Callable[[], None] = lambda: None
         self._gate, self._outbox, self._lock = own.gate, own.outbox, own.lock
         self._diagnostics, node = own.diagnostics, own.node
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
@@ -64,6 +67,7 @@ class Intake:
             if self._outbox.record is not None:
                 self._outbox.record.put(self.commands.topic_name, data)
             self._pacer.go_on()
+            self.answered()
 
     def _on_recorder(self, report: RecorderReport) -> None:
         with self._lock:

@@ -6,8 +6,8 @@ if __name__ == "__main__":  # before slow imports
     import os
     import sys
 
-    # Nothing is imported from the working folder.
-    if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
+    # Nothing is imported from the working folder, which -P leaves out by itself.
+    if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
     from arm_emulator.ros.ctrl_c import end_at_once
@@ -44,6 +44,9 @@ from emulator_node.recorder_gate import RecorderGate
 from emulator_node.repeater import REPEAT_AFTER, Repeater
 from emulator_node.reports import Reports
 from emulator_node.services import MachineServices, TimeServices
+from emulator_node.simulation_services import SimulationServices, installed
+from emulator_node.stepper import Stepper
+from emulator_node.time_control import TimeControl
 from emulator_node.view import View
 
 STATUS_PERIOD = 0.5  # s, wall
@@ -133,8 +136,14 @@ class EmulatorNode(ManagedNode):
             self.cleanup.callback(self._end_record)
         if not session.by_itself:
             self.hot = AnsweredTicks(own, intake.commands, intake.taking, reports, health)
-        TimeServices(own, changes, health, status)
+        control = TimeControl(own, changes, health, status)
+        TimeServices(own, control)
         MachineServices(own, changes)
+        if installed():
+            stepper = Stepper(own, control)
+            intake.answered = stepper.go_on
+            SimulationServices(self, own, changes, control, stepper)
+            self.housekeeping = 0.02  # s, wall: bounds the delay of steps and actions
         self._repeater = Repeater(own, self._pacer, reports, health)
         wall_timer(self, REPEAT_AFTER, self._on_repeat)
         wall_timer(self, STATUS_PERIOD, self._on_status)

@@ -13,7 +13,7 @@ from arm_emulator_msgs.msg import MachineEvent
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 from emulator_node.changes import Changes
 from emulator_node.context import Context
-from emulator_node.health import Health, Status
+from emulator_node.time_control import TimeControl
 
 MOST_SAVED = 1000  # states that are kept by name
 
@@ -21,10 +21,8 @@ MOST_SAVED = 1000  # states that are kept by name
 class TimeServices:
     """Pause, step, reset and power."""
 
-    def __init__(self, own: Context, changes: Changes, health: Health, status: Status) -> None:
-        self._session, self._gate, self._lock = own.session, own.gate, own.lock
-        self._changes, self._pacer, self._reports = changes, changes.pacer, changes.reports
-        self._health, self._status, self._diagnostics = health, status, own.diagnostics
+    def __init__(self, own: Context, control: TimeControl) -> None:
+        self._session, self._lock, self._control = own.session, own.lock, control
         node = own.node
         node.create_service(SetBool, "~/pause", self._on_pause)
         node.create_service(Trigger, "~/step", self._on_step)
@@ -33,48 +31,28 @@ class TimeServices:
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
-            session = self._session
-            session.paused = request.data
-            if request.data:
-                self._pacer.catch_up()
+            self._control.pause(request.data)
             response.success = True
-            response.message = f"{'paused' if request.data else 'going on'} at tick {session.tick}"
-            if session.answered:
-                self._pacer.go_on()
+            done = "paused" if request.data else "going on"
+            response.message = f"{done} at tick {self._session.tick}"
             return response
 
     def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            response.message = self._step()
-            response.success = not response.message
-            if response.success:
-                self._reports.tick()
-                response.message = f"at tick {self._session.tick}"
-            self._health.report_fault()
+            trouble = self._control.step()
+            response.success = not trouble
+            response.message = trouble or f"at tick {self._session.tick}"
             return response
-
-    def _step(self) -> str:
-        if self._session.paused:
-            at_start = self._session.tick == 0 and self._gate.behind()
-            behind = self._gate.waited_for if at_start else self._gate.without_room()
-            if behind:
-                return f"recorder {behind} has to catch up first, step again then"
-        return self._session.step()
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            self._changes.make(MachineEvent.KIND_RESET, self._session.reset)
-            self._gate.begin()
-            self._status.begin()
-            self._diagnostics.ok("reset")
-            self._reports.tick()
+            self._control.reset()
             response.success, response.message = True, "at tick 0"
             return response
 
     def _on_power(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
-            switch = partial(setattr, self._session, "powered", request.data)
-            self._changes.make(MachineEvent.KIND_POWER, switch)
+            self._control.power(request.data)
         response.success = True
         response.message = (
             "power on" if request.data else "power off: motors at 0 V, windings shorted"
@@ -87,7 +65,7 @@ class MachineServices:
 
     def __init__(self, own: Context, changes: Changes) -> None:
         self._session, self._gate, self._lock = own.session, own.gate, own.lock
-        self._changes, self._pacer, self._reports = changes, changes.pacer, changes.reports
+        self._changes = changes
         node = own.node
         self._saved: dict[str, bytes] = {}  # machines by name
         node.create_service(SaveState, "~/save_state", self._on_save_state)
@@ -159,11 +137,8 @@ class MachineServices:
                 response.message = f"recorder {behind} has to catch up first, ask again then"
                 return
             try:
-                self._changes.make(kind, change)
+                self._changes.put(kind, change)
             except Refusal as reason:
                 response.message = str(reason)
                 return
             response.success, response.message = True, f"at tick {self._session.tick}"
-            self._reports.change()
-            if self._session.answered:
-                self._pacer.go_on()

@@ -6,8 +6,8 @@ if __name__ == "__main__":  # before slow imports
     import os
     import sys
 
-    # Nothing is imported from the working folder.
-    if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
+    # Nothing is imported from the working folder, which -P leaves out by itself.
+    if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
     from arm_emulator.ros.ctrl_c import end_at_once

@@ -8,6 +8,7 @@ node with a hot path has its messages taken in C, and Python sees the others.
 
 from __future__ import annotations
 
+import inspect
 import time
 from contextlib import ExitStack
 from typing import Any
@@ -65,9 +66,11 @@ class LeanExecutor:
         """Wait for messages alone while they keep coming, and check the rest now and then."""
         node, generation = self._node, self._generation
         self._hot = node.in_c if isinstance(node, ManagedNode) else self._given
+        # rclpy's executor serves callbacks that wait.
+        at_once = [one for one in node.services if not inspect.iscoroutinefunction(one.callback)]
         subscriptions, timers, services = (
             [(one.handle.pointer, one) for one in many]
-            for many in (node.subscriptions, node.timers, node.services)
+            for many in (node.subscriptions, node.timers, at_once)
         )
         for _, one in (*subscriptions, *timers, *services):
             held.enter_context(one.handle)

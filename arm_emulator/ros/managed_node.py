@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -284,17 +285,40 @@ class ManagedNode(LifecycleNode):
         return super().create_subscription(msg_type, topic, given, *more, **named)
 
     def create_service(
-        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **named: Any
+        self,
+        srv_type: Any,
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        *,
+        refuse: Callable[[Any, str], None] | None = None,
+        **named: Any,
     ) -> Any:
-        """Create a service; in `configure` one that refuses while the node is not active."""
+        """Create a service; in `configure` one that refuses while the node is not active.
 
-        def gated(request: Any, response: Any) -> Any:
-            if self.active:
-                return callback(request, response)
-            response.success = False
+        Args:
+            srv_type: as of `Node`.
+            srv_name: the same.
+            callback: the same; a coroutine function may wait.
+            refuse: writes a reason into a response without `success` and `message`.
+            **named: as of `Node`.
+        """
+
+        def refused(response: Any) -> Any:
             rule = "come while the node is active"
-            response.message = str(Refusal(srv_name.strip("~/"), "request", rule, self.state))
+            reason = str(Refusal(srv_name.strip("~/"), "request", rule, self.state))
+            if refuse is not None:
+                refuse(response, reason)
+            else:
+                response.success, response.message = False, reason
             return response
 
-        given = gated if self._configuring else callback
+        def gated(request: Any, response: Any) -> Any:
+            return callback(request, response) if self.active else refused(response)
+
+        async def gated_later(request: Any, response: Any) -> Any:
+            return await callback(request, response) if self.active else refused(response)
+
+        given = callback
+        if self._configuring:
+            given = gated_later if inspect.iscoroutinefunction(callback) else gated
         return super().create_service(srv_type, srv_name, given, **named)

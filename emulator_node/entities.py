@@ -1,0 +1,105 @@
+"""The arm and its links as entities of simulation_interfaces: names, tags, true motions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.node_shell import set_stamp
+
+if TYPE_CHECKING:
+    from arm_emulator.motion.link_motions import LinkMotions
+
+ROBOT, OBJECT = 1, 0  # EntityCategory
+ALL_OF_THEM = 1  # TagsFilter
+
+
+class Entities:
+    """The arm, by the name of its scene, and its links, by theirs.
+
+    Args:
+        session: the machine.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._placed_at = session, -1
+        self._robot = session.scene.name
+
+    @cached_property
+    def _links(self) -> LinkMotions:
+        # Imported at the first question: Pinocchio takes longer than a node's whole start.
+        from arm_emulator.motion.link_motions import LinkMotions
+
+        return LinkMotions(self._session.scene.urdf, self._session.scene.joint_names)
+
+    @property
+    def names(self) -> list[str]:
+        """All names, the arm's first."""
+        return list(dict.fromkeys((self._robot, *self._links.names)))
+
+    def is_link(self, name: str) -> bool:
+        """Return whether an entity is a link."""
+        return name in self._links.names
+
+    def category(self, name: str) -> int:
+        """Return the category of an entity."""
+        return OBJECT if self.is_link(name) else ROBOT
+
+    def tags(self, name: str) -> list[str]:
+        """Return the tags of an entity."""
+        return ["link", self._robot] if self.is_link(name) else ["arm"]
+
+    def chosen(self, filters: Any) -> list[str]:
+        """Return the names that EntityFilters let through.
+
+        Raises:
+            Refusal: the expression is not valid.
+        """
+        try:
+            expression = re.compile(filters.filter)
+        except re.error as error:
+            rule = "be a regular expression"
+            raise Refusal("filters", "filter", rule, f"{filters.filter!r}: {error}") from None
+        categories = {one.category for one in filters.categories}
+        wanted = set(filters.tags.tags)
+        enough = wanted.issubset if filters.tags.filter_mode == ALL_OF_THEM else wanted.intersection
+        return [
+            name
+            for name in self.names
+            if expression.search(name)
+            and (not categories or self.category(name) in categories)
+            and (not wanted or enough(self.tags(name)))
+        ]
+
+    def place(self) -> None:
+        """Place all links as they are at this tick."""
+        state = self._session.state
+        self._links.place(state.q, state.v)
+
+    def fill(self, name: str, state: Any) -> None:
+        """Fill an EntityState with the motion of an entity that was placed.
+
+        Its acceleration is not known: NaN.
+        """
+        link = name if self.is_link(name) else self._links.names[0]
+        (p, quaternion), (v, omega) = self._links.pose(link), self._links.twist(link)
+        set_stamp(state.header.stamp, self._session.logical_ns)
+        state.header.frame_id = "world"
+        _put(state.pose.position, p)
+        _put(state.pose.orientation, quaternion)
+        _put(state.twist.linear, v)
+        _put(state.twist.angular, omega)
+        unknown = np.full(3, np.nan)
+        _put(state.acceleration.linear, unknown)
+        _put(state.acceleration.angular, unknown)
+
+
+def _put(message: Any, values: Sequence[float] | np.ndarray[Any, Any]) -> None:
+    for name, value in zip("xyzw", values, strict=False):
+        setattr(message, name, float(value))

@@ -1,0 +1,272 @@
+"""The services and the action of simulation_interfaces, where that package is installed."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any
+
+from rclpy.task import Future
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.phase import Phase
+from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.node_shell import wall_timer
+from arm_emulator_msgs.msg import MachineEvent
+from emulator_node.changes import Changes
+from emulator_node.context import Context
+from emulator_node.entities import Entities
+from emulator_node.stepper import Stepper
+from emulator_node.time_control import TimeControl
+
+try:
+    from rclpy.action import ActionServer, CancelResponse
+    from simulation_interfaces import action, msg, srv
+except ImportError:  # no wheel has it
+    srv = None
+
+# By their names in SimulatorFeatures; those that an older package does not know are left out.
+FEATURES = (
+    "ENTITY_TAGS",
+    "ENTITY_CATEGORIES",
+    "ENTITY_STATE_GETTING",
+    "ENTITY_INFO_GETTING",
+    "SIMULATION_RESET",
+    "SIMULATION_RESET_STATE",
+    "SIMULATION_STATE_GETTING",
+    "SIMULATION_STATE_SETTING",
+    "SIMULATION_STATE_PAUSE",
+    "STEP_SIMULATION_SINGLE",
+    "STEP_SIMULATION_MULTIPLE",
+    "STEP_SIMULATION_ACTION",
+)
+ALREADY, FAILED, INCORRECT = 101, 102, 103  # results of SetSimulationState
+WHOLE = 3  # bits of ResetSimulation that a reset sets back: time and state
+QUIT_AFTER = 0.2  # s, wall: for the answer to leave
+
+
+def installed() -> bool:
+    """Return whether simulation_interfaces is installed."""
+    return srv is not None
+
+
+class SimulationServices:
+    """Serves them as `~/get_simulator_features`, `~/step_simulation` and so on."""
+
+    def __init__(
+        self, node: ManagedNode, own: Context, changes: Changes, control: TimeControl,
+        stepper: Stepper,
+    ) -> None:  # fmt: skip
+        self._node, self._session, self._gate, self._lock = (
+            node, own.session, own.gate, own.lock,
+        )  # fmt: skip
+        self._changes, self._control, self._stepper = changes, control, stepper
+        self._entities = Entities(own.session)
+        self._at_start = own.session.plant.save()
+        self._waits_at_start = False  # paused at tick 0, which is not stopped
+        for kind, name, answer in (
+            (srv.GetSimulationState, "get_simulation_state", self._on_get_state),
+            (srv.SetSimulationState, "set_simulation_state", self._on_set_state),
+            (srv.StepSimulation, "step_simulation", self._on_step),
+            (srv.ResetSimulation, "reset_simulation", self._on_reset),
+            (srv.GetEntities, "get_entities", self._on_get_entities),
+            (srv.GetEntitiesStates, "get_entities_states", self._on_get_entities),
+            (srv.GetEntityState, "get_entity_state", self._on_get_entity_state),
+            (srv.SetEntityState, "set_entity_state", self._on_set_entity_state),
+            (srv.GetEntityInfo, "get_entity_info", self._on_get_entity_info),
+        ):
+            node.create_service(kind, f"~/{name}", answer, refuse=_refuse)
+        node.create_service(
+            srv.GetSimulatorFeatures,
+            "~/get_simulator_features",
+            lambda _, response: _features(response),
+            refuse=lambda response, _: _features(response),
+        )
+        server = ActionServer(
+            node,
+            action.SimulateSteps,
+            "~/simulate_steps",
+            execute_callback=self._execute,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        node.cleanup.callback(server.destroy)
+
+    # Time
+
+    @property
+    def _state(self) -> int:
+        session, state = self._session, msg.SimulationState
+        if session.phase is Phase.PAUSED and session.tick == 0 and not self._waits_at_start:
+            return int(state.STATE_STOPPED)
+        held = session.phase in (Phase.PAUSED, Phase.STOPPED)
+        return int(state.STATE_PAUSED if held else state.STATE_PLAYING)
+
+    def _on_get_state(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            response.state.state = self._state
+            fault = self._session.fault
+            return _done(response, "" if fault is None else f"stopped: {fault}")
+
+    def _on_set_state(self, request: Any, response: Any) -> Any:
+        wanted, state = request.state.state, msg.SimulationState
+        with self._lock:
+            if wanted == self._state:
+                return _refuse(response, "the simulation is in this state", ALREADY)
+            if wanted == state.STATE_QUITTING:
+                self._node.get_logger().info("a client lets the simulation quit")
+                wall_timer(self._node, QUIT_AFTER, _quit)
+            elif wanted == state.STATE_STOPPED:
+                self._stepper.end("the simulation was stopped")
+                self._waits_at_start = False
+                self._control.reset(paused=True)
+            elif wanted == state.STATE_PAUSED:
+                self._waits_at_start = self._session.tick == 0
+                self._control.pause(True)
+            elif wanted == state.STATE_PLAYING:
+                if self._session.fault is not None:
+                    reason = f"stopped, reset first: {self._session.fault}"
+                    return _refuse(response, reason, FAILED)
+                self._stepper.end("the simulation was played")
+                self._waits_at_start = False
+                self._control.pause(False)
+            else:
+                rule, got = "be STOPPED, PLAYING, PAUSED or QUITTING", wanted
+                reason = str(Refusal("set_simulation_state", "state", rule, got))
+                return _refuse(response, reason, INCORRECT)
+            return _done(response)
+
+    async def _on_step(self, request: Any, response: Any) -> Any:
+        trouble = await self._steps(int(request.steps))
+        if trouble:
+            return _refuse(response, trouble, msg.Result.RESULT_OPERATION_FAILED)
+        return _done(response)
+
+    def _steps(self, steps: int, stepped: Any = None) -> Future:
+        """Return a future of the reason why there were fewer steps, or ""."""
+        ended = Future()
+        with self._lock:
+            self._waits_at_start = self._waits_at_start or self._session.tick == 0
+            self._stepper.begin(steps, ended.set_result, stepped)
+        return ended
+
+    async def _execute(self, goal: Any) -> Any:
+        steps = int(goal.request.steps)
+
+        def stepped(left: int) -> None:
+            if goal.is_cancel_requested:
+                self._stepper.end("cancelled")
+                return
+            feedback = action.SimulateSteps.Feedback()
+            feedback.completed_steps, feedback.remaining_steps = steps - left, left
+            goal.publish_feedback(feedback)
+
+        result = action.SimulateSteps.Result()
+        if self._node.active:
+            trouble = await self._steps(steps, stepped)
+        else:
+            trouble = f"the emulator is {self._node.state}"
+        if trouble:
+            _refuse(result, trouble, msg.Result.RESULT_OPERATION_FAILED)
+        else:
+            _done(result)
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif trouble:
+            goal.abort()
+        else:
+            goal.succeed()
+        return result
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        scope = request.scope or srv.ResetSimulation.Request.SCOPE_ALL
+        with self._lock:
+            if scope & WHOLE == WHOLE:
+                stopped = self._session.paused
+                self._stepper.end("the simulation was reset")
+                self._control.reset(paused=stopped)
+            elif scope == srv.ResetSimulation.Request.SCOPE_STATE:
+                if behind := self._gate.without_room():
+                    reason = f"recorder {behind} has to catch up first, ask again then"
+                    return _refuse(response, reason, msg.Result.RESULT_OPERATION_FAILED)
+                self._changes.put(
+                    MachineEvent.KIND_RESTORE, lambda: self._session.restore(self._at_start)
+                )
+            else:
+                rule = "be SCOPE_STATE, or have SCOPE_TIME and SCOPE_STATE"
+                reason = str(Refusal("reset_simulation", "scope", rule, scope))
+                return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
+            return _done(response)
+
+    # Entities
+
+    def _on_get_entities(self, request: Any, response: Any) -> Any:
+        if request.filters.bounds.type != msg.Bounds.TYPE_EMPTY:
+            reason = str(Refusal("filters", "bounds", "be empty", request.filters.bounds.type))
+            return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
+        with self._lock:
+            try:
+                response.entities = self._entities.chosen(request.filters)
+            except Refusal as reason:
+                return _refuse(response, str(reason), msg.Result.RESULT_OPERATION_FAILED)
+            if hasattr(response, "states"):
+                self._entities.place()
+                for name in response.entities:
+                    state = msg.EntityState()
+                    self._entities.fill(name, state)
+                    response.states.append(state)
+        return _done(response)
+
+    def _on_get_entity_state(self, request: Any, response: Any) -> Any:
+        if not self._knows(request.entity, response):
+            return response
+        with self._lock:
+            self._entities.place()
+            self._entities.fill(request.entity, response.state)
+        return _done(response)
+
+    def _on_set_entity_state(self, request: Any, response: Any) -> Any:
+        if not self._knows(request.entity, response):
+            return response
+        reason = "links move with their joints: set those with ~/set_state"
+        return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
+
+    def _on_get_entity_info(self, request: Any, response: Any) -> Any:
+        name, entities = request.entity, self._entities
+        if not self._knows(name, response):
+            return response
+        response.info.category.category = entities.category(name)
+        of, scene = self._session.scene.name, f"arm of {len(self._session.scene.joints)} joints"
+        response.info.description = f"link of {of}" if entities.is_link(name) else scene
+        response.info.tags = entities.tags(name)
+        return _done(response)
+
+    def _knows(self, name: str, response: Any) -> bool:
+        known = self._entities.names
+        if name not in known:
+            reason = str(Refusal("simulation", "entity", "be known", name, ", ".join(known)))
+            _refuse(response, reason, msg.Result.RESULT_NOT_FOUND)
+        return name in known
+
+
+def _features(response: Any) -> Any:
+    features = response.features
+    known = (getattr(msg.SimulatorFeatures, name, None) for name in FEATURES)
+    features.features = [one for one in known if one is not None]
+    features.custom_info = "arm_emulator: one arm; machines are saved, restored and set by ~/"
+    return response
+
+
+def _done(response: Any, words: str = "") -> Any:
+    response.result.result, response.result.error_message = msg.Result.RESULT_OK, words
+    return response
+
+
+def _refuse(response: Any, reason: str, result: int | None = None) -> Any:
+    """Write a reason into a response; None: the state does not permit the call."""
+    wrong = msg.Result.RESULT_INCORRECT_STATE if result is None else result
+    response.result.result, response.result.error_message = wrong, reason
+    return response
+
+
+def _quit() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
