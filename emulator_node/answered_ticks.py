@@ -1,4 +1,4 @@
-"""Lock-step in C (c/answered_ticks.h): Python sees a tick when something else is due."""
+"""Lock-step in C (c/answered_ticks.h): Python gets a tick when something else is due."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class AnsweredTicks:
             self._begin_log()
 
     def end(self) -> None:
-        """Take over what was done, see `HotPath`."""
+        """Take over the results of C, see `HotPath`."""
         ticks, before = self._struct, self._session.tick
         if ticks.tick == before and not ticks.result:
             return

@@ -116,7 +116,7 @@ class Reports:
         self.clock.publish()
 
     def refresh(self) -> None:
-        """Set what code in C leaves as it is in the messages that it publishes."""
+        """Set the parts of messages that the code in C does not change."""
         self.motor_state.layout.message.powered = self._session.powered
         self.motor_state.layout.written()
 

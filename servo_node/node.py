@@ -213,7 +213,7 @@ class ServoNode(ManagedNode):
         self._hot.begin(self._at.tick >= 0 and not self._silent and self._next_config is None)
 
     def end(self) -> None:
-        """Take over what was done, see `HotPath`."""
+        """Take over the results of C, see `HotPath`."""
         at = self._at
         if at.states:
             self._heard_at = time.monotonic()

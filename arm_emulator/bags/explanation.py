@@ -60,7 +60,7 @@ class Explanation:
 
 
 def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanation:
-    """Return what acts on a machine at the tick at which it is.
+    """Return commands, torques and limits that act on a machine at its present tick.
 
     Raises:
         Refusal: there is no compiler, or a message cannot be read.
@@ -160,7 +160,7 @@ def _changes(machine: RecordedMachine, tick: int) -> Iterator[str]:
 def _limits(
     scene: Scene, plant: Plant, measured: Measured, applied: Array, commanded: Array | None
 ) -> Iterator[str]:
-    """Yield what limits the motors now."""
+    """Yield the limits that act on the motors now."""
     if not plant.powered:
         yield "the drives have no power"
     largest = scene.largest_commands

@@ -240,7 +240,7 @@ def _bits(value: float) -> bytes:
 
 
 def _ulps(a: Any, b: Any) -> int | None:
-    """Return how many representable numbers lie between two floating-point numbers."""
+    """Return the number of representable numbers between two floating-point numbers."""
     if not isinstance(a, float) or not isinstance(b, float) or math.isnan(a) or math.isnan(b):
         return None
     places = list[int]()
@@ -281,13 +281,13 @@ def _computed(side: Side, recorded: Iterable[RecordedTick]) -> Iterator[Recorded
 
 
 def _repeat(session: Session, changes: list[Change]) -> None:
-    """Let the machine be as it was after changes by hand."""
+    """Set the machine to its state after changes by hand."""
     if changes:
         session.restore(changes[-1].saved)
 
 
 def _step(side: Side, tick: int) -> dict[str, NDArray[Any]]:
-    """Return what goes into the step that leaves a tick."""
+    """Return the inputs of the step that leaves a tick."""
     if tick < 0:
         return {}
     machine = side.machine()

@@ -101,7 +101,7 @@ class RecordedMachine:
         return _Saved(self.session.save())
 
     def restore(self, saved: Any) -> None:
-        """Go on from what `save` has returned."""
+        """Go on from a result of `save`."""
         self.session.return_to(saved.session)
 
     def _change(self) -> None:

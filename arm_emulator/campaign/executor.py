@@ -1,4 +1,4 @@
-"""Runs of a campaign by several processes; what is done stays done, whoever is killed."""
+"""Runs of a campaign by several processes; finished runs outlive any killed process."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from arm_emulator.campaign.intervals import clopper_pearson
 from arm_emulator.campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.worker import Done, end_with, simulate, simulator_of
 
-CHUNK = 1.5  # s of simulation: above what a task costs, below what one likes to lose
+CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
 LARGEST_CHUNK = 100_000  # runs
-MOST_BREAKS = 3  # of a pool in which no chunk comes to its end
+MOST_BREAKS = 3  # of pools that end without a finished chunk
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
 
 
@@ -38,10 +38,10 @@ class Pool(Protocol):
         """Exceptions of work whose process was killed; another pool can go on."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
-        """Have a function called there."""
+        """Submit a call."""
 
     def end(self) -> None:
-        """Have what is done written, and end."""
+        """Let the workers write finished runs, and end."""
 
 
 class LocalPool(cf.ProcessPoolExecutor):
@@ -54,7 +54,7 @@ class LocalPool(cf.ProcessPoolExecutor):
         super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
 
     def end(self) -> None:
-        """Have all workers write what they have done, and end them."""
+        """Let all workers write finished runs, and end them."""
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             processes = list((self._processes or {}).values())
@@ -92,7 +92,7 @@ class DaskPool:
         self._executor = self._client.get_executor(pure=False, retries=3)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
-        """Have a function called there."""
+        """Submit a call."""
         future: cf.Future[Any] = self._executor.submit(function, *arguments)
         return future
 
@@ -121,13 +121,13 @@ class Progress:
     began: float = field(default_factory=time.monotonic)
 
     def add(self, found: Done) -> None:
-        """Count what has come of a chunk."""
+        """Count the result of a chunk."""
         self.done += found.runs
         pairs = zip(self.failures, found.failures, strict=True)
         self.failures = [before + more for before, more in pairs]
 
     def late(self, seconds: float) -> bool:
-        """Whether it has taken so much wall time."""
+        """Whether so much wall time has passed."""
         return time.monotonic() - self.began >= seconds
 
     @property
@@ -267,7 +267,7 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
 
 
 def seconds_per_run(campaign: Campaign) -> tuple[float, float]:
-    """Return what a run costs, and what it costs to begin [s of a process], measured."""
+    """Return the processor time of a run and that of a start [s], measured."""
     began = time.process_time()
     _, simulator = simulator_of(str(campaign.file.absolute()), campaign.key)
     simulator.run(0)

@@ -58,7 +58,7 @@ class Measure:
         self.of: list[Expression] = meant_by(whole, known, where, quantity)
 
     def end(self, values: list[float]) -> float:
-        """Return the measure from those of all that it means."""
+        """Return the measure of several signals from that of each."""
         return min(values) if self.kind == "min" else max(values)
 
 

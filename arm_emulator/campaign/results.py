@@ -52,7 +52,7 @@ def schema_of(campaign: Campaign) -> Any:
 
 
 def write_part(folder: Path, campaign: Campaign, outcomes: Sequence[Outcome]) -> Path | None:
-    """Write the rows of some runs as a part; None: there is no row."""
+    """Write the rows of some runs as a part; None without a row."""
     if not outcomes:
         return None
     import pyarrow as pa

@@ -33,7 +33,7 @@ Event = Callable[[], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Kept data of a run.
+    """Data that are kept of a run.
 
     Attributes:
         index: of the run.
@@ -118,7 +118,7 @@ class Simulator:
         """Simulate a run piece by piece, for a recorder of the machine.
 
         Yields:
-            Ticks that it has come, the first time 0.
+            Ticks done so far, 0 first.
         """
         self._begin(case)
         yield 0

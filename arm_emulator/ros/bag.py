@@ -29,7 +29,7 @@ except ImportError as error:  # a stock ROS 2 machine has none
 
 
 class BagMessage(NamedTuple):
-    """A message as it went over the network."""
+    """A message as it was sent."""
 
     topic: str
     received: int  # wall time [ns]

@@ -71,7 +71,7 @@ class Doubles:
             self._name(started, one.words)
 
     def end(self) -> None:
-        """It stands still, and is nobody's double."""
+        """Count this node as idle: no double of any other."""
         self._works = self._leads = False
         for name in self._mine:
             self._diagnostics.values.pop(name, None)

@@ -132,7 +132,7 @@ class LeanExecutor:
     def _take_messages(
         self, waiting: Any, subscriptions: list[tuple[int, Any]], seconds: float
     ) -> bool:
-        """Take messages for so long, or until one is Python's; return whether there were any."""
+        """Take messages for some time, or until one is for Python; return whether any came."""
         if self._hot is not None:
             self._hot.begin()
         end = self._run(waiting, seconds)

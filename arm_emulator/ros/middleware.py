@@ -55,11 +55,11 @@ class HotPath(Protocol):
         """Prepare: from here until `end` messages are taken in C."""
 
     def end(self) -> None:
-        """Take over what was done."""
+        """Take over the results of C."""
 
 
 def pattern_of(layout: FixedLayout, keep: list[object]) -> CData:
-    """Return what the messages of a layout have in common, as a ``ros_pattern *``.
+    """Return the constant bytes of a layout's messages, as a ``ros_pattern *``.
 
     Args:
         layout: of a message.

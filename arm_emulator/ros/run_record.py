@@ -75,7 +75,7 @@ class RunRecord:
         return "; ".join(words)
 
     def put(self, topic: str, data: bytes) -> None:
-        """Queue a message; from here only the disk can keep it out of the bag."""
+        """Queue a message; from now on only a failing disk can lose it."""
         while self._waits and len(self._waiting) >= CAPACITY and self._failure is None:
             time.sleep(BREATH)
         if len(self._waiting) >= CAPACITY or self._failure is not None:

@@ -90,7 +90,7 @@ def emulator(cable: Cable, *words: str) -> Iterator[dict[str, int]]:
         rest, _ = process.communicate(timeout=20)
     assert process.returncode == 0, f"exit code after Ctrl-C: {process.returncode}"
     for name, words_ in (("exchanges", "all process data"), ("watchdogs", "watchdogs"),
-                         ("malformed", "thrown away")):  # fmt: skip
+                         ("malformed", "discarded")):  # fmt: skip
         found = re.search(rf"{words_}\s+(\d+)", rest)
         assert found, f"{words_} is not reported: {rest}"
         reported[name] = int(found.group(1))

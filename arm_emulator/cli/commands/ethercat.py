@@ -116,7 +116,7 @@ def _report(figures: CData, lockstep: bool) -> None:
         print(f"cycles lost       {figures.lost_cycles} without process data of all drives in OP")
         print(f"periods lost      {figures.late_periods}, for which the host was too late")
     print(
-        f"thrown away       {figures.malformed} malformed frames, {figures.foreign} foreign, "
+        f"discarded         {figures.malformed} malformed frames, {figures.foreign} foreign, "
         f"{figures.circulating} circulating"
     )
     print(f"unknown commands  {figures.unknown}")

@@ -67,7 +67,7 @@ def full_scale(scene: Scene, joint: Joint) -> float:
 
 
 def measured_outputs(scene: Scene) -> tuple[Output, ...]:
-    """Return what is measured in the order of its registers: first what every machine reports."""
+    """Return the measurements in the order of registers, those of every machine first."""
     return tuple(dict.fromkeys((*ALWAYS, *outputs_of(scene))))
 
 

@@ -50,7 +50,7 @@ def drives_unit(
     headers: tuple[Header, ...] = (),
     about: str = "the drives behind field buses",
 ) -> Unit:
-    """Return the drives, with a bus in the same unit, as what is compiled, for all scenes the same.
+    """Return the drives, with a bus, as one unit to compile, the same for all scenes.
 
     Args:
         name: of the library.
@@ -265,11 +265,11 @@ class Drives:
         return int(self.calls.drives_tick(self.pointer))
 
     def begin(self) -> None:
-        """Begin anew at the machine as it is now, after a reset or a restore of it."""
+        """Begin anew at the present state of the machine, after its reset or restore."""
         self.calls.drives_begin(self.pointer)
 
     def period(self, periods: int = 1) -> None:
-        """Go through so many servo periods.
+        """Advance by so many servo periods.
 
         Raises:
             Refusal: the machine refused a command.
@@ -367,7 +367,7 @@ class Drives:
         return int(self.calls.drives_communication(self.pointer, drive))
 
     def periods_per_target(self, drive: int) -> int:
-        """Return how many servo periods there are in a drive's interpolation time."""
+        """Return the number of servo periods in a drive's interpolation time."""
         return int(self.calls.drives_periods_per_target(self.pointer, drive))
 
     def lost(self, drive: int = -1, error: int = 0x8100) -> None:
@@ -375,11 +375,11 @@ class Drives:
         self.calls.drives_lost(self.pointer, drive, error)
 
     def lock_mapping(self, locked: bool, drive: int = -1) -> None:
-        """Forbid or allow that the mapping of process data is changed."""
+        """Forbid or allow changes of the mapping of process data."""
         self.calls.drives_lock_mapping(self.pointer, drive, locked)
 
     def restart(self, drive: int = -1) -> None:
-        """Put a drive, -1: all, to where it was when it was made."""
+        """Return a drive, -1: all, to its initial state."""
         self.calls.drives_restart(self.pointer, drive)
 
 

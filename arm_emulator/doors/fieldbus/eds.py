@@ -1,4 +1,4 @@
-"""The electronic data sheet of a node, as CiA 306 has it, for the tools of CANopen's masters."""
+"""The electronic data sheet of a node, by CiA 306, for the tools of CANopen masters."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def ethercat_library() -> Library:
 
 
 def ethercat_unit() -> Unit:
-    """Return drives and segment as what is compiled."""
+    """Return drives and segment as a unit to compile."""
     return drives_unit("ethercat", '#include "ethercat.cpp"\n', (SEGMENT,), "the EtherCAT segment")
 
 
@@ -74,7 +74,7 @@ class Segment:
             self._calls.ethercat_delete(pointer)
 
     def frame(self, frame: bytes, now: int = 0) -> bytes:
-        """Let an Ethernet frame through; return what comes back, nothing if none does.
+        """Pass an Ethernet frame through the slaves; return the reply, empty without one.
 
         Args:
             frame: without its check sequence.
@@ -86,7 +86,7 @@ class Segment:
         return bytes(SEGMENT.ffi.buffer(self._room, back))
 
     def period(self, now: int = 0) -> None:
-        """Let a servo period pass without a frame; `now` is what a clock states [ns]."""
+        """Let a servo period pass without a frame; `now`: time of a clock [ns]."""
         self._calls.ethercat_period(self.pointer, now)
 
     @property
@@ -118,7 +118,7 @@ class Segment:
         raise Refusal("ethercat", "--interface", rule, interface)
 
     def serve(self, descriptor: int, seconds: float) -> None:
-        """Serve frames for so long, or until a signal comes, or until the machine diverges.
+        """Serve frames for some time, or until a signal comes, or until the machine diverges.
 
         Raises:
             Refusal: the interface is gone.

@@ -18,11 +18,11 @@ from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
 from arm_emulator.doors.fieldbus.modbus_rtu import Receiver, Station
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, silence_time
 
-# Bytes from another process arrive later than on a line. Only bytes that are no whole
-# request wait for that long.
+# Bytes from another process arrive later than on a line. Only an incomplete
+# request waits so long.
 LONGEST_GAP = 20_000_000  # ns
 REPORT_SILENCE = 5.0  # s
-LOOK = 2e-3  # s, after which the loop in real time is looked at
+LOOK = 2e-3  # s, between two looks at the loop in real time
 _SPEEDS = {
     getattr(termios, name): int(name[1:])
     for name in dir(termios)
@@ -31,7 +31,7 @@ _SPEEDS = {
 
 
 class SerialPort:
-    """A pseudo terminal: a serial port of this machine with somebody at its other end.
+    """A pseudo terminal: a serial port of this machine whose other end a master opens.
 
     Attributes:
         path: that masters open.
@@ -68,7 +68,7 @@ class SerialPort:
                 raise Refusal("modbus", f"link {link}", "be makeable", error.strerror) from None
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self._link is not None and self._link.is_symlink():
             if os.readlink(self._link) == self.path:
                 self._link.unlink()

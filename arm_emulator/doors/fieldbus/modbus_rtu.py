@@ -28,7 +28,7 @@ class Function(enum.IntEnum):
 
 
 class Code(enum.IntEnum):
-    """Why a station does not do it."""
+    """Reasons of an exception."""
 
     FUNCTION = 1
     ADDRESS = 2
@@ -77,8 +77,8 @@ _CRC = _crc_table()
 def crc(data: bytes) -> int:
     """Return the checksum of a frame: x^16 + x^15 + x^2 + 1, bits reversed, begun with ones.
 
-    It sees every odd number of flipped bits, every two of them and every burst of up to 16 bits.
-    Of other damage it lets one case in 65536 pass.
+    It detects every odd number of flipped bits, every two of them and every burst of up to 16 bits.
+    Of other damage it misses one case in 65536.
     """
     value, table = 0xFFFF, _CRC
     for byte in data:
@@ -93,7 +93,7 @@ def frame(station: int, body: bytes) -> bytes:
 
 
 def is_sound(data: bytes) -> bool:
-    """Return whether a frame has a length that frames have, and its checksum."""
+    """Return whether a frame has a permitted length and the right checksum."""
     return 4 <= len(data) <= LARGEST_FRAME and crc(data[:-2]) == data[-2] | data[-1] << 8
 
 
@@ -103,7 +103,7 @@ _COUNTED = {15: (9, 6), 16: (9, 6), 20: (5, 2), 21: (5, 2), 23: (13, 10)}
 
 
 def request_length(data: bytes | bytearray) -> int | None:
-    """Return how long a request that begins so is; None: not known, or not yet."""
+    """Return the length of a request by its first bytes; None: not known (yet)."""
     if len(data) < 2:
         return None
     function = data[1]
@@ -114,7 +114,7 @@ def request_length(data: bytes | bytearray) -> int | None:
 
 
 class Receiver:
-    """Finds requests in what a line brings.
+    """Finds requests in the bytes of a line.
 
     A request ends where a silence of 3.5 characters begins. Where the receiver need not wait for
     it, it does not: bytes that have the length of their function, and the right checksum,
@@ -202,7 +202,7 @@ class Station:
         }
 
     def answer(self, request: bytes) -> bytes:
-        """Do what a sound frame asks for, and return the reply; empty where none is due."""
+        """Execute a sound frame, and return the reply; empty if none is due."""
         counters = self.counters
         counters.messages += 1
         station, function, data = request[0], request[1], request[2:-2]
@@ -262,7 +262,7 @@ class Station:
             return data
         counters = self.counters
         reported = {
-            2: 0,  # a register for each to use as he likes
+            2: 0,  # a register without a function
             11: counters.messages,
             12: self._damaged() - self._damaged_before,
             13: counters.exceptions,

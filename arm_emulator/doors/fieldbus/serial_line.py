@@ -1,4 +1,4 @@
-"""A serial line such as RS485: how long bytes take on it, and what damages them."""
+"""A serial line such as RS485: times of transmission, and damage."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SMALLEST_RATE = 1e-12  # of damaged bytes, other than none
 
 
 def check_baud(where: str, baud: int) -> None:
-    """Raise unless a line can be that fast.
+    """Refuse a baud rate that no line has.
 
     Raises:
         Refusal: see above.
@@ -23,7 +23,7 @@ def check_baud(where: str, baud: int) -> None:
 
 
 def bytes_time(count: int, baud: int) -> int:
-    """Return how long so many bytes are on the line [ns]."""
+    """Return the time of transmission of bytes [ns]."""
     return -(-count * BITS_PER_BYTE * 10**9 // baud)
 
 

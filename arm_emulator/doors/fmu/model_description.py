@@ -1,4 +1,4 @@
-"""modelDescription.xml of FMI 3.0, and what states how to compile the sources."""
+"""modelDescription.xml of FMI 3.0, and the file that describes how to compile the sources."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
 
 
 def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
-    """Add to a description what is the same in all versions: whose it is, units, categories."""
+    """Add the parts that all versions share: origin, units, categories."""
     joints = plain_text(", ".join(scene.joint_names))
     root.attrib.update(
         modelName=plain_text(scene.name) or "arm",
@@ -77,7 +77,7 @@ def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> Non
 
 
 def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
-    """Return what is reported a variable, as attributes."""
+    """Return the attributes of a variable."""
     continuous = one.type == "Float64"
     attributes = {
         "name": written(one.name, one.element, naming),

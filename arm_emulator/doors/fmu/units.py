@@ -23,7 +23,7 @@ _DERIVED = {
 
 @dataclass(frozen=True)
 class DisplayUnit:
-    """Another unit for the eye: so many of it are one of the unit."""
+    """A unit for display: so many of it make one of the unit."""
 
     name: str
     factor: float

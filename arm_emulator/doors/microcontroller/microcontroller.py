@@ -42,7 +42,7 @@ class FirmwareEnd(RuntimeError):
 
 
 def runner_unit() -> Unit:
-    """Return the runner as what is compiled.
+    """Return the runner as a unit to compile.
 
     Raises:
         Refusal: Unicorn is not installed.

@@ -43,7 +43,7 @@ def unicorn_headers() -> Path:
 
 
 def unicorn_version() -> str:
-    """Return which Unicorn is installed."""
+    """Return the version of the installed Unicorn."""
     try:
         return version("unicorn")
     except PackageNotFoundError:
@@ -52,7 +52,7 @@ def unicorn_version() -> str:
 
 @cache
 def load_unicorn() -> ctypes.CDLL:
-    """Load Unicorn so that libraries which are loaded later find it.
+    """Load Unicorn for libraries that are loaded later.
 
     Raises:
         Refusal: it is not installed, or does not load.
