@@ -331,6 +331,20 @@ def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
+def test_a_rate_below_zero_is_unknown(tmp_path: Path) -> None:
+    """-1 for all efforts and speeds: the same drives as without them."""
+    robots = [ET.fromstring(OWN["planar"]()) for _ in range(2)]
+    for limit in robots[1].iter("limit"):
+        limit.attrib |= {"effort": "-1", "velocity": "-1.0"}
+    drives = []
+    for k, robot in enumerate(robots):
+        file = tmp_path / f"arm{k}.urdf"
+        file.write_bytes(ET.tostring(robot))
+        drives.append(write_new(file, tmp_path / file.stem).drives)
+    assert repr(drives[0]) == repr(drives[1])
+
+
+@pytest.mark.usefixtures("untuned")
 def test_bodies_that_are_points_are_taken(tmp_path: Path) -> None:
     """Their inertia about the centre is what rounding leaves of that about the joint."""
     robot = ET.fromstring(OWN["planar"]())

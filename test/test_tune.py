@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from draws import some
 from machines import CONFIG, Oracle, write_scene
 
-from arm_emulator.analysis.servo_loop import poses
+from arm_emulator.analysis.servo_loop import FREE_SLIDE, poses
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design import tuned
@@ -116,6 +117,20 @@ def test_links_fall_as_the_derivative_of_their_weight() -> None:
         slope = pin.computeGeneralizedGravityDerivatives(oracle.model, oracle.data, at)
         most = np.maximum(most, -np.diag(slope))
     np.testing.assert_allclose(falls(scene), most, atol=1e-4)  # N m/rad, of up to 58
+
+
+def test_poses_on_a_slide_without_end_are_near() -> None:
+    """Not a kilometre away, where what turns the slide would feel 1e8 kg m2."""
+    scene = load_scene("three_axis")
+    robot = ET.fromstring(scene.urdf)
+    joint = next(one for one in robot.iter("joint") if one.get("name") == scene.joint_names[0])
+    joint.set("type", "prismatic")
+    for limit in joint.findall("limit"):
+        joint.remove(limit)
+    ET.SubElement(joint, "limit", {"lower": "-1e9", "upper": "1e9"})
+    text = ET.tostring(robot, encoding="unicode")
+    drawn = np.array(poses(dataclasses.replace(scene, urdf=text), 50))[1:]
+    assert 0.3 < np.abs(drawn[:, 0]).max() <= FREE_SLIDE
 
 
 @pytest.mark.parametrize("seed", some(range(200), 30))

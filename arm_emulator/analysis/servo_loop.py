@@ -20,6 +20,7 @@ from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlan
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.stability import SmallMotions, contacts
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
@@ -28,6 +29,8 @@ from arm_emulator.servo.servo_config import JointServo, ServoConfig
 Array = NDArray[np.float64]
 
 HARMLESS = 0.1  # 1/s: what grows more slowly, e-fold in ten seconds, is drift
+FREE_TURN = math.pi  # rad either way, where a joint has no limits
+FREE_SLIDE = 0.5  # m
 POSES = 8  # that are looked at, the start among them
 LITTLE_GAIN = 1.6  # 4 dB
 LITTLE_PHASE = math.radians(25.0)
@@ -39,13 +42,15 @@ def poses(scene: Scene, count: int = POSES) -> list[Array]:
     """Return the start and poses drawn within the limits of the URDF, the same every time."""
     limits = {}
     for joint in ET.fromstring(scene.urdf).iter("joint"):
-        limit = joint.find("limit")
-        if limit is not None and joint.get("type") in ("revolute", "prismatic"):
-            low, high = (float(limit.get(key, "0")) for key in ("lower", "upper"))
-            limits[joint.get("name")] = (low, high)
-    turn = (-math.pi, math.pi)
+        limit, kind = joint.find("limit"), joint.get("type")
+        if limit is not None and kind in ("revolute", "prismatic"):
+            least, most = (float(limit.get(key, "0")) for key in ("lower", "upper"))
+            if max(-least, most) >= UNLIMITED:
+                free = FREE_SLIDE if kind == "prismatic" else FREE_TURN
+                least, most = max(least, -free), min(most, free)
+            limits[joint.get("name")] = (least, most)
+    turn = (-FREE_TURN, FREE_TURN)
     low, high = np.array([limits.get(name, turn) for name in scene.joint_names]).T
-    low, high = np.maximum(low, -1e3), np.minimum(high, 1e3)
     drawn = np.random.default_rng(0).uniform(low, np.maximum(low, high), (count - 1, len(low)))
     return [scene.start, *drawn]
 

@@ -20,7 +20,12 @@ from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import published
 from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.robot_file import robot_text
-from arm_emulator.design.robot_limits import move_meshes, read_limits, write_limits
+from arm_emulator.design.robot_limits import (
+    forget_impossible,
+    move_meshes,
+    read_limits,
+    write_limits,
+)
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
 from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import survey
@@ -102,8 +107,9 @@ def write_new(
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints)
+    mended = forget_impossible(description)
     assumed = _assume(description, robot, choice, density)
-    if assumed:
+    if mended or assumed:
         text = ET.tostring(description, encoding="unicode")
     name = scene_name(robot)
     folder = Path(name) if out is None else out

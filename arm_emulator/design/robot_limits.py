@@ -28,6 +28,21 @@ def read_limits(robot: ET.Element) -> dict[str, dict[str, float | None]]:
     return limits
 
 
+def forget_impossible(robot: ET.Element) -> bool:
+    """Make efforts and velocities that are below 0, or no numbers, unknown; whether there were."""
+    found = False
+    for limit in robot.iter("limit"):
+        for key in KEYS:
+            try:
+                known = float(limit.get(key, "0")) >= 0.0
+            except ValueError:
+                known = False
+            if not known:
+                limit.set(key, "0")
+                found = True
+    return found
+
+
 def write_limits(robot: ET.Element, drives: Mapping[str, Sized]) -> None:
     """Put a drive's torque, speed and acceleration into the limit of its joint."""
     for joint in robot.findall("joint"):

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.analysis.link_loads import LinkLoads
+from arm_emulator.analysis.servo_loop import FREE_SLIDE, FREE_TURN
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
 
 Array = NDArray[np.float64]
 
 POSES = 400
-FREE_TURN = np.pi  # rad either way, where a joint has no limits
-FREE_SLIDE = 0.5  # m
 MIDDLE = 0.7  # of a joint's range: where a start is looked for
 FARTHEST_START = 1.6  # rad or m from 0, or from the limit next to 0
 DEMO_PART = 0.05  # of the arm's reach: how far a demo moves the tool
