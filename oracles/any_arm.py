@@ -130,6 +130,9 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
         try:
             written = write_new(file, Path(folder) / "new")
             scene, gains = load_scene(written.file), load_gains(written.file)
+            # Moves are drawn without regard to the arm's own parts.
+            motion = dataclasses.replace(gains.motion, collisions="off")
+            gains = dataclasses.replace(gains, motion=motion)
         except Refusal as refusal:
             outcome.refused = str(refusal)
             return outcome

@@ -19,11 +19,12 @@ from arm_emulator.motion import collisions
 from arm_emulator.motion.arm_shapes import ArmShapes
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.collisions import OWN_SHARE, Collisions
+from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.motion_report import MotionReport, State
 from arm_emulator.motion.obstacles import Obstacle
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains
@@ -177,14 +178,17 @@ def test_parts_that_are_near_by_design_may_be() -> None:
 
 
 class Arm:
-    """ur5 with a floor 0.2 m below where its tool starts, through the whole machine."""
+    """An arm with a floor, or a box, 0.2 m below where its tool starts: the whole machine."""
 
-    def __init__(self, **parameters: object) -> None:
-        file = find_scene("ur5")
+    def __init__(self, name: str = "ur5", box: bool = False, **parameters: object) -> None:
+        file = find_scene(name)
         scene, gains = load_scene(file), load_gains(file)
         kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
         self.R_WT, self.p_WT = kinematics.forward(scene.start)
-        obstacles = (Obstacle("floor", float(self.p_WT[2]) - 0.2),)
+        x, y, z = self.p_WT.tolist()
+        obstacles = (Obstacle("floor", z - 0.2),)
+        if box:
+            obstacles = (Obstacle("floor", size=(0.3, 0.3, 0.1), at=(x, y, z - 0.25)),)
         motion = dataclasses.replace(
             gains.motion,
             obstacles=obstacles,
@@ -266,6 +270,70 @@ def test_a_way_is_looked_through_before_it_begins() -> None:
     assert found[0] == pytest.approx(math.asin(0.47) / 2.0, abs=0.015)
     assert found[1] == "second and floor"
     assert guard.along(lambda part: np.outer(part, [-0.8, 0.0])) is None
+
+
+KINDS = ("target", "path", "trajectory", "stream", "jog")
+
+
+def sent_down(arm: Arm, kind: str) -> list[MotionReport]:
+    """Send the tool 0.4 m down by one kind of order; return the reports."""
+    instructor, controller = arm.run.instructor, arm.run.controller
+    below = [Pose(arm.p_WT - np.array([0.0, 0.0, z]), arm.R_WT) for z in (0.0, 0.4)]
+    if kind == "target":
+        instructor.add(0, below[1])
+    elif kind == "path":
+        instructor.add_path(controller, below)
+    elif kind == "trajectory":
+        names, q = arm.kinematics.joint_names, arm.run.session.state.q.copy()
+        for _ in range(60):  # to the joint angles of that place
+            J = arm.kinematics.jacobian(q)
+            q = q + 0.2 * np.linalg.pinv(J) @ arm.kinematics.tool_error(q, below[1])
+        point = TrajectoryPoint(2_000_000_000, q.tolist(), [0.0] * len(q))
+        instructor.add_trajectory(controller, names, [point])
+    reports = []
+    for k in range(160):
+        if kind == "stream":
+            depth = min(0.4, 0.3e-2 * k)
+            instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, depth]), arm.R_WT))
+        elif kind == "jog":
+            down, config = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0], instructor._config
+            now = arm.run.session.logical_ns
+            instructor.jog(twist_command(now, down, False, arm.kinematics, config))
+        arm.advance(0.01)
+        reports += instructor.reports.take()
+    return reports
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("name", "box"), [("panda", True), ("ur5", False)])
+def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, box: bool) -> None:
+    """The pair is named; the true arm never touches, comes near, and can leave again."""
+    arm = Arm(name, box)
+    said = [one for one in sent_down(arm, kind) if "would touch" in one.reason]
+    jog = arm.run.instructor.jogging
+    if kind == "jog":
+        assert jog is not None and jog.status is JogStatus.HALT_FOR_COLLISION
+        assert "and floor" in jog.words
+    else:
+        assert said and "and floor would touch" in said[0].reason
+        state = State.ABORTED if kind == "stream" else State.REFUSED
+        assert said[0].state is state
+    stopped = kind in ("jog", "stream")
+    assert (arm.height < -0.05) == stopped, "what is refused has not begun"
+    arm.advance(0.5)
+    assert np.abs(arm.run.session.state.v).max() < 2e-3
+    arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.03]), arm.R_WT))
+    arm.advance(2.0)
+    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
+
+
+def test_obstacles_need_shapes_that_meet_them() -> None:
+    """A description without shapes is no arm that is watched: refused, not passed silently."""
+    scene, config = load_scene("three_axis"), load_gains(find_scene("three_axis")).motion
+    config = dataclasses.replace(config, obstacles=(Obstacle("floor", -1.0),))
+    words = r"obstacles must be met by shapes .* got no collision shapes of moving links"
+    with pytest.raises(Refusal, match=words):
+        controller_for(scene.urdf, scene.joint_names, config)
 
 
 @pytest.mark.parametrize("seed", some(range(40), 4))

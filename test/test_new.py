@@ -38,6 +38,7 @@ from arm_emulator.design.sizing import (
 from arm_emulator.design.survey import survey
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_fit, load_gains
 from oracles.any_arm import move, reachable
@@ -328,6 +329,53 @@ def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
     assert scene.joints[scene.joint_names.index(joint.get("name", ""))].stops is None
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     assert kinematics.reach < 100.0, "m: the slide counts nothing"
+
+
+BODY = "<collision><geometry>{}</geometry></collision>"
+
+
+def with_shapes(shapes: dict[str, str]) -> ET.Element:
+    """Return `five_joints` with shapes for collisions by links."""
+    robot = ET.fromstring(OWN["five_joints"]())
+    for link in robot.findall("link"):
+        if link.get("name") in shapes:
+            link.append(ET.fromstring(BODY.format(shapes[link.get("name", "")])))
+    return robot
+
+
+@pytest.mark.usefixtures("untuned")
+@pytest.mark.parametrize(
+    ("shapes", "parameter", "reason"),
+    [
+        ({}, "auto", "no parts of the arm can touch"),
+        ({"base": '<box size="0.2 0.2 0.2"/>', "l4": '<sphere radius="0.05"/>'}, "stop", "before"),
+        ({"base": '<mesh filename="package://none/x.stl"/>'}, "off", "cannot be read"),
+        (
+            {"base": '<mesh filename="package://bodies/x.stl"/>', "l4": '<sphere radius="0.05"/>'},
+            "stop",
+            "before",
+        ),
+    ],
+)
+def test_a_new_arm_does_not_run_into_itself(
+    shapes: dict[str, str], parameter: str, reason: str, tmp_path: Path
+) -> None:
+    """Where its shapes can be read, those of a package beside the description, too."""
+    (tmp_path / "bodies").mkdir()
+    corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, -0.1)]
+    faces = [[corners[k] for k in range(4) if k != left] for left in range(4)]
+    rows = ["".join("vertex {} {} {}\n".format(*one) for one in face) for face in faces]
+    loops = [f"facet normal 0 0 0\nouter loop\n{one}endloop\nendfacet\n" for one in rows]
+    (tmp_path / "bodies" / "x.stl").write_text("solid x\n" + "".join(loops) + "endsolid x\n")
+    file = tmp_path / "arm.urdf"
+    file.write_bytes(ET.tostring(with_shapes(shapes)))
+    written = write_new(file, tmp_path / "elsewhere" / "arm")
+    text = (written.file.parent / "motion" / "arm.yaml").read_text()
+    assert reason in next(line for line in text.splitlines() if "collisions:" in line)
+    config = load_gains(written.file).motion
+    assert config.collisions == parameter
+    scene = load_scene(written.file)
+    controller_for(scene.urdf, scene.joint_names, config)  # takes its shapes, from there
 
 
 @pytest.mark.usefixtures("untuned")

@@ -8,17 +8,15 @@ the median is 1 200 (`DENSITY`). A link without a shape is a rod to the next joi
 from __future__ import annotations
 
 import math
-import os
-import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote, urlparse
 
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.design.mesh_file import find_mesh
 from arm_emulator.machine.chain import Array, Body, Frame, frame_of
 
 DENSITY = 1200.0  # kg/m3
@@ -170,7 +168,7 @@ def _points(mesh: ET.Element, folder: Path) -> Array:
     import coal
 
     name, scale = mesh.get("filename", ""), _row(mesh, "scale", "1 1 1")
-    file = _find(name, folder)
+    file = find_mesh(name, folder)
     if file is None:
         raise Refusal("new", f"mesh {name}", "be a file", "not found")
     if file.stat().st_size > MOST_MESH:
@@ -183,24 +181,6 @@ def _points(mesh: ET.Element, folder: Path) -> Array:
     if not len(found) or not np.isfinite(found).all():
         raise Refusal("new", f"mesh {name}", "have points", "empty")
     return found
-
-
-def _find(name: str, folder: Path) -> Path | None:
-    """Return the file of a mesh: beside the description, or in a package of ROS."""
-    url = urlparse(name)
-    if url.scheme == "file":
-        places = [Path(unquote(url.path))]
-    elif url.scheme in ("package", "model"):
-        inside = unquote(url.netloc + url.path)
-        above = [folder.resolve(), *folder.resolve().parents]
-        places = [place / inside for place in above]
-        for key, below in (("AMENT_PREFIX_PATH", "share"), ("ROS_PACKAGE_PATH", "")):
-            for root in filter(None, os.environ.get(key, "").split(os.pathsep)):
-                places.append(Path(root) / below / inside)
-        places += [Path(p) / "cmeel.prefix" / "share" / inside for p in sys.path if p]
-    else:
-        places = [folder / name]
-    return next((place for place in places if place.is_file()), None)
 
 
 def _inertial(body: Body) -> ET.Element:

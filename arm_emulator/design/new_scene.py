@@ -19,10 +19,11 @@ from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import published
 from arm_emulator.design.known_drive import known_drives
+from arm_emulator.design.mesh_file import move_meshes
+from arm_emulator.design.own_collisions import own_collisions
 from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import (
     forget_impossible,
-    move_meshes,
     read_limits,
     write_limits,
 )
@@ -241,15 +242,19 @@ def _texts(
     # The motion controller reads the joints' limits from the robot description.
     write_limits(description, {drive.joint.name: drive for drive in drives})
     move_meshes(description, robot.parent)
+    moved = ET.tostring(description, encoding="unicode")
+    made = _links_alone(moved, robot.name, choice)
+    motion["collisions"], why = own_collisions(made.urdf, made.joint_names, bare.start)
+    comments = MOTION_COMMENTS | {"collisions": why}
     given = Given(robot.name, choice, payload, assumed)
     scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
     displacement = bare.displacement.tolist()
     contents = (
         scene,
         "",
-        motion_text(motion, MOTION_COMMENTS, known_drives(drive.joint for drive in drives)),
+        motion_text(motion, comments, known_drives(drive.joint for drive in drives)),
         demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
-        ET.tostring(description, encoding="unicode") + "\n",
+        moved + "\n",
     )
     return drives, dict(zip(PLACES, contents, strict=True))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from pathlib import Path
 
 from arm_emulator.design.sizing import Sized
 
@@ -56,11 +55,3 @@ def write_limits(robot: ET.Element, drives: Mapping[str, Sized]) -> None:
         limit.set("velocity", f"{drive.speed:.6g}")
         if limit.get("acceleration") is None:
             limit.set("acceleration", f"{drive.acceleration:.3g}")
-
-
-def move_meshes(robot: ET.Element, folder: Path) -> None:
-    """Make the meshes of a description found from elsewhere; `folder` is where it lay."""
-    for mesh in robot.iter("mesh"):
-        name = mesh.get("filename", "")
-        if name and "://" not in name and not Path(name).is_absolute():
-            mesh.set("filename", (folder.resolve() / name).as_uri())

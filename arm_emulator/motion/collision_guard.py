@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.collisions import Collisions
+from arm_emulator.motion.collisions import collisions_of
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.obstacles import OBSTACLES
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 
@@ -40,14 +41,18 @@ class CollisionGuard:
         config: obstacles and margin.
 
     Raises:
-        Refusal: see `Collisions`.
+        Refusal: see `Collisions`, or obstacles beside an arm without shapes.
     """
 
     def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
         self._kinematics, self._margin = kinematics, config.collision_margin
-        self.collisions = Collisions(
+        self.collisions = collisions_of(
             kinematics.urdf_xml, kinematics.joint_names, config.obstacles, config.collision_margin
         )
+        if config.obstacles and not self.collisions.meets_obstacles:
+            rule = "be met by shapes for collisions of the robot description"
+            got = "no collision shapes of moving links"
+            raise Refusal(config.where, OBSTACLES, rule, got, "<collision> in its links")
         self._rested: FloatArray | None = None  # a state at rest without contact
 
     def ahead(self, joints: SmoothJoints, now: FloatArray, then: Reference) -> str:

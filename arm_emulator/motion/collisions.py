@@ -7,7 +7,9 @@ touching when they are nearer than a margin.
 
 from __future__ import annotations
 
+import functools
 import math
+import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -29,6 +31,14 @@ _NEAR = 0.02  # share of them above which two parts that are near without touchi
 _MANY = 40  # pairs from which on it is quicker to look at boxes first
 _FAR = 1e3  # m
 OWN_SHARE = 0.2  # of the margin, between parts of the arm: their shapes and places are known
+
+
+@functools.lru_cache(maxsize=8)
+def collisions_of(
+    urdf_xml: str, joint_names: tuple[str, ...], obstacles: tuple[Obstacle, ...], margin: float
+) -> Collisions:
+    """Return `Collisions`, the same for the same arguments."""
+    return Collisions(urdf_xml, joint_names, obstacles, margin)
 
 
 class Collisions(Lasting):
@@ -71,10 +81,16 @@ class Collisions(Lasting):
             for shapes in (self._shapes, self._meshes):
                 shapes.addGeometryObject(_solid(obstacle))
             self._names.append(obstacle.name)
+        self._alone = threading.Lock()  # arms of one kind share it, also those of threads
         self._close = set[tuple[int, int]]()
         self._pair()
         self._leave_out(margin)
         self._made(margin)
+
+    @property
+    def meets_obstacles(self) -> bool:
+        """Whether any part of the arm is tested against an obstacle."""
+        return any(pair.second >= self._own for pair in self._shapes.collisionPairs)
 
     @property
     def pairs(self) -> int:
@@ -83,15 +99,22 @@ class Collisions(Lasting):
 
     def first(self, q: FloatArray) -> str:
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
-        touching = self._touching(self._arm.whole(q)) if self.pairs else []
+        with self._alone:
+            touching = self._touching(self._arm.whole(q)) if self.pairs else []
         return self._name(touching[0]) if touching else ""
 
     def suspects(self, q: FloatArray) -> Iterator[int]:
         """Yield the numbers of those of some configurations (K, N) in which any parts touch."""
         if self.pairs:
             for k, whole in enumerate(self._arm.whole(q)):
-                if self._touching(whole):
+                with self._alone:
+                    touching = self._touching(whole)
+                if touching:
                     yield k
+
+    def drawn(self, rng: np.random.Generator) -> FloatArray:
+        """Return a configuration within the limits (N,)."""
+        return self._arm.drawn(rng)
 
     def moved(self, ways: FloatArray) -> FloatArray:
         """Return how far any part moves at most on ways of the joints (..., N) [m]."""
@@ -107,7 +130,8 @@ class Collisions(Lasting):
         """
         if not self.first(q):
             return ""
-        touched, touching = self._all(now), self._all(q)
+        with self._alone:
+            touched, touching = self._all(now), self._all(q)
         for k in np.flatnonzero(touching & ~touched):
             return self._name(int(k))
         both = np.flatnonzero(touching & touched)
@@ -121,9 +145,10 @@ class Collisions(Lasting):
         return float(self._distances(q).min())
 
     def _distances(self, q: FloatArray) -> FloatArray:
-        whole = self._arm.whole(q)
-        pin.computeDistances(self._model, self._data, self._shapes, self._tested, whole)
-        return np.array([one.min_distance for one in self._tested.distanceResults])
+        whole, tested = self._arm.whole(q), self._tested
+        with self._alone:
+            pin.computeDistances(self._model, self._data, self._shapes, tested, whole)
+            return np.array([one.min_distance for one in tested.distanceResults])
 
     def _touching(self, whole: FloatArray) -> list[int]:
         """Return the pairs whose meshes touch, of those whose convex hulls do."""
