@@ -26,7 +26,7 @@ _CURRENT = Output(
 )
 _APPLIED = Output(
     "applied",
-    "what each motor got in the servo period that has passed",
+    "command that acted on each motor in the past servo period",
     "joint.applied",
     COMMAND,
     cia=0x2006,

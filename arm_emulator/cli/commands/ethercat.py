@@ -120,4 +120,4 @@ def _report(figures: CData, lockstep: bool) -> None:
         f"{figures.circulating} circulating"
     )
     print(f"unknown commands  {figures.unknown}")
-    print(f"watchdogs         {figures.watchdogs} that ran out", flush=True)
+    print(f"watchdogs         {figures.watchdogs} expired", flush=True)

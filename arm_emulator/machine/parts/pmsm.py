@@ -39,7 +39,7 @@ class Pmsm(Motor):
     )
     outputs = (
         Output("current_d", "current along each rotor's flux", "current_d", "A"),
-        Output("applied_d", "what each motor got of command_d", FURTHER),
+        Output("applied_d", "command_d that acted on each motor in the past servo period", FURTHER),
     )
 
     resistance: float = number("R", "ohm", above=0.0, text="R of a phase")
