@@ -38,7 +38,6 @@ struct Drive {
   static constexpr bool driven = Motor::present;
   static constexpr bool elastic = driven && !Gear::rigid;
   static constexpr bool carries_rotor = driven && Gear::rigid;
-  static constexpr bool has_extras = sizeof...(Extras) > 0;
   // Indices of the states: those of the motor, then tm and wm, then those of the extras.
   static constexpr int i = 0;
   static constexpr int tm = Motor::states, wm = Motor::states + 1;
@@ -48,6 +47,7 @@ struct Drive {
   static constexpr int of_gear = Motor::modes, of_rotor = of_gear + (elastic ? Gear::modes : 0);
   static constexpr int of_extras = of_rotor + (elastic ? Rotor::modes : 0);
   static constexpr int modes = of_extras + (0 + ... + Extras::modes);
+  static constexpr int gear_modes = Gear::modes, rotor_modes = Rotor::modes;
   // Parts that are held while the gear carries a load.
   static constexpr unsigned held_under_load = elastic && Gear::modes > 0 ? 1u << of_gear : 0u;
 
@@ -126,37 +126,7 @@ struct Drive {
     return r;
   }
 
-  // The torques that `rates` sums up, each in the direction of its shaft.
-  struct Torques {
-    Real motor, gear_on_rotor, rotor_friction;  // on a rotor behind an elastic gear
-    Real gear, viscous;                         // on the link
-    Real extra[sizeof...(Extras) + 1];          // on either, see `on_the_rotor`
-  };
   static constexpr int extra_count = sizeof...(Extras);
-  constexpr Torques torques(const Input<Real>& x, unsigned held) const {
-    Torques on = {};
-    on.viscous = -friction.Dv * x.v;
-    Real shaft = 0.0;
-    if constexpr (driven) on.motor = shaft = motor.torque(x.z, motor_angle(x));
-    int which = 0;
-    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-      on.extra[which] = torque_of<state, mode>(extra, x, held);
-      if (Extra::place == Place::rotor) shaft += on.extra[which];
-      ++which;
-    });
-    if constexpr (elastic) {
-      on.gear = gear_on_link(x, held);
-      on.gear_on_rotor = -on_rotor(x, on.gear);
-      if constexpr (Rotor::modes > 0)
-        on.rotor_friction = is_held(held, of_rotor)
-                                ? -(shaft + on.gear_on_rotor)
-                                : -rotor.against(x.z[wm], -on.gear_on_rotor, x.offset[of_rotor]);
-    } else if constexpr (driven) {
-      if constexpr (Rotor::modes > 0) on.rotor_friction = -rotor.law.Dv * motor_speed(x);
-      on.gear = (shaft + on.rotor_friction) / gear.Ng;
-    }
-    return on;
-  }
   // Whether each extra acts on the rotor.
   static constexpr bool on_the_rotor(int which) {
     const bool rotors[] = {Extras::place == Place::rotor..., false};
@@ -247,55 +217,10 @@ struct Drive {
     return load_on_link(with(x, now), now.held()) - carried() * a;
   }
 
-  // Energy in windings, rotor, gear and extras; and power that friction, windings, the gear's
-  // damping and extras take, that the supply gives, and that it can give at most.
-  template <class X>
-  ARM_INLINE constexpr X stored(const Input<X>& x) const {
-    X E = 0.5 * carried() * x.v * x.v;
-    if constexpr (driven) E += motor.stored(x.z);
-    if constexpr (elastic) E += 0.5 * motor.Mm * x.z[wm] * x.z[wm] + gear.stored(x.z[tm], x.q);
-    for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
-      E += extra.stored(angle_of(extra, x), x.z + state);
-    });
-    return E;
-  }
-  // Potential energy of extras, which may be negative.
+  // Whether extras have potential energy, and whether the power that the supply gives grows with
+  // the speed at a constant command.
   static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
-  constexpr Real potential(const Input<Real>& x) const {
-    Real U = 0.0;
-    for_each_extra([&](const auto& extra, auto, auto) {
-      if constexpr (HasPotential<std::remove_cvref_t<decltype(extra)>>)
-        U += extra.potential(angle_of(extra, x));
-    });
-    return U;
-  }
-  constexpr Real dissipated(const Input<Real>& x, unsigned held) const {
-    // In the given modes, which need not be those of x at the end of a part of a step.
-    const Real T = load_on_link(x, held);
-    Real P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
-    if constexpr (driven) P += motor.dissipated(x.z);
-    if constexpr (elastic)
-      P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, Gear::modes > 0 && is_held(held, of_gear));
-    if constexpr (elastic && Rotor::modes > 0) P += rotor.dissipated(x.z[wm], on_rotor(x, T));
-    if constexpr (carries_rotor && Rotor::modes > 0)
-      P += rotor.law.Dv * motor_speed(x) * motor_speed(x);
-    for_each_extra([&](const auto& extra, auto state, auto mode) {
-      P += extra.dissipated(angle_of(extra, x), speed_of(extra, x), x.z + state,
-                            extra.modes > 0 && is_held(held, mode));
-    });
-    return P;
-  }
-  constexpr Real given(const Input<Real>& x, unsigned held) const {
-    if constexpr (driven) return motor.given(x.z, x.u, felt_speed(x), motor_held(held));
-    return 0.0;
-  }
-  // Whether that grows with the speed at a constant command.
   static constexpr bool given_by_speed = requires { Motor::given_by_speed; };
-  template <class X>
-  ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {
-    if constexpr (driven) return motor.given_at_most(x.z, x.u, felt_speed(x));
-    return X{};
-  }
 
   // Whether commands are bounded by the supply alone, as voltages are; and the command of x within
   // its bounds.
@@ -412,17 +337,7 @@ struct Drive {
     return x;
   }
 
- private:
-  // The modes of gear and extras, which go with the state alone.
-  constexpr void put_modes_of_state(const Input<Real>& x, Modes& at) const {
-    if constexpr (elastic && Gear::modes > 0)
-      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
-    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-      if constexpr (Extra::modes > 0)
-        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
-    });
-  }
-
+  // What acts on the shafts; the files of drive_*.hpp take it, too.
   // Speed in the induced voltage: the rotor's, times the factor of torque ripple.
   template <class X>
   ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
@@ -431,34 +346,7 @@ struct Drive {
     else
       return motor_speed(x);
   }
-
-  static constexpr bool may_be_usual =
-      (!driven || Motor::modes == 0 ||
-       requires(const Motor& part, const Real* z, Real x) { part.is_usual(z, x, x); }) &&
-      (!elastic || Gear::modes == 0) &&
-      (true && ... && (Extras::modes == 0 || requires(const Extras& part, const Real* z, Real x) {
-         part.is_usual(x, x, z);
-       }));
-  constexpr bool is_rotor_usual() const {
-    if constexpr (elastic && Rotor::modes > 0) return rotor.is_usual();
-    return true;
-  }
-
   static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
-
-  constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
-    const Input<Real> x = with(at, now);
-    const unsigned held = now.held();
-    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held)),
-                  kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
-    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-      if constexpr (Extra::place == Place::rotor)
-        on.torque += torque_of<state, mode>(extra, x, held);
-    });
-    on.torque -= on.of_gear;
-    return on;
-  }
-
   template <class X>
   ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned held) const {
     return gear.torque(x.z[tm], x.z[wm], x.q, x.v, x.offset[Gear::modes > 0 ? of_gear : 0],
@@ -510,6 +398,43 @@ struct Drive {
       }(std::make_integer_sequence<int, sizeof...(Extras)>{});
     }
   }
+
+ private:
+  // The modes of gear and extras, which go with the state alone.
+  constexpr void put_modes_of_state(const Input<Real>& x, Modes& at) const {
+    if constexpr (elastic && Gear::modes > 0)
+      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
+        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
+    });
+  }
+
+  static constexpr bool may_be_usual =
+      (!driven || Motor::modes == 0 ||
+       requires(const Motor& part, const Real* z, Real x) { part.is_usual(z, x, x); }) &&
+      (!elastic || Gear::modes == 0) &&
+      (true && ... && (Extras::modes == 0 || requires(const Extras& part, const Real* z, Real x) {
+         part.is_usual(x, x, z);
+       }));
+  constexpr bool is_rotor_usual() const {
+    if constexpr (elastic && Rotor::modes > 0) return rotor.is_usual();
+    return true;
+  }
+
+  constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
+    const Input<Real> x = with(at, now);
+    const unsigned held = now.held();
+    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held)),
+                  kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::place == Place::rotor)
+        on.torque += torque_of<state, mode>(extra, x, held);
+    });
+    on.torque -= on.of_gear;
+    return on;
+  }
+
   static constexpr int state_of(int which) {
     int at = own, e = 0;
     ((e++ < which ? at += Extras::states : at), ...);

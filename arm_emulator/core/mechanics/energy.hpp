@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "mechanics/drive_energy.hpp"
 #include "mechanics/links.hpp"
 #include "mechanics/state.hpp"
 
@@ -27,9 +28,11 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
   Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
   Real most = -1.0;
   n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-    const Real own = 0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
+    const Real own =
+        0.5 * M.at[j][j] * x.v[j] * x.v[j] + stored_in(drive, input_of(drive, j, x, 0.0));
     E.stored += own;
-    if constexpr (Drive::has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
+    if constexpr (Drive::has_potential)
+      E.potential += potential_of(drive, input_of(drive, j, x, 0.0));
     Real Dc = n.Dc(j);
     if constexpr (Drive::friction_varies) {
       const auto at = input_of(drive, j, x, 0.0);
@@ -68,14 +71,14 @@ class EnergyBalance {
     X power = {};
     if constexpr (kWidth<X> == 1 || !Numbers<S, X>::varied) {
       n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
-        power += drive.given_at_most(input_of(drive, j, x, u[j]));
+        power += given_at_most_to(drive, input_of(drive, j, x, u[j]));
       });
       return power;
     }
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       Real of_lane = 0.0;
       n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
-        of_lane += drive.given_at_most(input_in_lane(drive, j, x, u[j], lane));
+        of_lane += given_at_most_to(drive, input_in_lane(drive, j, x, u[j], lane));
       });
       set_lane(power, lane, of_lane);
     }

@@ -6,6 +6,7 @@
 // up to the error of the scheme.
 #pragma once
 
+#include "mechanics/drive_energy.hpp"
 #include "mechanics/modes.hpp"
 
 namespace arm {
@@ -31,8 +32,8 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
   n.for_each_drive([&](const auto& drive, int j) {
     const auto now = modes.of(drive, j);
     const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-    power.given[j] = drive.given(at, now.held());
-    power.dissipated[j] = drive.dissipated(at, now.held());
+    power.given[j] = given_to(drive, at, now.held());
+    power.dissipated[j] = dissipated_in(drive, at, now.held());
   });
   if constexpr (S::external_wrench) {
     typename Links<S>::Kinematics kinematics;

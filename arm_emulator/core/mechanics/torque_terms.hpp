@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "mechanics/drive_torques.hpp"
 #include "mechanics/modes.hpp"
 
 namespace arm {
@@ -44,7 +45,7 @@ class TorqueTerms {
     n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       const auto now = modes.of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-      const auto on = drive.torques(at, now.held());
+      const auto on = torques_in(drive, at, now.held());
       Real inertia = 0.0;
       for (int k = 0; k < N; ++k) inertia -= links.M.at[j < k ? j : k][j < k ? k : j] * a[k];
       const Real no = no_number();

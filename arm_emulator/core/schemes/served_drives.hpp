@@ -109,7 +109,7 @@ class ServedDrives {
       if (input == In::rest + row || input == In::change + row) return bends(row);
     switch (input) {
       case In::q:
-        return any_drive<S>([](const auto& d) { return d.elastic || d.has_extras; });
+        return any_drive<S>([](const auto& d) { return d.elastic || d.extra_count > 0; });
       case In::u:
         return any_drive<S>([](const auto& d) { return d.driven; });
       default:

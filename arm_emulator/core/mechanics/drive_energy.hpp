@@ -1,0 +1,68 @@
+// Energy and power of a drive: in windings, rotor, gear and extras; what friction, windings, the
+// gear's damping and extras take; what the supply gives, and what it can give at most.
+#pragma once
+
+#include <type_traits>
+
+#include "mechanics/drive.hpp"
+
+namespace arm {
+
+template <class Drive, int n, int M, class X>
+ARM_INLINE constexpr X stored_in(const Drive& drive, const DriveInput<n, M, X>& x) {
+  X E = 0.5 * drive.carried() * x.v * x.v;
+  if constexpr (Drive::driven) E += drive.motor.stored(x.z);
+  if constexpr (Drive::elastic)
+    E += 0.5 * drive.motor.Mm * x.z[Drive::wm] * x.z[Drive::wm] +
+         drive.gear.stored(x.z[Drive::tm], x.q);
+  drive.for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
+    E += extra.stored(drive.angle_of(extra, x), x.z + state);
+  });
+  return E;
+}
+
+// Potential energy of extras, which may be negative.
+template <class Drive, int n, int M>
+constexpr Real potential_of(const Drive& drive, const DriveInput<n, M, Real>& x) {
+  Real U = 0.0;
+  drive.for_each_extra([&](const auto& extra, auto, auto) {
+    if constexpr (HasPotential<std::remove_cvref_t<decltype(extra)>>)
+      U += extra.potential(drive.angle_of(extra, x));
+  });
+  return U;
+}
+
+// In the given modes, which need not be those of x at the end of a part of a step.
+template <class Drive, int n, int M>
+constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
+  constexpr int tm = Drive::tm, wm = Drive::wm;
+  const Real T = drive.load_on_link(x, held);
+  Real P = drive.friction.Dv * x.v * x.v + drive.sliding_under(x, T) * magnitude(x.v);
+  if constexpr (Drive::driven) P += drive.motor.dissipated(x.z);
+  if constexpr (Drive::elastic)
+    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v,
+                               Drive::gear_modes > 0 && is_held(held, Drive::of_gear));
+  if constexpr (Drive::elastic && Drive::rotor_modes > 0)
+    P += drive.rotor.dissipated(x.z[wm], drive.on_rotor(x, T));
+  if constexpr (Drive::carries_rotor && Drive::rotor_modes > 0)
+    P += drive.rotor.law.Dv * drive.motor_speed(x) * drive.motor_speed(x);
+  drive.for_each_extra([&](const auto& extra, auto state, auto mode) {
+    P += extra.dissipated(drive.angle_of(extra, x), drive.speed_of(extra, x), x.z + state,
+                          extra.modes > 0 && is_held(held, mode));
+  });
+  return P;
+}
+
+template <class Drive, int n, int M>
+constexpr Real given_to(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
+  if constexpr (Drive::driven)
+    return drive.motor.given(x.z, x.u, drive.felt_speed(x), Drive::motor_held(held));
+  return 0.0;
+}
+template <class Drive, int n, int M, class X>
+ARM_INLINE constexpr X given_at_most_to(const Drive& drive, const DriveInput<n, M, X>& x) {
+  if constexpr (Drive::driven) return drive.motor.given_at_most(x.z, x.u, drive.felt_speed(x));
+  return X{};
+}
+
+}  // namespace arm
