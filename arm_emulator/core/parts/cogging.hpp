@@ -6,19 +6,9 @@
 #include <array>
 
 #include "numerics/harmonic.hpp"
-#include "parts/place.hpp"
+#include "parts/no_torque.hpp"
 
 namespace arm {
-
-struct NoCogging {
-  static constexpr Place place = Place::rotor;
-  static constexpr int states = 0, modes = 0;
-  constexpr const NoCogging& linear() const { return *this; }
-  template <class X>
-  ARM_INLINE constexpr X torque(X, X, const X*, X, bool) const {
-    return X{};
-  }
-};
 
 template <int n>
 struct Cogging {
@@ -26,7 +16,7 @@ struct Cogging {
 
   static constexpr Place place = Place::rotor;
   static constexpr int states = 0, modes = 0;
-  constexpr NoCogging linear() const { return {}; }
+  constexpr NoTorque<place> linear() const { return {}; }
 
   template <class X>
   ARM_INLINE constexpr X torque(X tm, X, const X*, X, bool) const {

@@ -15,25 +15,9 @@
 
 #include "numerics/number.hpp"
 #include "numerics/sincos.hpp"
-#include "parts/place.hpp"
+#include "parts/no_torque.hpp"
 
 namespace arm {
-
-// Replaces it in the matrix A of the schemes: it is soft against the inertia that it balances.
-struct NoSpring {
-  static constexpr Place place = Place::link;
-  static constexpr int states = 0, modes = 0;
-  constexpr const NoSpring& linear() const { return *this; }
-  template <class X>
-  ARM_INLINE constexpr X torque(X, X, const X*, X, bool) const {
-    return X{};
-  }
-  template <class X>
-  ARM_INLINE constexpr X stored(X, const X*) const {
-    return X{};
-  }
-  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
-};
 
 struct Counterbalance {
   Real a, b;  // m
@@ -45,7 +29,8 @@ struct Counterbalance {
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;
-  constexpr NoSpring linear() const { return {}; }
+  // It is soft against the inertia that it balances.
+  constexpr NoTorque<place> linear() const { return {}; }
 
   template <class X>
   ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {

@@ -10,7 +10,7 @@
 
 #include <array>
 
-#include "parts/counterbalance.hpp"
+#include "parts/no_torque.hpp"
 
 namespace arm {
 
@@ -27,7 +27,7 @@ struct TorqueTable {
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;
-  constexpr NoSpring linear() const { return {}; }
+  constexpr NoTorque<place> linear() const { return {}; }
 
   template <class X>
   ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {

@@ -1,0 +1,31 @@
+// The drag of water or air on a link: against its motion, with the square of its speed.
+//
+//   torque on the link  -c |v| v      dissipated  c |v|^3
+#pragma once
+
+#include "parts/no_torque.hpp"
+
+namespace arm {
+
+struct Drag {
+  Real c;  // N m s2/rad2
+
+  static constexpr Place place = Place::link;
+  static constexpr int states = 0, modes = 0;
+  // It vanishes at rest.
+  constexpr NoTorque<place> linear() const { return {}; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X, X v, const X*, X, bool) const {
+    return -c * magnitude(v) * v;
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X, const X*) const {
+    return X{};
+  }
+  constexpr Real dissipated(Real, Real v, const Real*, bool) const {
+    return c * magnitude(v) * v * v;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,25 @@
+// Replaces a soft part without states in the matrix A of the schemes, which it does not stiffen.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/place.hpp"
+
+namespace arm {
+
+template <Place where>
+struct NoTorque {
+  static constexpr Place place = where;
+  static constexpr int states = 0, modes = 0;
+  constexpr const NoTorque& linear() const { return *this; }
+  template <class X>
+  ARM_INLINE constexpr X torque(X, X, const X*, X, bool) const {
+    return X{};
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X, const X*) const {
+    return X{};
+  }
+  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
+};
+
+}  // namespace arm

@@ -1,0 +1,51 @@
+"""Drag of links in water or air."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.fault import Fault, rise, rising
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.resting import AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drag(Extra):
+    """A torque against the motion of the link that grows with the square of its speed."""
+
+    section = "drag"
+    header = "drag.hpp"
+    cxx = "Drag"
+
+    coefficient: float = number(
+        "c",
+        "N m s2/rad2",
+        at_least=0.0,
+        sought="unknown",
+        typical=(0.1, 10.0),
+        text="c; of a part of the area A at the distance r: about 0.5 rho cd A r^3",
+    )
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                name="drag_grows",
+                text="something that drags has been caught at the link",
+                sets=rising(("drag.coefficient",)),
+                magnitude=rise("N m s2/rad2", 1.0, 1e6),
+            ),
+        )
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        torque: Array = self.coefficient * np.abs(motion.speed) * motion.speed
+        return torque
+
+    def rests(self, at: AtRest) -> Share | str:
+        """None: it vanishes at rest."""
+        return Share()
