@@ -103,6 +103,7 @@ def _of_parts(table: str) -> Callable[[str], str]:
 GENERATORS: dict[str, Callable[[str], str]] = {
     "campaign": _of_campaigns,
     "commands": _help,
+    "faults": _of_parts("faults"),
     "file": _code,
     "inputs": _of_parts("inputs"),
     "interfaces": _interfaces,

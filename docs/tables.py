@@ -9,9 +9,11 @@ from pathlib import Path
 
 from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.doors.fieldbus.declared import index_of
+from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.gear import RATIO_UNIT, Gear
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.input import Input
@@ -80,6 +82,26 @@ def schemes(folder: str) -> str:
         rows.append((name, one.text, str(one.order), str(one.evaluations), threads, located))
     head = ("scheme", "what", "order", "evaluations of the links", "threads", "locates events")
     return "\n".join(_table(head, rows))
+
+
+def faults(_: str) -> str:
+    """Return the kinds of faults of parts, and of numbers of several parts."""
+    owners = {"joints": "joint", "links": "link", "imus": "unit", "": "machine"}
+    head = ("fault", "of a", "what happens", "magnitude m", "numbers x and what they become")
+    rows = ([_code(one.name), owners[one.of], one.text, *_changes(one)] for one in FAULTS)
+    return "\n".join(_table(head, rows))
+
+
+def _changes(one: Fault) -> tuple[str, str]:
+    """Return the magnitude of a fault, and the changes of numbers by it."""
+    number = one.magnitude
+    unit = "" if number.unit == "1" else f" {number.unit}"
+    low, high = number.ends
+    by_change: dict[str, list[str]] = {}
+    for place, expression in one.sets.items():
+        by_change.setdefault(expression.format(x="x", m="m"), []).append(_code(place))
+    sets = (f"{', '.join(places)}: {_code(to)}" for to, places in by_change.items())
+    return f"{number.default:g}{unit}, from {low:g} to {high:g}", "; ".join(sets)
 
 
 def inputs(_: str) -> str:
