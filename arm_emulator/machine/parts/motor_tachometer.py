@@ -1,0 +1,28 @@
+"""Tachometers on the shafts of motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.resting import AtRest, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorTachometer(AnalogSensor):
+    """Of the speed of a motor's shaft."""
+
+    section = "motor_tachometer"
+    shaft = "rotor"
+    unit = "rad/s"
+    quantity = "MotorSpeed"
+    quantity_header = "mechanics/motor_speed.hpp"
+    outputs = (
+        Output("motor_speed", "speed of each motor, by the tachometer on its shaft", READINGS,
+               "rad/s"),
+    )  # fmt: skip
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not use it."""
+        return Share()
