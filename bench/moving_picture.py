@@ -1,7 +1,8 @@
 """The moving picture of README.md: a UR5 leads its tool along a square, as the viewer shows it.
 
-Machine, servo and motion control run in one process. The recording begins and ends with the tool at
-rest in the same corner, so that the picture repeats without a jump.
+The target in it is the reference: where the tool shall be at that moment. Machine, servo and motion
+control run in one process. The recording begins and ends with the tool at rest in the same corner,
+so that the picture repeats without a jump.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ def record(rrd: Path) -> tuple[float, float]:
         one.advance(EVERY)
         state = one.session.state
         sensed = one.session.measured
+        reference = one.controller.coming
+        assert reference is not None, "a way is planned"
+        stream.offer_target(one.session.logical_ns, kinematics.forward(reference.q)[1].tolist())
         stream.offer(
             one.session.logical_ns,
             state.q,

@@ -26,8 +26,9 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
+from arm_emulator.motion.coming_orders import MOST_TARGETS
 from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.instructor import MOST_TARGETS, Instructor
+from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose

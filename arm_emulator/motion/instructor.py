@@ -2,60 +2,42 @@
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collision_guard import WouldTouch
+from arm_emulator.motion.coming_orders import ComingOrders, check_wait
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import JogCommand
 from arm_emulator.motion.jog_order import JogOrder
-from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.laws import Laws, joint_limits, tool_limits
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_report import Kind, MotionReport, Reports, State
+from arm_emulator.motion.motion_report import Kind, Reports, State
+from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
 from arm_emulator.motion.orders import (
     Order,
-    PathOrder,
     Progress,
     TargetOrder,
-    TrajectoryOrder,
 )
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.standstill import Flags, Standstill
 from arm_emulator.motion.stream_order import StreamOrder, is_near
+from arm_emulator.motion.taken_order import TakenOrder
 from arm_emulator.motion.target_stream import TargetStream
-from arm_emulator.motion.tolerances import Allowed, Tolerances
-from arm_emulator.motion.tool_path import ToolPath
+from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.way_controller import LOST
 
-MOST_TARGETS = 10_000  # that wait for their time
-LONGEST_WAIT_NS = 3_600_000_000_000  # an hour; a stamp of the wall clock is decades ahead
 _Q = POSITION.named("q")
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")
 _TAU = EFFORT.named("tau_feedforward")
-
-
-@dataclass(eq=False)
-class _Taken:
-    """An order that was accepted."""
-
-    order: Order
-    number: int
-    """Number among those of its kind; 0: an internal one, without reports."""
-    begins_ns: int = 0
-    """Logical time at which it begins at the earliest."""
-    state: State = State.ACCEPTED
-    way: str = ""
-    """Newest published report."""
 
 
 class Instructor:
@@ -82,21 +64,21 @@ class Instructor:
         self.trouble = ""
         self.reports = Reports()
         self._config = config or MotionConfig()
-        self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
-        self._active: _Taken | None = None
+        self._coming = ComingOrders()
+        self._active: TakenOrder | None = None
         self._laws: Laws | None = None
         self._stream = TargetStream(self._config.period)
         self.start_over()
 
     def start_over(self, reason: str = "the motion controller was reset") -> None:
         """Forget all orders, and the arm's position."""
-        for taken in [self._active, *(taken for _, taken in self._coming)]:
+        for taken in [self._active, *self._coming]:
             if taken is not None:
-                self._report(taken, Progress(State.ABORTED, reason))
+                taken.report(self.reports, Progress(State.ABORTED, reason))
         self._hold: FloatArray | None = None
         self._active = None
         self._standing: Standstill | None = None
-        self._coming = []
+        self._coming = ComingOrders()
         self._now_ns: int | None = None  # logical time of the newest joint angles
         self._last: tuple[int, Instruction] | None = None
         if self._laws is not None:
@@ -163,17 +145,7 @@ class Instructor:
         """
 
         def order() -> Order:
-            kinematics, config = _known(controller, "joint_trajectory"), self._config
-            joints, limits = kinematics.joint_names, joint_limits(kinematics, config)
-            trajectory = JointTrajectory(
-                joints, limits, names, points, stamp_ns, config.may_end_moving
-            )
-            default = Tolerances(
-                Allowed.alike(len(joints), config.path_tolerance),
-                Allowed.alike(len(joints), config.goal_tolerance),
-                config.goal_time,
-            )
-            return TrajectoryOrder(trajectory, tolerances(default))
+            return trajectory_order(controller, self._config, names, points, stamp_ns, tolerances)
 
         return self._take(Kind.JOINT_TRAJECTORY, stamp_ns, order)
 
@@ -197,14 +169,7 @@ class Instructor:
         """
 
         def order() -> Order:
-            kinematics, config = _known(controller, "tool_path"), self._config
-            turning = kinematics.turns_tool
-            # A free orientation must not take time.
-            level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
-            path = ToolPath(
-                level, tool_limits(config), stamp_ns, times_ns, config.path_arcs, config.path_blend
-            )
-            return PathOrder(path)
+            return path_order(controller, self._config, poses, stamp_ns, times_ns)
 
         begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
         return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
@@ -215,7 +180,7 @@ class Instructor:
         if active is not None and isinstance(active.order, JogOrder) and not active.state.final:
             active.order.take(command)
             return
-        waiting = next((one for _, one in self._coming if one.order.kind is Kind.JOG), None)
+        waiting = next((one for one in self._coming if one.order.kind is Kind.JOG), None)
         if waiting is not None and isinstance(waiting.order, JogOrder):
             waiting.order.take(command)
             return
@@ -230,16 +195,16 @@ class Instructor:
 
     def cancel(self, number: int) -> None:
         """Abort a joint trajectory by its number: the joints come to rest if it moves them."""
-        for i, (_, taken) in enumerate(self._coming):
+        for taken in self._coming:
             if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
-                del self._coming[i]
-                self._report(taken, Progress(State.ABORTED, "cancelled"))
+                self._coming.remove(taken)
+                taken.report(self.reports, Progress(State.ABORTED, "cancelled"))
                 return
         active = self._active
         if self._laws is None or active is None or active.state.final:
             return
         if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
-            self._coming.insert(0, (0, _Taken(_stop(self._laws), 0)))
+            self._coming.put_first(TakenOrder(stop_order(self._laws), 0))
 
     def instruct(
         self,
@@ -313,7 +278,7 @@ class Instructor:
         try:
             (active.order.begin if begins else active.order.go_on)(laws, time_ns, rest)
         except Refusal as reason:
-            self._report(active, Progress(State.REFUSED, str(reason)))
+            active.report(self.reports, Progress(State.REFUSED, str(reason)))
             self._active, self._hold = None, rest.q
 
     def _laws_of(self, controller: Controller) -> Laws:
@@ -327,23 +292,17 @@ class Instructor:
         begins_ns = time_ns if begins_ns is None else begins_ns
         try:
             if self._now_ns is not None:
-                _check_wait(kind, begins_ns, self._now_ns)
+                check_wait(kind, begins_ns, self._now_ns)
             order = make()
-            place = bisect.bisect_left(self._coming, time_ns, key=lambda item: item[0])
-            same = place < len(self._coming) and self._coming[place][0] == time_ns
-            if not same and len(self._coming) >= MOST_TARGETS:
-                rule = f"be one of at most {MOST_TARGETS} that wait for their time"
-                raise Refusal(kind.topic, "the target", rule, "one more")
+            self._coming.check_room(kind, time_ns)
         except Refusal as reason:
             self.reports.refuse(kind, time_ns, reason)
             raise
-        taken = _Taken(order, self.reports.next_number(kind), begins_ns)
-        self._report(taken, Progress(State.ACCEPTED))
-        if same:
-            self._report(self._coming[place][1], _replaced_by(taken))
-            self._coming[place] = (time_ns, taken)
-        else:
-            self._coming.insert(place, (time_ns, taken))
+        taken = TakenOrder(order, self.reports.next_number(kind), begins_ns)
+        taken.report(self.reports, Progress(State.ACCEPTED))
+        before = self._coming.put(time_ns, taken)
+        if before is not None:
+            before.report(self.reports, taken.replaces)
         return taken.number
 
     def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
@@ -351,23 +310,22 @@ class Instructor:
         if self._now_ns is None:  # orders from before the first joint states
             self._refuse_long_waits(time_ns)
         self._now_ns = time_ns
-        while self._coming and self._coming[0][0] <= time_ns:
-            taken = self._coming.pop(0)[1]
+        while (taken := self._coming.due(time_ns)) is not None:
             reference, order = self._reference(laws, time_ns, q), taken.order
             if isinstance(order, TargetOrder):
                 self._stream.take(order.stamp_ns or time_ns, order.pose, reference.q)
-            if self._coming and self._coming[0][0] <= time_ns:
-                self._report(taken, _replaced_by(self._coming[0][1]))
+            if (newer := self._coming.next_due(time_ns)) is not None:
+                taken.report(self.reports, newer.replaces)
                 continue
             if isinstance(order, TargetOrder):
                 taken.order = self._streamed(laws, order, reference.q)
             try:
                 taken.order.begin(laws, time_ns, reference)
             except Refusal as reason:
-                self._report(taken, Progress(State.REFUSED, str(reason)))
+                taken.report(self.reports, Progress(State.REFUSED, str(reason)))
                 continue
             if self._active is not None:
-                self._report(self._active, _replaced_by(taken))
+                self._active.report(self.reports, taken.replaces)
             self._active = taken
 
     def _streamed(self, laws: Laws, order: TargetOrder, q: FloatArray) -> TargetOrder | StreamOrder:
@@ -378,13 +336,12 @@ class Instructor:
         return StreamOrder(order, motion, self._stream.posture)
 
     def _refuse_long_waits(self, now_ns: int) -> None:
-        for one in list(self._coming):
-            taken = one[1]
+        for taken in self._coming:
             try:
-                _check_wait(taken.order.kind, taken.begins_ns, now_ns)
+                check_wait(taken.order.kind, taken.begins_ns, now_ns)
             except Refusal as reason:
-                self._coming.remove(one)
-                self._report(taken, Progress(State.REFUSED, str(reason)))
+                self._coming.remove(taken)
+                taken.report(self.reports, Progress(State.REFUSED, str(reason)))
 
     def _instruct(
         self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None
@@ -406,12 +363,12 @@ class Instructor:
         way = taken.order.way
         if taken.state is State.ACCEPTED or (taken.state is State.MOVING and way != taken.way):
             taken.way = way
-            self._report(taken, replace(progress, state=State.MOVING, reason=way), anew=True)
+            taken.report(self.reports, replace(progress, state=State.MOVING, reason=way), anew=True)
         if taken.state is State.MOVING or (taken.state, progress.state) == (
             State.UNREACHABLE,
             State.REACHED,
         ):
-            self._report(taken, progress)
+            taken.report(self.reports, progress)
         if taken.state is State.ABORTED:
             return self._stop(laws, time_ns, q, v)
         return self._guarded(laws, time_ns, q, instruction)
@@ -433,19 +390,19 @@ class Instructor:
     def _halt(self, laws: Laws, time_ns: int, now: Reference, why: Progress) -> Instruction:
         """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
-            self._report(self._active, why)
+            self._active.report(self.reports, why)
         stop = JogOrder.stop(time_ns, len(now.q))
         stop.begin(laws, time_ns, now)
-        self._active = _Taken(stop, 0, state=State.MOVING)
+        self._active = TakenOrder(stop, 0, state=State.MOVING)
         return stop.instruct(laws, time_ns, now.q)
 
     def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
         """Bring the joints to rest from their measured motion."""
-        stop = _stop(laws)
+        stop = stop_order(laws)
         still = np.zeros_like(q)
         q = laws.feedforward.standing(q)
         stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
-        self._active = _Taken(stop, 0)
+        self._active = TakenOrder(stop, 0)
         return stop.instruct(laws, time_ns, q)
 
     def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
@@ -467,28 +424,6 @@ class Instructor:
             return Reference(q, still, still)
         return reference
 
-    def _report(self, taken: _Taken, progress: Progress, anew: bool = False) -> None:
-        if taken.state.final and not (
-            taken.state is State.UNREACHABLE and progress.state is State.REACHED
-        ):
-            return
-        if (progress.state is taken.state is State.MOVING and not anew) or not taken.number:
-            taken.state = progress.state
-            return
-        taken.state = progress.state
-        order = taken.order
-        self.reports.waiting.append(
-            MotionReport(
-                order.kind,
-                taken.number,
-                order.stamp_ns,
-                progress.state,
-                progress.reason,
-                progress.distance,
-                progress.angle,
-            )
-        )
-
 
 def _begin_and_end(instruction: Instruction, period: float) -> tuple[Reference, Reference]:
     """Return the motion at the begin and at the end of a motion period."""
@@ -498,33 +433,3 @@ def _begin_and_end(instruction: Instruction, period: float) -> tuple[Reference, 
     jerk = still if now.jerk is None else now.jerk
     ends = now.v + now.a * period + 0.5 * jerk * period**2
     return now, Reference(q + period * v, ends, now.a + jerk * period)
-
-
-def _check_wait(kind: Kind, time_ns: int, now_ns: int) -> None:
-    if time_ns - now_ns > LONGEST_WAIT_NS:
-        rule = f"be at most {LONGEST_WAIT_NS * 1e-9:g} s after logical time {now_ns * 1e-9:g} s"
-        valid = "0 for at once, or a time of the topic clock (use_sim_time)"
-        raise Refusal(kind.topic, "header.stamp", rule, f"{time_ns * 1e-9:.10g} s", valid)
-
-
-def _known(controller: Controller | None, where: str) -> Kinematics:
-    if controller is None:
-        raise Refusal(where, "the message", "come after the robot description", "none so far")
-    return controller.kinematics
-
-
-def _stop(laws: Laws) -> TrajectoryOrder:
-    """Return the order to come to rest."""
-    names = laws.controller.kinematics.joint_names
-    anything = Allowed.alike(len(names), 0.0)
-    trajectory = JointTrajectory(
-        names, joint_limits(laws.controller.kinematics, laws.config), (), ()
-    )
-    return TrajectoryOrder(trajectory, Tolerances(anything, anything))
-
-
-def _replaced_by(taken: _Taken) -> Progress:
-    if not taken.number:
-        return Progress(State.ABORTED, "cancelled")
-    what = taken.order.kind.name.lower().replace("_", " ")
-    return Progress(State.REPLACED, f"by {what} {taken.number}")

@@ -1,0 +1,76 @@
+"""Orders that wait for their time."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterator
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.motion_report import Kind
+from arm_emulator.motion.taken_order import TakenOrder
+
+MOST_TARGETS = 10_000  # that wait for their time
+LONGEST_WAIT_NS = 3_600_000_000_000  # an hour; a stamp of the wall clock is decades ahead
+
+
+class ComingOrders:
+    """Orders by their times, at most one for each."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, TakenOrder]] = []  # in the order of their times
+
+    def __iter__(self) -> Iterator[TakenOrder]:
+        return (taken for _, taken in list(self._waiting))
+
+    def check_room(self, kind: Kind, time_ns: int) -> None:
+        """Refuse one more order, of a kind and for a time [ns], if too many wait.
+
+        Raises:
+            Refusal: there is no room.
+        """
+        if self._at(time_ns) is None and len(self._waiting) >= MOST_TARGETS:
+            rule = f"be one of at most {MOST_TARGETS} that wait for their time"
+            raise Refusal(kind.topic, "the target", rule, "one more")
+
+    def put(self, time_ns: int, taken: TakenOrder) -> TakenOrder | None:
+        """Add an order for a time [ns]; return the one in whose place it comes."""
+        before = self._at(time_ns)
+        if before is not None:
+            self.remove(before)
+        place = bisect.bisect_left(self._waiting, time_ns, key=lambda item: item[0])
+        self._waiting.insert(place, (time_ns, taken))
+        return before
+
+    def put_first(self, taken: TakenOrder) -> None:
+        """Add an order that begins at once, before all others."""
+        self._waiting.insert(0, (0, taken))
+
+    def remove(self, taken: TakenOrder) -> None:
+        """Take an order away."""
+        self._waiting = [one for one in self._waiting if one[1] is not taken]
+
+    def due(self, time_ns: int) -> TakenOrder | None:
+        """Take the first order whose time has come [ns]; None: none has."""
+        return self._waiting.pop(0)[1] if self.next_due(time_ns) else None
+
+    def next_due(self, time_ns: int) -> TakenOrder | None:
+        """Return the first order whose time has come [ns], and leave it."""
+        first = self._waiting[0] if self._waiting else None
+        return first[1] if first is not None and first[0] <= time_ns else None
+
+    def _at(self, time_ns: int) -> TakenOrder | None:
+        place = bisect.bisect_left(self._waiting, time_ns, key=lambda item: item[0])
+        same = place < len(self._waiting) and self._waiting[place][0] == time_ns
+        return self._waiting[place][1] if same else None
+
+
+def check_wait(kind: Kind, time_ns: int, now_ns: int) -> None:
+    """Refuse an order that begins too late [ns].
+
+    Raises:
+        Refusal: more than `LONGEST_WAIT_NS` after `now_ns`.
+    """
+    if time_ns - now_ns > LONGEST_WAIT_NS:
+        rule = f"be at most {LONGEST_WAIT_NS * 1e-9:g} s after logical time {now_ns * 1e-9:g} s"
+        valid = "0 for at once, or a time of the topic clock (use_sim_time)"
+        raise Refusal(kind.topic, "header.stamp", rule, f"{time_ns * 1e-9:.10g} s", valid)

@@ -1,0 +1,173 @@
+"""The node of the motion controller: its topics follow, refuse and report as the library does."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import PoseStamped
+from ideal_arm import SECOND
+from in_process import InProcess, in_process
+from nav_msgs.msg import Path
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.motion_report import Kind
+from arm_emulator.motion.pose import Pose
+from arm_emulator.ros.node_shell import stamp
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator_msgs.msg import MotionStatus
+from motion_controller_node.follow_action import installed
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[InProcess]:
+    with in_process() as one:
+        one.run_to(5)  # the description has come
+        yield one
+
+
+def statuses(nodes: InProcess) -> list[MotionStatus]:
+    """Collect the messages on the motion controller's status topic, from now on."""
+    heard: list[MotionStatus] = []
+    nodes.listen_alone("motion/status", MotionStatus, heard.append)
+    return heard
+
+
+def trajectory(at_ns: int, names: list[str], *points: tuple[float, list[float]]) -> JointTrajectory:
+    message = JointTrajectory(joint_names=names)
+    message.header.stamp = stamp(at_ns)
+    message.points = [
+        JointTrajectoryPoint(
+            positions=q, time_from_start=Duration(sec=int(t), nanosec=round(t % 1 * 1e9))
+        )
+        for t, q in points
+    ]
+    return message
+
+
+def path(at_ns: int, poses: list[Pose]) -> Path:
+    message = Path()
+    message.header.stamp = stamp(at_ns)
+    for pose in poses:
+        one = PoseStamped()
+        p, o = one.pose.position, one.pose.orientation
+        p.x, p.y, p.z = map(float, pose.p_WT)
+        o.x, o.y, o.z, o.w = map(float, pose.quaternion())
+        message.poses.append(one)
+    return message
+
+
+def offline() -> OfflineRun:
+    return load_offline_run("three_axis")
+
+
+def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits(
+    nodes: InProcess,
+) -> None:
+    run = offline()
+    names = list(run.controller.kinematics.joint_names)
+    start = run.session.scene.start
+    R, p = run.controller.kinematics.forward(start)
+    goal = (start + 0.05).tolist()
+    # By way of the quaternion, as in the message: the rotation has the same rounding then.
+    poses = [
+        Pose.from_quaternion(p + shift, Pose(p, R).quaternion())
+        for shift in (np.array([0.0, 0.02, 0.0]), np.array([0.02, 0.02, 0.0]))
+    ]
+    heard = statuses(nodes)
+    nodes.run_to(20)
+    nodes.send("joint_trajectory", trajectory(SECOND // 10, names, (0.3, goal)))
+    nodes.send("tool_path", path(SECOND, poses))
+    nodes.run_to(1400)
+    run.instructor.add_trajectory(
+        run.controller, names, [TrajectoryPoint(3 * SECOND // 10, goal)], SECOND // 10
+    )
+    run.instructor.add_path(run.controller, poses, SECOND)
+    for tick in range(1400):
+        state = run.session.measured
+        bits = np.asarray(state.encoder_counts, dtype=np.int64).tobytes() + state.current.tobytes()
+        assert nodes.states[tick] == bits, f"the first other bit at tick {tick}"
+        run.advance(1)
+    for one, report in zip(heard, run.instructor.reports.waiting, strict=False):
+        assert (one.kind, one.number, one.state) == (report.kind, report.number, report.state)
+    printed = [(one.kind, one.state) for one in heard]
+    assert (2, MotionStatus.STATE_REACHED) in printed and (3, MotionStatus.STATE_MOVING) in printed
+    assert nodes.newest("joint_targets").velocity, "speeds reach the servo"
+
+
+BAD: list[tuple[str, str, Any]] = [
+    ("joint_trajectory", "joint_names must be joints of the arm, got nobody", ["nobody"]),
+    ("joint_trajectory", "points[1].time_from_start must be later", [(0.5, 0.0), (0.5, 0.1)]),
+    ("joint_trajectory", "must be numbers within", [(0.5, math.nan)]),
+    ("joint_trajectory", "must be numbers within +-1e+06 rad", [(0.5, 1e7)]),
+    ("joint_trajectory", "header.stamp must be a logical time", -1),
+    ("tool_path", "poses must be from 1", []),
+    ("tool_path", "header.frame_id must be the arm's base, got elsewhere", "elsewhere"),
+    ("tool_path", "orientation must be a quaternion of length 1", "quaternion"),
+    ("tool_path", "poses[1].header.stamp must be later", "stamps"),
+    ("tool_target", "header.frame_id must be the arm's base, got elsewhere", "elsewhere"),
+]
+
+
+@pytest.mark.parametrize(("topic", "words", "what"), BAD, ids=[f"{t}: {w}" for t, w, _ in BAD])
+def test_refused_orders_are_reported_with_their_reason(
+    nodes: InProcess, topic: str, words: str, what: Any
+) -> None:
+    controller = nodes.nodes["motion_controller"]._controller
+    names = list(controller.kinematics.joint_names)
+    R, p = controller.kinematics.forward(np.zeros(len(names)))
+    heard, before = statuses(nodes), nodes.refused("motion_controller")
+    if topic == "joint_trajectory":
+        message: Any = trajectory(0, names, (1.0, [0.0] * len(names)))
+        if what == ["nobody"]:
+            message.joint_names = [*names[1:], "nobody"]
+        elif what == -1:
+            message.header.stamp.sec = -1
+        else:
+            message = trajectory(0, names, *((t, [q] * len(names)) for t, q in what))
+    else:
+        message = path(0, [Pose(p, R), Pose(p, R), Pose(p, R)])
+        if topic == "tool_target":
+            message = message.poses[0]
+        if what == "elsewhere":
+            message.header.frame_id = "elsewhere"
+        elif what == "quaternion":
+            message.poses[1].pose.orientation.w = 7.0
+        elif what == "stamps":
+            message.poses[0].header.stamp = stamp(5)
+            message.poses[1].header.stamp = stamp(5)
+            message.poses[2].header.stamp = stamp(9)
+        else:
+            message.poses = []
+    nodes.send(topic, message)
+    nodes.deliver()
+    while nodes._wires.waiting and not heard:
+        nodes.deliver()
+    [status] = heard
+    assert status.state == MotionStatus.STATE_REFUSED and words in status.reason
+    assert status.kind == Kind[topic.upper()] and status.number > 0
+    assert nodes.refused("motion_controller") == before + 1
+
+
+def test_a_reset_reports_what_it_has_forgotten(nodes: InProcess) -> None:
+    heard = statuses(nodes)
+    pose = path(0, [Pose(np.array([0.3, 0.0, 0.5]), np.eye(3))]).poses[0]
+    pose.header.stamp = stamp(1000 * SECOND)
+    nodes.send("tool_target", pose)
+    nodes.call("motion_controller/reset")
+    wanted = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]
+    while [one.state for one in heard if one.kind == Kind.TOOL_TARGET] != wanted:
+        assert nodes.deliver(), f"nothing more is reported after {heard}"
+    assert heard[-1].reason == "the motion controller was reset"
+
+
+def test_the_action_is_there_only_where_control_msgs_is(nodes: InProcess) -> None:
+    has_it = importlib.util.find_spec("control_msgs") is not None
+    assert installed() == has_it
+    assert (nodes.nodes["motion_controller"]._action is not None) == has_it
