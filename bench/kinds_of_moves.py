@@ -111,7 +111,7 @@ def jog(one: Drawn, time: float) -> None:
         twist = [0.0, 0.2, 0.0, 0.0, 0.0, 0.0] if time < 0.8 else [0.0, 0.0, 0.15, 0.0, 0.0, 0.0]
         now = one.run.session.logical_ns
         kinematics = one.run.controller.kinematics
-        one.run.instructor.jog(twist_command(now, twist, False, kinematics, one.motion))
+        one.run.instructor.jog(twist_command(now, twist, "", kinematics, one.motion))
 
 
 def stream(one: Drawn, time: float) -> None:
@@ -127,7 +127,7 @@ def collision(one: Drawn, time: float) -> None:
     if time < 2.0:
         now, down = one.run.session.logical_ns, [0.0, 0.1, -0.2, 0.0, 0.0, 0.0]
         kinematics = one.run.controller.kinematics
-        one.run.instructor.jog(twist_command(now, down, False, kinematics, one.motion))
+        one.run.instructor.jog(twist_command(now, down, "", kinematics, one.motion))
 
 
 KINDS: dict[str, tuple[Ask, float, int]] = {

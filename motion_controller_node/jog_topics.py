@@ -69,17 +69,10 @@ class JogTopics:
         def command() -> JogCommand:
             controller, config, now = self._known("delta_twist_cmds")
             kinematics = controller.kinematics
-            frames = dict.fromkeys(("", "world", kinematics.base, kinematics.tool))
-            frame = message.header.frame_id
-            if frame not in frames:
-                valid = ", ".join(filter(None, frames))
-                rule = "be the arm's base or its tool"
-                raise Refusal("delta_twist_cmds", "header.frame_id", rule, frame, valid)
             linear, angular = message.twist.linear, message.twist.angular
             twist = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
             time_ns = _time(message.header, now, config, "delta_twist_cmds")
-            of_tool = frame == kinematics.tool and frame != kinematics.base
-            return twist_command(time_ns, twist, of_tool, kinematics, config)
+            return twist_command(time_ns, twist, message.header.frame_id, kinematics, config)
 
         self._jog(message.header, command)
 

@@ -244,7 +244,7 @@ def test_a_jog_halts_before_a_collision_and_leaves(seed: int) -> None:
     for k in range(6):
         if k % 2 == 0:
             down = rng.normal(0.0, 0.1, 6) - [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
-            command = twist_command(0, down, False, arm.kinematics, arm.run.instructor._config)
+            command = twist_command(0, down, "", arm.kinematics, arm.run.instructor._config)
         else:
             names = arm.kinematics.joint_names
             speeds = rng.normal(0.0, 1.5, 6)
@@ -298,7 +298,7 @@ def sent_down(arm: Arm, kind: str) -> list[MotionReport]:
         elif kind == "jog":
             down, config = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0], instructor._config
             now = arm.run.session.logical_ns
-            instructor.jog(twist_command(now, down, False, arm.kinematics, config))
+            instructor.jog(twist_command(now, down, "", arm.kinematics, config))
         arm.advance(0.01)
         reports += instructor.reports.take()
     return reports

@@ -141,7 +141,7 @@ def test_targets_trajectories_and_jogs_keep_the_joints_limits(machine: Machine) 
     assert run.instructor.reports.waiting[-1].state is State.REACHED
     np.testing.assert_allclose(run.session.state.q, scene.start, atol=2e-3)
     before = machine.tool(run.session.state.q).translation
-    along = twist_command(0, (0.0, 0.0, 0.05, 0.0, 0.0, 0.0), False, kinematics, gains.motion)
+    along = twist_command(0, (0.0, 0.0, 0.05, 0.0, 0.0, 0.0), "", kinematics, gains.motion)
     for command in (along, joint_command(0, names[:1], (0.2,), kinematics, gains.motion)):
         for _ in range(100):
             run.instructor.jog(dataclasses.replace(command, time_ns=run.session.logical_ns))

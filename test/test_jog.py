@@ -9,6 +9,7 @@ from typing import Any
 
 import in_process as wires
 import numpy as np
+import pinocchio as pin
 import pytest
 from draws import some
 from geometry_msgs.msg import TwistStamped
@@ -77,8 +78,8 @@ class Jogged:
         """Return the path of the true tool (K, 3)."""
         return np.array([self.kinematics.forward(q)[1] for q in self.q])
 
-    def twist(self, *twist: float, of_tool: bool = False) -> JogCommand:
-        return twist_command(0, twist, of_tool, self.kinematics, self.config)
+    def twist(self, *twist: float, link: str = "") -> JogCommand:
+        return twist_command(0, twist, link, self.kinematics, self.config)
 
 
 def test_a_twist_moves_the_tool_along_it() -> None:
@@ -125,9 +126,23 @@ def test_a_twist_of_the_tool_turns_with_it() -> None:
     """The same numbers along the tool's own axes are another direction: down, with ur5."""
     one = Jogged()
     R_WT = one.kinematics.forward(one.run.session.state.q)[0]
-    one.jog(0.5, one.twist(0.0, 0.0, 0.1, 0.0, 0.0, 0.0, of_tool=True))
+    one.jog(0.5, one.twist(0.0, 0.0, 0.1, 0.0, 0.0, 0.0, link="tool0"))
     way = one.tool()[-1] - one.tool()[0]
     np.testing.assert_allclose(way / np.linalg.norm(way), R_WT[:, 2], atol=0.02)
+
+
+@pytest.mark.parametrize("link", ["forearm_link", "wrist_1_link", "base_link", "world"])
+def test_a_twist_is_along_any_link(link: str) -> None:
+    """As MoveIt Servo takes any frame: Pinocchio's placement of the link at the start."""
+    one = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
+    q, model = one.run.session.state.q, pin.buildModelFromXML(one.kinematics.urdf_xml)
+    data, at = model.createData(), np.zeros(model.nq)
+    at[[model.joints[model.getJointId(n)].idx_q for n in one.kinematics.joint_names]] = q
+    pin.framesForwardKinematics(model, data, at)
+    R_WL = np.eye(3) if link == "world" else data.oMf[model.getFrameId(link)].rotation
+    one.jog(0.3, one.twist(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, link=link))
+    way = one.tool()[-1] - one.tool()[0]
+    np.testing.assert_allclose(way / np.linalg.norm(way), R_WL[:, 0], atol=0.08)
 
 
 def test_commands_time_out() -> None:
@@ -150,7 +165,9 @@ def test_limits_hold_whatever_the_lever_does(seed: int) -> None:
     names = one.kinematics.joint_names
     for _ in range(12):
         if rng.random() < 0.5:
-            command = one.twist(*rng.normal(0.0, 1.0, 6), of_tool=bool(rng.random() < 0.5))
+            command = one.twist(
+                *rng.normal(0.0, 1.0, 6), link=str(rng.choice(["", "tool0", "forearm_link"]))
+            )
         else:
             command = joint_command(0, names, rng.normal(0.0, 3.0, 6), one.kinematics, one.config)
         one.jog(rng.uniform(0.1, 1.0), command)
@@ -258,14 +275,16 @@ def test_commands_are_refused() -> None:
     with pytest.raises(Refusal, match="velocities"):
         joint_command(0, ["elbow_joint"], [0.1, 0.2], arm, config)
     with pytest.raises(Refusal, match="twist"):
-        twist_command(0, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0], False, arm, config)
+        twist_command(0, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0], "", arm, config)
+    with pytest.raises(Refusal, match=r"frame_id must be a link of the robot, got elbow; valid"):
+        twist_command(0, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], "elbow", arm, config)
     with pytest.raises(Refusal, match=r"twist\.angular must be 0"):
-        twist_command(0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.1], False, place, config)
+        twist_command(0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.1], "", place, config)
     unitless = dataclasses.replace(config, jog_command_in_type="unitless")
-    half = twist_command(0, [0.5, 0.0, 0.0, 0.0, 0.0, -1.0], False, arm, unitless)
+    half = twist_command(0, [0.5, 0.0, 0.0, 0.0, 0.0, -1.0], "", arm, unitless)
     np.testing.assert_allclose(half.twist, [0.2, 0.0, 0.0, 0.0, 0.0, -0.8])
     fast = dataclasses.replace(config, jog_command_in_type="speed_units")
-    most = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], False, arm, fast)
+    most = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], "", arm, fast)
     np.testing.assert_allclose(most.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
 
 

@@ -47,8 +47,8 @@ class JogCommand:
     """Logical time of it [ns]."""
     twist: FloatArray | None = None
     """Of the tool, translation and rotation (6,) [m/s, rad/s]."""
-    of_tool: bool = False
-    """Whether it is along the tool's axes; else along those of the base."""
+    link: str = ""
+    """Link along whose axes it is, as they are at each moment; empty: the base."""
     joints: FloatArray | None = None
     """Joint speeds (N,) [rad/s or m/s]."""
 
@@ -56,26 +56,39 @@ class JogCommand:
 def twist_command(
     time_ns: int,
     twist: Sequence[float],
-    of_tool: bool,
+    link: str,
     kinematics: Kinematics,
     config: MotionConfig,
 ) -> JogCommand:
     """Return a command for the tool in m/s and rad/s, within the scales.
 
+    Args:
+        time_ns: logical time of it [ns].
+        twist: translation and rotation (6,), by the parameters unitless or in m/s and rad/s.
+        link: along whose axes; empty, or ``world``: those of the base.
+        kinematics: of the arm.
+        config: parameters.
+
     Raises:
-        Refusal: numbers that are not finite, or a turn where the task does not rule it.
+        Refusal: an unknown link, numbers that are not finite, or a turn where the task does not
+            rule it.
     """
     given = _TWIST.row("delta_twist_cmds", twist, POSE_ROWS)
     if not kinematics.turns_tool and given[POSITION_ROWS:].any():
         rule = "be 0 with a task of 3 rows (task: position)"
         raise Refusal("delta_twist_cmds", "twist.angular", rule, given[POSITION_ROWS:].tolist())
+    if link in ("world", kinematics.base):
+        link = ""
+    if link and link not in (*kinematics.links, kinematics.tool):
+        rule, valid = "be a link of the robot", ", ".join(kinematics.links)
+        raise Refusal("delta_twist_cmds", "header.frame_id", rule, link, valid)
     scales = config.jog_scale_linear, config.jog_scale_rotational
     parts = given[:POSITION_ROWS], given[POSITION_ROWS:]
     if config.jog_command_in_type == UNITLESS:
         both = [scale * part for scale, part in zip(scales, parts, strict=True)]
     else:
         both = [_at_most(part, scale) for scale, part in zip(scales, parts, strict=True)]
-    return JogCommand(time_ns, np.concatenate(both), of_tool)
+    return JogCommand(time_ns, np.concatenate(both), link)
 
 
 def joint_command(
@@ -100,7 +113,7 @@ def joint_command(
     speeds = np.zeros(len(known))
     scale = config.jog_scale_joint if config.jog_command_in_type == UNITLESS else 1.0
     speeds[[known.index(name) for name in names]] = scale * given
-    return JogCommand(time_ns, None, False, speeds)
+    return JogCommand(time_ns, None, "", speeds)
 
 
 def _at_most(part: FloatArray, size: float) -> FloatArray:

@@ -35,7 +35,7 @@ class JogOrder:
     @classmethod
     def stop(cls, now_ns: int, joints: int) -> JogOrder:
         """Return the order to come to rest at once."""
-        return cls(JogCommand(now_ns, None, False, np.zeros(joints)))
+        return cls(JogCommand(now_ns, None, "", np.zeros(joints)))
 
     def take(self, command: JogCommand) -> None:
         """Follow another command."""
@@ -86,9 +86,9 @@ class JogOrder:
         # Speeds taken up in this period hold at its end.
         coming = now.q + laws.config.period * now.v
         twist = command.twist
-        if command.of_tool:
-            R_WT = kinematics.forward(coming)[0]
-            twist = np.concatenate([R_WT @ twist[:3], R_WT @ twist[3:]])
+        if command.link:
+            R_WL = kinematics.axes(command.link, coming)
+            twist = np.concatenate([R_WL @ twist[:3], R_WL @ twist[3:]])
         here = ToolDirections(kinematics, coming)
         speeds = here.speeds(twist, laws.config, self._joints.brakes)
         if speeds.status is not JogStatus.NO_WARNING:

@@ -57,6 +57,7 @@ class Kinematics(Closed, Lasting):
         reach: length of the chain from its first joint to the tool, with what limited joints slide
             [m].
         shafts: which joints go with the coordinates that are commanded.
+        links: names of the robot's links, the base first.
         base: link that stands in the world, in whose frame poses are given.
         scale: of the rows of the task, (rows,): translations are divided by `reach`, so that all
             entries of a scaled Jacobian are rad per rad.
@@ -114,7 +115,8 @@ class Kinematics(Closed, Lasting):
         R_WT, p_WT = self._data.oMf[self._frame].rotation, self._data.oMf[self._frame].translation
         TOOL_POSITION.named("tool").check("robot_description", p_WT.tolist())
         _TARGET_ROTATION.check("robot_description", np.ravel(R_WT).tolist())
-        self.base = _base(self.model)
+        self.links = tuple(link_names(self.model))
+        self.base = self.links[0]
         self.scale = np.ones(self.rows)
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
         slides = [_slides(joint) for joint in self._joints[: len(self.joint_names)]]
@@ -132,6 +134,15 @@ class Kinematics(Closed, Lasting):
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
         placement = self._data.oMf[self._frame]
         return placement.rotation.copy(), placement.translation.copy()
+
+    def axes(self, link: str, q: npt.ArrayLike) -> FloatArray:
+        """Return the orientation R_WL of a link, or of the tool, at q, (3, 3)."""
+        if link == self.tool:
+            return self.forward(q)[0]
+        number = self.model.getFrameId(LINK + link, pin.FrameType.BODY)
+        pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
+        axes: FloatArray = self._data.oMf[number].rotation.copy()
+        return axes
 
     def jacobian(self, q: npt.ArrayLike) -> FloatArray:
         """Return J(q), (rows, N) [m/rad, rad/rad], along the world's axes at the tool."""
@@ -302,8 +313,3 @@ def tool_frame(model: Any, tool: str, where: str) -> int:
         tool,
         ", ".join(link_names(model)),
     )
-
-
-def _base(model: Any) -> str:
-    """Return the name of the root link."""
-    return link_names(model)[0]
