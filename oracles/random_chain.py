@@ -1,8 +1,9 @@
-"""Random chains of links as URDFs."""
+"""Random chains and trees of links as URDFs."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,18 @@ LINK = """
 
 def random_chain_urdf(rng: np.random.Generator, joints: int) -> str:
     """A chain of random joints about random axes, fixed joints with masses in between."""
-    text, parent = '<robot name="random"><link name="base"/>', "base"
+    return _random_urdf(rng, joints, lambda links: links[-1])
+
+
+def random_tree_urdf(rng: np.random.Generator, joints: int) -> str:
+    """The same as a tree: each moving link hangs on any link before it, or on the base."""
+    return _random_urdf(rng, joints, lambda links: str(rng.choice(links)))
+
+
+def _random_urdf(rng: np.random.Generator, joints: int, hang: Callable[[list[str]], str]) -> str:
+    text, links = '<robot name="random"><link name="base"/>', ["base"]
     for index in range(joints):
+        parent = hang(links)
         for kind in ["fixed"] * int(rng.integers(0, 2)) + [
             str(rng.choice(["revolute", "continuous", "prismatic"], p=[0.4, 0.35, 0.25]))
         ]:
@@ -42,11 +53,12 @@ def random_chain_urdf(rng: np.random.Generator, joints: int) -> str:
                 ixz=I[0, 2], iyz=I[1, 2],
             )  # fmt: skip
             parent = f"{name}_link"
+            links.append(parent)
     return text + "</robot>"
 
 
 def moving_joints(urdf: str) -> list[str]:
-    """Return the names of a chain's joints that are not fixed, base to tool."""
+    """Return the names of a robot's joints that are not fixed, in their order."""
     joints = ET.fromstring(urdf).findall("joint")
     return [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
 

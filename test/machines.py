@@ -10,7 +10,7 @@ import pinocchio as pin
 import yaml
 
 from arm_emulator.machine.scene import Scene, load_scene
-from oracles.random_chain import LINK, moving_joints, random_chain_urdf
+from oracles.random_chain import LINK, moving_joints, random_chain_urdf, random_tree_urdf
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 
@@ -100,6 +100,12 @@ def random_chain(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
     return load_scene(write_scene(folder, urdf, {name: {} for name in moving_joints(urdf)}, **keys))
 
 
+def random_tree(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
+    """The same as a tree."""
+    urdf = random_tree_urdf(np.random.default_rng(seed), joints)
+    return load_scene(write_scene(folder, urdf, {name: {} for name in moving_joints(urdf)}, **keys))
+
+
 class Oracle:
     """The scene's links in Pinocchio, with the scene's joint order and plain joint angles."""
 
@@ -108,8 +114,7 @@ class Oracle:
         self.model.gravity.linear = np.array(scene.gravity or (0.0, 0.0, 0.0))
         self.data = self.model.createData()
         joints = [self.model.joints[self.model.getJointId(name)] for name in scene.joint_names]
-        places = [joint.idx_v for joint in joints]
-        assert places == list(range(self.model.nv)), "the order of joints is another in Pinocchio"
+        self._places = [joint.idx_v for joint in joints]
         self._joints = joints
 
     def configuration(self, q: np.ndarray) -> np.ndarray:
@@ -123,10 +128,26 @@ class Oracle:
         return out
 
     def aba(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return pin.aba(self.model, self.data, self.configuration(q), v, tau)
+        at = self.configuration(q)
+        return pin.aba(self.model, self.data, at, self._in(v), self._in(tau))[self._places]
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        M = pin.crba(self.model, self.data, self.configuration(q))
+        M = np.triu(M) + np.triu(M, 1).T
+        return M[np.ix_(self._places, self._places)]
+
+    def nle(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        at = self.configuration(q)
+        return pin.nonLinearEffects(self.model, self.data, at, self._in(v))[self._places]
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> float:
         """Kinetic and potential energy of the links."""
         at = self.configuration(q)
-        kinetic = pin.computeKineticEnergy(self.model, self.data, at, v)
+        kinetic = pin.computeKineticEnergy(self.model, self.data, at, self._in(v))
         return float(kinetic + pin.computePotentialEnergy(self.model, self.data, at))
+
+    def _in(self, values: np.ndarray) -> np.ndarray:
+        """Pinocchio's order of joints, which goes by their names."""
+        out = np.empty(len(values))
+        out[self._places] = values
+        return out

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from machines import CONFIG, LINK
+from machines import CONFIG
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
@@ -72,10 +72,6 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"colour": "red"}, "key colour must be known, got 'colour'; valid: assumed, cores, couplings, demo, energy_flow, external_wrench,"),
 ]  # fmt: skip
 
-EXTRA = LINK.format(
-    name="extra", kind="revolute", xyz="0 0 0", rpy="0 0 0", parent="column", axis="0 0 1",
-    com="0 0 0", com_rpy="0 0 0", mass=1, ixx=1, iyy=1, izz=1, ixy=0, ixz=0, iyz=0,
-)  # fmt: skip
 LOOP = '<joint name="loop" type="fixed"><parent link="forearm"/><child link="column"/></joint>'
 
 # Replacements in three_axis.urdf, and what is reported of them.
@@ -99,7 +95,6 @@ BAD_URDFS: list[tuple[tuple[str, str], str]] = [
     (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be supported, got floating; valid: revolute, continuous, prismatic, fixed, or held where it is in the scene: locked: {elbow: 0.0}"),
     (('name="elbow" type="continuous">', 'name="elbow" type="continuous"><mimic joint="nobody"/>'), "joint elbow: mimic must name a joint of the URDF, got 'nobody'"),
     (("</robot>", f"{LOOP}</robot>"), "link column must hang on one joint (closed loops"),
-    (("</robot>", f"{EXTRA}</robot>"), "must follow the chain (the emulator moves serial arms)"),
     (('<child link="forearm"/>', '<child link="hand"/>'), "joint elbow: child must be a link of the URDF, got 'hand'"),
     (('<parent link="base"/>', '<parent link="tool"/>'), "link column must hang on the base (it is in a loop)"),
     (('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>'), "joint waist: axis must have a direction"),
@@ -267,17 +262,15 @@ TREE = """<robot name="tree"><link name="base"/><link name="a"/><link name="b"/>
 <joint name="jg" type="prismatic"><parent link="a"/><child link="g"/></joint></robot>"""
 
 
-@pytest.mark.parametrize(("tool", "held"), [("b", "jf jg"), ("f", "jb jg"), ("g", "jb jf")])
-def test_a_tree_is_refused_with_all_that_must_be_locked(tool: str, held: str) -> None:
-    """Locked as the refusal states, the way to the tool is left."""
+@pytest.mark.parametrize("locked", [(), ("jb",), ("jf",), ("jf", "jg"), ("jb", "jf")])
+def test_a_tree_has_all_joints_that_are_not_locked(locked: tuple[str, ...]) -> None:
+    """Each with the joint that carries it: all but `ja` hang on its link."""
     body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     robot = ET.fromstring(TREE)
     for link in robot.findall("link"):
         link.append(ET.fromstring(body))
-    with pytest.raises(Refusal, match="must follow the chain") as refusal:
-        read_chain(robot, "tree.urdf", "tree.yaml", locked={}, tool=tool)
-    shown = ", ".join(f"{name}: 0.0" for name in held.split())
-    assert f"locked: {{{shown}}} leaves the way to {tool}" in str(refusal.value)
-    locked = dict.fromkeys(held.split(), 0.0)
-    chain = read_chain(robot, "tree.urdf", "tree.yaml", locked=locked, tool=tool)
-    assert chain.joints[-1].link == tool
+    held = dict.fromkeys(locked, 0.0)
+    chain = read_chain(robot, "tree.urdf", "tree.yaml", locked=held, tool="b")
+    moving = [name for name in ("ja", "jb", "jf", "jg") if name not in locked]
+    assert [joint.name for joint in chain.joints] == moving
+    assert [joint.parent for joint in chain.joints] == [-1, *[0] * (len(moving) - 1)]

@@ -136,7 +136,7 @@ def tool_positions(scene: Scene, q: Array) -> Array:
     chain = scene.chain
     joint, frame = chain.place_of(scene.tool)
     p = np.repeat(frame.p[:, None], len(q[0]), axis=1)
-    for place in range(joint, -1, -1):
+    for place in chain.way_to(joint)[::-1]:
         link = chain.links[place]
         slides = link.kind == "prismatic"
         angle = link.theta_0 + (0.0 if slides else q[place])
@@ -144,6 +144,8 @@ def tool_positions(scene: Scene, q: Array) -> Array:
         x, y = cos * p[0] - sin * p[1], sin * p[0] + cos * p[1]
         z = p[2] + (q[place] if slides else 0.0)
         c, s = link.cos_alpha, link.sin_alpha
-        p = link.p[:, None] + np.array([x, c * y - s * z, s * y + c * z])
+        y, z = c * y - s * z, s * y + c * z
+        c, s = link.cos_gamma, link.sin_gamma
+        p = link.p[:, None] + np.array([c * x - s * y, s * x + c * y, z])
     world: Array = chain.R_BW.T @ p
     return world

@@ -1,4 +1,4 @@
-"""Frames, bodies and the chain of moving joints, in the core's frames."""
+"""Frames, bodies and the tree of moving joints, in the core's frames."""
 
 from __future__ import annotations
 
@@ -110,7 +110,9 @@ class ChainJoint:
     """A moving joint and its link, in the frames of `core/mechanics/scene.hpp`.
 
     The link's frame has its origin on the joint axis and z along it; the turn from the parent's
-    frame is Rx(alpha) Rz(q + theta_0), and `p` (3,) [m] is its origin in the parent's frame.
+    frame is Rz(gamma) Rx(alpha) Rz(q + theta_0), gamma 0 for the first of its children, and `p`
+    (3,) [m] is its origin in the parent's frame. `parent` is the place of the link that carries
+    it, -1 for the base.
 
     The joint's child in the URDF has the same origin; `axes` (3, 3) turns vectors of the child's
     frame into this one's. `links` has the child, with all that is fixed to it, as frames seen from
@@ -119,6 +121,9 @@ class ChainJoint:
 
     name: str
     kind: str
+    parent: int
+    cos_gamma: float
+    sin_gamma: float
     cos_alpha: float
     sin_alpha: float
     theta_0: float
@@ -135,7 +140,9 @@ class ChainJoint:
 
 @dataclass(frozen=True)
 class Chain:
-    """The moving joints from base to tip, and the base's frame.
+    """The moving joints from base to tips, and the base's frame.
+
+    Parents come before children, and what a joint carries follows it before anything else.
 
     `links` has all of them; `joints` those by whose names the drives' shafts go, which is all where
     each joint has a drive of its own. `coupling` relates the links' joints to the shafts.
@@ -162,6 +169,19 @@ class Chain:
         """Place among the links of each shaft's joint."""
         names = [link.name for link in self.links]
         return tuple(map(names.index, self.coupling.shafts))
+
+    @property
+    def forks(self) -> bool:
+        """Whether a joint is not carried by the one before."""
+        return any(link.parent != k - 1 for k, link in enumerate(self.links))
+
+    def way_to(self, joint: int) -> list[int]:
+        """Return the joints from the base to one of them, which is the last."""
+        way: list[int] = []
+        while joint >= 0:
+            way.append(joint)
+            joint = self.links[joint].parent
+        return way[::-1]
 
     def place_of(self, link: str) -> tuple[int, Frame]:
         """Return the joint that carries a link of `carried`, and the frame in the core's of it."""

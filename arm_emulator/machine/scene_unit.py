@@ -217,6 +217,7 @@ def _link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
 
 def _link(geometry: ChainJoint, body: str) -> str:
     theta_0 = geometry.theta_0
+    gamma = fields({"cos_gamma": geometry.cos_gamma, "sin_gamma": geometry.sin_gamma})
     numbers = {
         "cos_alpha": geometry.cos_alpha,
         "sin_alpha": geometry.sin_alpha,
@@ -226,6 +227,8 @@ def _link(geometry: ChainJoint, body: str) -> str:
     }
     return f"""\
       {{.kind = arm::JointKind::{geometry.kind},
+       .parent = {geometry.parent},
+       {gamma},
        {fields(numbers)},
        .p = {vector(geometry.p)},
        .body = {body}}}"""

@@ -1,4 +1,4 @@
-"""The chain of moving joints of a URDF: from its tree, fixed and locked joints merged."""
+"""The tree of moving joints of a URDF, fixed and locked joints merged."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def read_chain(
     tool: str,
     payload: Body | None = None,
 ) -> Chain:
-    """Read the chain of moving joints from a URDF, fixed and locked joints merged.
+    """Read the tree of moving joints from a URDF, fixed and locked joints merged.
 
     Args:
         robot: the URDF's root element.
@@ -65,7 +65,7 @@ def read_chain(
         payload: a body to add at the tool.
 
     Raises:
-        Refusal: it is no URDF, or its machine is no serial chain with sound inertias.
+        Refusal: it is no URDF, or its machine is no tree with sound inertias.
     """
     moving = _with_bodies(robot, where, asks, locked, tool, payload)
     of_joints = followers(robot, where, list(locked))
@@ -83,7 +83,8 @@ class MovedBody:
     joint: str
     links: tuple[str, ...]
     tip: Array
-    """Origin of the next joint, of the last one's links the farthest, in the first link's frame."""
+    """Origin of the first joint that it carries, else of its links' the farthest, in the first's
+    frame."""
     fault: Refusal | None
     """Reason for which the equations of motion are not solvable with it."""
 
@@ -91,14 +92,16 @@ class MovedBody:
 def moved_bodies(
     robot: ET.Element, where: str, asks: str, *, locked: Mapping[str, float], tool: str
 ) -> list[MovedBody]:
-    """Return what each moving joint of a URDF moves, base to tip; arguments as `read_chain`'s.
+    """Return what each moving joint of a URDF moves, base to tips; arguments as `read_chain`'s.
 
     Raises:
-        Refusal: it is no URDF, or its machine is no serial chain.
+        Refusal: it is no URDF, or its machine is no tree.
     """
     moving = _with_bodies(robot, where, asks, locked, tool, None)
-    tips = [one.placement.p for one in moving[1:]]
-    tips.append(max((frame.p for frame in moving[-1].frames), key=lambda p: float(p @ p)))
+    tips = [max((frame.p for frame in one.frames), key=lambda p: float(p @ p)) for one in moving]
+    for one in moving[::-1]:
+        if one.parent >= 0:
+            tips[one.parent] = one.placement.p
     return [
         MovedBody(one.joint.name, tuple(one.links), tip, _fault_of_body(one, where))
         for one, tip in zip(moving, tips, strict=True)
@@ -124,7 +127,7 @@ def _with_bodies(
     tool: str,
     payload: Body | None,
 ) -> list[_Moving]:
-    """Return the chain of moving joints with what they move."""
+    """Return the moving joints with what they move."""
     links = names_of(robot, "link", where)
     joints = read_joints(robot, links, where)
     known = {joint.name for joint in joints}
@@ -135,7 +138,7 @@ def _with_bodies(
         _check_kind(joint, locked, where)
     if tool not in links:
         raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
-    moving = _moving_joints(root_of(links, joints, where), links, joints, locked, where, tool)
+    moving = _moving_joints(root_of(links, joints, where), links, joints, locked, where)
     bodies = read_bodies(robot, where)
     for one in moving:
         one.body = (
@@ -186,9 +189,10 @@ def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> b
 
 @dataclasses.dataclass
 class _Moving:
-    """A moving joint, its placement in the frame of the last moving link, and what it moves."""
+    """A moving joint, its placement in the frame of its parent, and what it moves."""
 
     joint: UrdfJoint
+    parent: int  # place of the moving joint that carries it; -1: the base
     placement: Frame
     links: list[str]  # its child and all that is fixed to it
     frames: list[Frame]  # of the links, in that of the child
@@ -201,7 +205,6 @@ def _moving_joints(
     joints: list[UrdfJoint],
     locked: Mapping[str, float],
     where: str,
-    tool: str,
 ) -> list[_Moving]:
     below: dict[str, list[UrdfJoint]] = {}
     for joint in joints:
@@ -220,16 +223,8 @@ def _moving_joints(
                     moving[carrier].frames.append(at)
                 branch.append((joint.child, at, carrier))
                 continue
-            if carrier != len(moving) - 1:
-                held = ", ".join(f"{name}: 0.0" for name in _off_the_way(joints, locked, tool))
-                raise Refusal(
-                    where,
-                    f"joint {joint.name}",
-                    "follow the chain (the emulator moves serial arms)",
-                    f"a branch beside joint {moving[carrier + 1].joint.name}",
-                    f"locked: {{{held}}} leaves the way to {tool}, as in `new --tool`",
-                )
-            moving.append(_Moving(joint, frame @ joint.placement, [joint.child], [Frame()], Body()))
+            placement = frame @ joint.placement
+            moving.append(_Moving(joint, carrier, placement, [joint.child], [Frame()], Body()))
             branch.append((joint.child, Frame(), len(moving) - 1))
     lost = [name for name in links if name not in reached]
     if lost:
@@ -239,18 +234,21 @@ def _moving_joints(
     if len(moving) > MOST_JOINTS:
         rule = f"have at most {MOST_JOINTS} moving joints that are not locked"
         raise Refusal(where, "robot", rule, len(moving))
-    return moving
+    return _in_order(moving)
 
 
-def _off_the_way(joints: list[UrdfJoint], locked: Mapping[str, float], tool: str) -> list[str]:
-    """Return the joints that move and are not between the base and the tool."""
-    above = {joint.child: joint for joint in joints}
-    link, way = tool, set[str]()
-    while link in above and above[link].name not in way:
-        way.add(above[link].name)
-        link = above[link].parent
-    names = [joint.name for joint in joints if joint.kind != "fixed"]
-    return [name for name in names if name not in way and name not in locked]
+def _in_order(moving: list[_Moving]) -> list[_Moving]:
+    """Return the joints with all that each carries directly behind it, siblings as found."""
+    carried: dict[int, list[int]] = {}
+    for place, one in enumerate(moving):
+        carried.setdefault(one.parent, []).append(place)
+    order: list[int] = []
+    left = carried[-1][::-1]
+    while left:
+        order.append(left.pop())
+        left += carried.get(order[-1], [])[::-1]
+    places = {before: after for after, before in enumerate(order)} | {-1: -1}
+    return [dataclasses.replace(moving[k], parent=places[moving[k].parent]) for k in order]
 
 
 def _moved(joint: UrdfJoint, position: float) -> Frame:
@@ -268,34 +266,48 @@ def _moved(joint: UrdfJoint, position: float) -> Frame:
 def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
     """Choose each link's frame: z along its joint, x so that the next joint's tilt is about x.
 
-    With z fixed, one free turn gamma about z is left per link. It is spent so that the next axis,
-    seen from this link, lies in the plane x = 0: then the turn to the next link is Rx(alpha) and
-    nothing else, as in the convention of Denavit, Hartenberg and Khalil.
+    With z fixed, one free turn gamma about z is left per link. It is spent so that the axis of the
+    first joint that the link carries lies in the plane x = 0: then the turn to that link is
+    Rx(alpha) and nothing else, as in the convention of Denavit, Hartenberg and Khalil. To further
+    joints a turn about z comes before it, as in that of Khalil and Kleinfinger for trees.
     """
     # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
     E = [_frame_with_z(one.joint.axis) for one in moving]
     gammas: list[float] = []
-    for here, one in zip(E, moving[1:], strict=False):
+    for index, here in enumerate(E):
+        if index + 1 == len(E) or moving[index + 1].parent != index:
+            gammas.append(0.0)
+            continue
+        one = moving[index + 1]
         z_next = clean(here.T @ one.placement.R @ one.joint.axis)
         gammas.append(exact_atan2(float(z_next[0]), -float(z_next[1])))
-    gammas.append(0.0)
     turned = [clean(e @ turn(2, gamma)) for e, gamma in zip(E, gammas, strict=True)]
     R_WB = clean(moving[0].placement.R @ E[0])
     joints = []
     for index, one in enumerate(moving):
+        cos_gamma, sin_gamma = 1.0, 0.0
         if index == 0:
             # The base's turn is free: with z along the first joint, that joint needs no tilt.
             R, p = turn(2, gammas[0]), R_WB.T @ one.placement.p
         else:
-            before = turned[index - 1]
+            before = turned[one.parent] if one.parent >= 0 else R_WB
             R = clean(before.T @ one.placement.R @ turned[index])
             p = before.T @ one.placement.p
+            if one.parent != index - 1:
+                x, y = float(R[0, 2]), -float(R[1, 2])
+                if (length := math.hypot(x, y)) > 0.0:
+                    cos_gamma, sin_gamma = y / length, x / length
+                back = ((cos_gamma, sin_gamma, 0.0), (-sin_gamma, cos_gamma, 0.0), (0.0, 0.0, 1.0))
+                R = clean(np.array(back) @ R)
         # R = Rx(alpha) Rz(theta_0): its third column is (0, -sin alpha, cos alpha), its first row
         # (cos theta_0, -sin theta_0, 0).
         joints.append(
             ChainJoint(
                 name=one.joint.name,
                 kind=MOVING_KINDS[one.joint.kind],
+                parent=one.parent,
+                cos_gamma=cos_gamma,
+                sin_gamma=sin_gamma,
                 cos_alpha=float(R[2, 2]),
                 sin_alpha=float(-R[1, 2]),
                 theta_0=exact_atan2(-float(R[0, 1]), float(R[0, 0])),

@@ -105,7 +105,7 @@ void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const 
     double x[N];
     Links::dynamics_apart(machine->machine.numbers_now(), q, v, links);
     for (int j = 0; j < N; ++j) x[j] = tau[j] - links.nle[j];
-    arm::Cholesky<N> factors;
+    arm::MassFactors<Scene> factors;
     factors.factor(links.M.at);
     factors.solve(x);
     for (int j = 0; j < N; ++j) a[j] = x[j];

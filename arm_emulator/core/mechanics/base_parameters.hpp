@@ -12,14 +12,15 @@
 
 namespace arm {
 
-template <int N>
+template <class S>
 struct BaseParameters {
-  Body<Real> body[N];
+  static constexpr int L = S::L;
+  Body<Real> body[L];
   Body<Real> fixed = {};  // with the base
 
-  constexpr explicit BaseParameters(const Link (&link)[N]) : body() {
-    for (int j = 0; j < N; ++j) body[j] = link[j].body;
-    for (int j = N - 1; j >= 0; --j) {
+  constexpr explicit BaseParameters(const Link (&link)[L]) : body() {
+    for (int j = 0; j < L; ++j) body[j] = link[j].body;
+    for (int j = L - 1; j >= 0; --j) {
       const bool turns = link[j].kind == JointKind::revolute;
       Body<Real>& own = body[j];
       Body<Real> moving = {};
@@ -34,8 +35,8 @@ struct BaseParameters {
       }
       // The moved part is invariant under turns about z, the tensor alone under shifts along it.
       const Real sin = turns ? 0.0 : link[j].sin_theta_0, cos = turns ? 1.0 : link[j].cos_theta_0;
-      const Placement<Real> at = {sin, cos, link[j].cos_alpha, link[j].sin_alpha, link[j].p};
-      Body<Real>& parent = j > 0 ? body[j - 1] : fixed;
+      const auto at = PlacementIn<S, Real>::of(link[j], sin, cos, link[j].p);
+      Body<Real>& parent = link[j].parent < 0 ? fixed : body[link[j].parent];
       parent = joined(parent, at, moving);
     }
   }

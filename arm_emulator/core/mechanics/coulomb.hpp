@@ -15,7 +15,6 @@
 
 #include "mechanics/numbers.hpp"
 #include "mechanics/state.hpp"
-#include "numerics/cholesky.hpp"
 
 namespace arm {
 
@@ -302,7 +301,7 @@ class Coulomb {
 
   const Numbers<S, X>& n_;
   [[no_unique_address]] std::conditional_t<varies, Taken, Nothing> of_;
-  Cholesky<N, X> factors_;
+  MassFactors<S, X> factors_;
   Mask<X> locked_[N] = {};
   X direction_[N] = {};
   X held_[N] = {};  // torque of a lock [N m]

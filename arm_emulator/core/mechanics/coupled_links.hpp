@@ -1,6 +1,6 @@
 // Links with joints coupled to several drives, or drives to several joints: mimic joints of a
-// telescope, parallelograms, bevel wrists, differentials. With p the angles of the drives' shafts,
-// behind their gears,
+// telescope, fingers of a gripper, parallelograms, bevel wrists, differentials. With p the angles
+// of the drives' shafts, behind their gears,
 //
 //   q = C p + q_0        C: constant, a row per joint, a column per shaft
 //
@@ -11,16 +11,16 @@
 // Rotors, gears, friction, brakes, stops and encoders belong to a drive, and so to p.
 #pragma once
 
-#include "mechanics/link_chain.hpp"
+#include "mechanics/link_tree.hpp"
 
 namespace arm {
 
 template <class S, class X>
 struct CoupledLinks {
   static constexpr int N = S::N, L = S::L;
-  using Chain = LinkChain<S, X>;
+  using Tree = LinkTree<S, X>;
   using Numbers = arm::Numbers<S, X>;
-  using Kinematics = typename Chain::Kinematics;
+  using Kinematics = typename Tree::Kinematics;
 
   struct MassMatrix {
     alignas(64) Symmetric<N, X> at;
@@ -35,7 +35,7 @@ struct CoupledLinks {
     joints(p, q);
     for_each<L>([&](auto i)
                     __attribute__((always_inline)) { q[i] = q[i] + S::coupling_offset[i]; });
-    Chain::kinematics(q, k);
+    Tree::kinematics(q, k);
   }
 
   static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
@@ -43,13 +43,13 @@ struct CoupledLinks {
     X joint_v[L], joint_a[L], joint_tau[L];
     joints(v, joint_v);
     if (a) joints(a, joint_a);
-    Chain::inverse_dynamics(n, k, joint_v, a ? joint_a : nullptr, joint_tau);
+    Tree::inverse_dynamics(n, k, joint_v, a ? joint_a : nullptr, joint_tau);
     shafts(joint_tau, tau);
   }
 
   static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
-    typename Chain::MassMatrix of_joints;
-    Chain::mass_matrix(n, k, of_joints);
+    typename Tree::MassMatrix of_joints;
+    Tree::mass_matrix(n, k, of_joints);
     project(of_joints, M);
   }
 
@@ -66,11 +66,11 @@ struct CoupledLinks {
 
   static void external_torques(const Numbers& n, const Kinematics& k, X* tau) {
     X joint_tau[L];
-    Chain::external_torques(n, k, joint_tau);
+    Tree::external_torques(n, k, joint_tau);
     shafts(joint_tau, tau);
   }
   static X potential_energy(const Numbers& n, const Kinematics& k) {
-    return Chain::potential_energy(n, k);
+    return Tree::potential_energy(n, k);
   }
 
   // C x: speeds or accelerations of the joints from those of the shafts.
@@ -97,13 +97,13 @@ struct CoupledLinks {
   }
 
   // C^T M C, column by column.
-  static ARM_INLINE void project(const typename Chain::MassMatrix& of_joints, MassMatrix& M) {
+  static ARM_INLINE void project(const typename Tree::MassMatrix& of_joints, MassMatrix& M) {
     for_each<N, kUnrollNested>([&](auto j) __attribute__((always_inline)) {
       X column[L], seen[N];
       for_each<L>([&](auto i) __attribute__((always_inline)) {
         column[i] = X{};
         for_each<L>([&](auto k) __attribute__((always_inline)) {
-          if (S::coupling[k][j] != 0.0)
+          if (S::coupling[k][j] != 0.0 && kTree<S>.related(i, k))
             column[i] = column[i] + S::coupling[k][j] * of_joints.at[i < k ? i : k][i < k ? k : i];
         });
       });

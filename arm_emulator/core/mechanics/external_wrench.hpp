@@ -1,7 +1,7 @@
 // External wrenches on the links: on each link a force and a moment at a fixed point, held until
 // they are set again. They are data of each machine.
 //
-// They enter the recursion of link_chain.hpp:
+// They enter the recursion of link_tree.hpp:
 //
 //   M(q) dv/dt + nle(q, v) = T,   nle = C(q, v) - J^T w
 #pragma once

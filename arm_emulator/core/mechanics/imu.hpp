@@ -60,9 +60,11 @@ void link_motions(const Numbers<S>& n, const double* q, const double* v, const d
   using L = Links<S>;
   typename L::Kinematics k;
   L::kinematics(q, k);
-  LinkMotion m = {{}, {}, -n.gravity()};
+  const LinkMotion base = {{}, {}, -n.gravity()};
   for (int i = 0; i < S::N; ++i) {
     const auto& link = k.link[i];
+    const int parent = kTree<S>.parent[i];
+    LinkMotion m = parent < 0 ? base : motions[parent];
     const Vec3<double> at_joint = m.force_at(link.p);
     m.omega = link.to_child(m.omega);
     m.alpha = link.to_child(m.alpha);

@@ -1,4 +1,4 @@
-// The links as the drives see them: the chain itself, where each drive moves a joint of its own.
+// The links as the drives see them: the tree itself, where each drive moves a joint of its own.
 #pragma once
 
 #include "mechanics/coupled_links.hpp"
@@ -6,6 +6,6 @@
 namespace arm {
 
 template <class S, class X = Real>
-using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkChain<S, X>>;
+using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkTree<S, X>>;
 
 }  // namespace arm

@@ -20,7 +20,7 @@ inline constexpr bool kSupplyVaries = requires(const Real* p) { S::supply(p); };
 template <class S>
 struct Sheet {
   decltype(S::drives(nullptr)) drives;
-  BaseParameters<S::L> base;
+  BaseParameters<S> base;
   Real carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
   Real Dc[S::N] = {}, Ds[S::N] = {};
   Vec3<Real> gravity = S::gravity;

@@ -1,16 +1,25 @@
 // A link's frame in its parent's, and what goes through it: vectors, tensors, bodies.
 #pragma once
 
-#include "mechanics/scene.hpp"
+#include "mechanics/tree.hpp"
 
 namespace arm {
 
-// A link's frame in its parent's, at one q. Vectors go up and down the chain through it.
+// A link's frame in its parent's, at one q. Vectors go up and down the tree through it.
 template <class X>
 struct Placement {
   X sin, cos;                 // of the turn about z
   Real cos_alpha, sin_alpha;  // of the fixed turn about x
   Vec3<X> p;                  // origin, in the parent's frame
+
+  ARM_INLINE static constexpr Placement of(const Link& link, const X& sin, const X& cos,
+                                           const Vec3<X>& p) {
+    return {sin, cos, link.cos_alpha, link.sin_alpha, p};
+  }
+  // The link's z in its parent's frame.
+  ARM_INLINE static constexpr Vec3<Real> axis(const Link& link) {
+    return {0.0, -link.sin_alpha, link.cos_alpha};
+  }
 
   ARM_INLINE constexpr Vec3<X> to_child(const Vec3<X>& u) const {
     const X y = cos_alpha * u.y + sin_alpha * u.z;
@@ -39,6 +48,44 @@ struct Placement {
   }
 };
 
+// The same with a turn by gamma about the parent's z before it.
+template <class X>
+struct TurnedPlacement {
+  Placement<X> turned;  // in the parent's frame, turned
+  Real cos_gamma, sin_gamma;
+  Vec3<X> p;  // origin, in the parent's frame
+
+  ARM_INLINE static constexpr TurnedPlacement of(const Link& link, const X& sin, const X& cos,
+                                                 const Vec3<X>& p) {
+    return {Placement<X>::of(link, sin, cos, {}), link.cos_gamma, link.sin_gamma, p};
+  }
+  ARM_INLINE static constexpr Vec3<Real> axis(const Link& link) {
+    return {link.sin_gamma * link.sin_alpha, -link.cos_gamma * link.sin_alpha, link.cos_alpha};
+  }
+
+  ARM_INLINE constexpr Vec3<X> to_child(const Vec3<X>& u) const {
+    return turned.to_child(
+        {cos_gamma * u.x + sin_gamma * u.y, cos_gamma * u.y - sin_gamma * u.x, u.z});
+  }
+  ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u) const {
+    const Vec3<X> w = turned.to_parent(u);
+    return {cos_gamma * w.x - sin_gamma * w.y, sin_gamma * w.x + cos_gamma * w.y, w.z};
+  }
+  ARM_INLINE constexpr Sym3<X> to_parent(const Sym3<X>& a) const {
+    const Sym3<X> t = turned.to_parent(a);
+    const Real c = cos_gamma, s = sin_gamma;
+    return {c * c * t.xx + s * s * t.yy - 2.0 * c * s * t.xy,
+            s * s * t.xx + c * c * t.yy + 2.0 * c * s * t.xy,
+            t.zz,
+            c * s * (t.xx - t.yy) + (c * c - s * s) * t.xy,
+            c * t.xz - s * t.yz,
+            s * t.xz + c * t.yz};
+  }
+};
+
+template <class S, class X>
+using PlacementIn = std::conditional_t<kTree<S>.forks, TurnedPlacement<X>, Placement<X>>;
+
 template <class X, class B>
 ARM_INLINE constexpr Body<X> over(const Body<B>& body) {
   return {X{} + body.m, Vec3<X>{} + body.h, Sym3<X>{} + body.I};
@@ -46,8 +93,8 @@ ARM_INLINE constexpr Body<X> over(const Body<B>& body) {
 
 // A body with its child's fixed to it: the parallel-axis theorem with first moments, h and I about
 // the parent's origin.
-template <class P, class X>
-ARM_INLINE constexpr Body<X> joined(const Body<P>& parent, const Placement<X>& link,
+template <class P, class Where, class X>
+ARM_INLINE constexpr Body<X> joined(const Body<P>& parent, const Where& link,
                                     const Body<X>& child) {
   const Vec3<X> h = link.to_parent(child.h);
   const Vec3<X> p = link.p;

@@ -33,9 +33,12 @@ constexpr Body<Real> loaded(const Body<Real>& bare, Real m, const Body<Real>& pe
 }
 
 // A joint's place and the link that it moves. The link's frame has its origin on the joint axis, z
-// along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0).
+// along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0). A parent's
+// x suits the first of its children; for the others Rz(gamma) comes first (Khalil, Kleinfinger).
 struct Link {
   JointKind kind;
+  int parent;                 // -1: the base
+  Real cos_gamma, sin_gamma;  // 1 and 0 of a first child
   Real cos_alpha, sin_alpha;
   Real theta_0;                   // rad
   Real cos_theta_0, sin_theta_0;  // of it

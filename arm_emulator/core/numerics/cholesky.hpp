@@ -1,5 +1,8 @@
 // M x = b for a symmetric positive definite M, by factors with ones on their diagonals: U D U^T of
 // few joints, L D L^T of many.
+//
+// A pattern names the entries that are not zero. U D U^T of a tree whose parents come before their
+// children makes no further ones (Featherstone, Rigid Body Dynamics Algorithms, ch. 6.5).
 #pragma once
 
 #include "numerics/number.hpp"
@@ -10,9 +13,16 @@ namespace arm {
 template <int N, class X>
 using Symmetric = X[N][kPadded<N>];
 
+// The pattern of a full matrix.
+template <int N>
+struct Full {
+  static constexpr bool from_the_tip = N <= kUnrollNested;
+  static constexpr bool couples(int, int) { return true; }
+};
+
 // U D U^T, from the tip to the base: the order in which the recursions of the links deliver M and
 // the right-hand side, so that the first eliminations need not wait for the last rows.
-template <int N, class X = Real>
+template <int N, class X, class Pattern>
 struct FromTheTip {
   X U[N][N];  // U[k][i] is row i, column k of the factor, i < k
   X inverse_D[N];
@@ -22,20 +32,27 @@ struct FromTheTip {
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
       inverse_D[k] = 1.0 / M[k][k];
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
-        U[k][i] = M[i][k] * inverse_D[k];
-        for_each_from<k>(
-            i, [&](auto j) __attribute__((always_inline)) { M[i][j] -= U[k][i] * M[j][k]; });
+        if constexpr (Pattern::couples(i, k)) {
+          U[k][i] = M[i][k] * inverse_D[k];
+          for_each_from<k>(i, [&](auto j) __attribute__((always_inline)) {
+            if constexpr (Pattern::couples(j, k)) M[i][j] -= U[k][i] * M[j][k];
+          });
+        }
       });
     });
   }
 
   ARM_INLINE void solve(X* x) const {
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
-      for_each_reverse<k>([&](auto i) __attribute__((always_inline)) { x[i] -= U[k][i] * x[k]; });
+      for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
+        if constexpr (Pattern::couples(i, k)) x[i] -= U[k][i] * x[k];
+      });
     });
     for_each<N>([&](auto k) __attribute__((always_inline)) {
       X sum = x[k] * inverse_D[k];
-      for_each<k>([&](auto i) __attribute__((always_inline)) { sum -= U[k][i] * x[i]; });
+      for_each<k>([&](auto i) __attribute__((always_inline)) {
+        if constexpr (Pattern::couples(i, k)) sum -= U[k][i] * x[i];
+      });
       x[k] = sum;
     });
   }
@@ -75,7 +92,7 @@ struct InRows {
   }
 };
 
-template <int N, class X = Real>
-using Cholesky = std::conditional_t<N <= kUnrollNested, FromTheTip<N, X>, InRows<N, X>>;
+template <int N, class X = Real, class Pattern = Full<N>>
+using Cholesky = std::conditional_t<Pattern::from_the_tip, FromTheTip<N, X, Pattern>, InRows<N, X>>;
 
 }  // namespace arm

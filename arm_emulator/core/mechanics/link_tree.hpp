@@ -1,5 +1,5 @@
 // The links: M(q) dv/dt + nle(q, v) + Dl v = T, eq. (4), by Newton-Euler recursion
-// (Luh, Walker and Paul 1980; mass matrix: Walker and Orin 1982, method 3).
+// (Luh, Walker and Paul 1980; mass matrix: Walker and Orin 1982, method 3) over a tree of links.
 //
 // All vectors are expressed in the links' own frames (scene.hpp). `nle` contains the Coriolis,
 // centrifugal and gravity terms, called C in the paper.
@@ -13,13 +13,15 @@
 namespace arm {
 
 template <class S, class X = Real>
-struct LinkChain {
+struct LinkTree {
   static constexpr int N = S::L;
+  static constexpr bool forks = kTree<S>.forks, unrolled = kTree<S>.unrolled();
   using Numbers = arm::Numbers<S, X>;
+  using Placement = PlacementIn<S, X>;
 
   // All that depends on q alone.
   struct Kinematics {
-    Placement<X> link[N];
+    Placement link[N];
   };
 
   struct MassMatrix {
@@ -46,8 +48,8 @@ struct LinkChain {
     for_each<N>([&](auto i) __attribute__((always_inline)) {
       const Link& joint = kLinks<S>.at[i];
       const X d = revolute(i) ? X{} : q[i];
-      k.link[i] = {turn[i].sin, turn[i].cos, joint.cos_alpha, joint.sin_alpha,
-                   joint.p + d * Vec3<Real>{0.0, -joint.sin_alpha, joint.cos_alpha}};
+      k.link[i] =
+          Placement::of(joint, turn[i].sin, turn[i].cos, joint.p + d * Placement::axis(joint));
     });
   }
 
@@ -62,7 +64,7 @@ struct LinkChain {
 
   static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
     Carried carried(n);
-    for_each_reverse<N, kUnrollNested>(
+    for_each_reverse<N, unrolled ? kUnrollLimit : kUnrollNested>(
         [&](auto i) __attribute__((always_inline)) { carried.fill_row(n, k, i, M); });
   }
 
@@ -71,7 +73,7 @@ struct LinkChain {
   static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
     Kinematics k;
     kinematics(q, k);
-    if constexpr (N > kUnrollNested) {
+    if constexpr (!unrolled) {
       inverse_dynamics(n, k, v, nullptr, links.nle);
       mass_matrix(n, k, links.M);
     } else {
@@ -94,10 +96,11 @@ struct LinkChain {
   // Torques J^T w that the external wrenches put on the joints.
   static void external_torques(const Numbers& n, const Kinematics& k, X* tau) {
     Wrench<X> wrench[N];
-    BaseAxes base;
+    BaseAxes base[N];
     for (int i = 0; i < N; ++i) {
-      base.go_on(k.link[i]);
-      wrench[i] = n.external_wrench(i).at_origin(base.x, base.y);
+      if (const int p = kTree<S>.parent[i]; p >= 0) base[i] = base[p];
+      base[i].go_on(k.link[i]);
+      wrench[i] = n.external_wrench(i).at_origin(base[i].x, base[i].y);
     }
     for (int i = N - 1; i >= 0; --i) tau[i] = pass_down(k, i, wrench);
   }
@@ -107,9 +110,17 @@ struct LinkChain {
   static X potential_energy(const Numbers& n, const Kinematics& k) {
     Vec3<X> carried_h;
     Real m = 0.0;
+    [[maybe_unused]] Vec3<X> h[forks ? N : 1], of_base;
+    [[maybe_unused]] Real masses[forks ? N : 1] = {};
     for (int i = N - 1; i >= 0; --i) {
+      if constexpr (forks) carried_h = h[i], m = masses[i];
       m += n.body(i).m;
       carried_h = k.link[i].to_parent(carried_h + n.body(i).h) + m * k.link[i].p;
+      if constexpr (forks) {
+        Vec3<X>& parent_h = on_base(i) ? of_base : h[parent(i)];
+        carried_h = parent_h = parent_h + carried_h;
+        if (!on_base(i)) masses[parent(i)] += m;
+      }
     }
     return -dot(n.gravity(), carried_h + n.fixed().h);
   }
@@ -122,8 +133,19 @@ struct LinkChain {
     Vec3<X> omega, alpha;  // of the parent link, in its frame
     // Of the parent's origin; an upward acceleration represents gravity.
     Vec3<X> acc = Vec3<X>{} - n.gravity();
+    // Of each link, where others than the next one may continue from it.
+    struct Motion {
+      BaseAxes base;
+      Vec3<X> omega, alpha, acc;
+    };
+    [[maybe_unused]] const Motion of_base = {base, omega, alpha, acc};
+    [[maybe_unused]] Motion motions[forks ? N : 1];
     for_each<N>([&](auto i) __attribute__((always_inline)) {
-      const Placement<X>& link = k.link[i];
+      const Placement& link = k.link[i];
+      if constexpr (forks) {
+        const Motion& from = on_base(i) ? of_base : motions[parent(i)];
+        base = from.base, omega = from.omega, alpha = from.alpha, acc = from.acc;
+      }
       const X a_i = a ? a[i] : X{};
       const Vec3<X> at_joint = acc + cross(alpha, link.p) + cross(omega, cross(omega, link.p));
       omega = link.to_child(omega);
@@ -143,42 +165,78 @@ struct LinkChain {
         const Wrench<X> outside = n.external_wrench(i).at_origin(base.x, base.y);
         wrench[i] = {wrench[i].f - outside.f, wrench[i].n - outside.n};
       }
+      if constexpr (forks) motions[i] = {base, omega, alpha, acc};
     });
   }
 
-  // Add the wrench of link i to the one before; return joint i's part of it.
+  // Whether the base carries link i.
+  static ARM_INLINE constexpr bool on_base(auto i) {
+    return forks ? kTree<S>.parent[i] < 0 : i == 0;
+  }
+  // The link that carries link i, or 0, as constant as i is.
+  template <class Index>
+  static ARM_INLINE constexpr auto parent(Index i) {
+    if constexpr (!forks)
+      return before(i);
+    else if constexpr (std::is_same_v<Index, int>)
+      return kTree<S>.parent[i] < 0 ? 0 : kTree<S>.parent[i];
+    else
+      return std::integral_constant<int, (kTree<S>.parent[i] < 0 ? 0 : kTree<S>.parent[i])>{};
+  }
+
+  // body(j) for the links that link i carries, and itself.
+  static ARM_INLINE void for_each_carried(auto i, auto&& body) {
+    if constexpr (!forks)
+      for_each_lane_from<N>(i, body);
+    else if constexpr (std::is_same_v<decltype(i), int>)
+      for (int j = i; j < kTree<S>.end[i]; ++j) body(j);
+    else
+      for_each_from<kTree<S>.end[i]>(i, body);
+  }
+
+  // Add the wrench of link i to its parent's; return joint i's part of it.
   static ARM_INLINE X pass_down(const Kinematics& k, auto i, Wrench<X> (&wrench)[N]) {
-    if (i > 0) wrench[before(i)] = sum(wrench[before(i)], k.link[i], wrench[i]);
+    if (!on_base(i)) wrench[parent(i)] = sum(wrench[parent(i)], k.link[i], wrench[i]);
     return revolute(i) ? wrench[i].n.z : wrench[i].f.z;
   }
 
   // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
-  // seen by every joint i <= j. The wrenches of all those j go down the chain side by side.
+  // seen by every joint i on the way to the base. The wrenches of all those j go down side by side.
   struct Carried {
     using Lanes = X[kPadded<N>];
     alignas(64) Lanes fx = {}, fy = {}, fz = {}, nx = {}, ny = {}, nz = {};
     Body<X> body;
+    Body<X> bodies[forks ? N : 1];  // of links whose branches are not all taken yet
 
     ARM_INLINE explicit Carried(const Numbers& n)
         : body(over<X>(n.body(std::integral_constant<int, N - 1>{}))) {}
 
     ARM_INLINE void fill_row(const Numbers& n, const Kinematics& k, auto i, MassMatrix& M) {
       const bool turns = revolute(i);
+      if constexpr (forks) body = kTree<S>.is_leaf(i) ? over<X>(n.body(i)) : bodies[i];
       fx[i] = turns ? -body.h.y : X{};
       fy[i] = turns ? body.h.x : X{};
       fz[i] = turns ? X{} : body.m;
       nx[i] = turns ? body.I.xz : body.h.y;
       ny[i] = turns ? body.I.yz : -body.h.x;
       nz[i] = turns ? body.I.zz : X{};
-      for_each_lane_from<N>(
+      for_each_carried(
           i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = turns ? nz[j] : fz[j]; });
-      if (i == 0) return;
-      for_each_lane_from<N>(i, [&](auto j) __attribute__((always_inline)) {
+      if constexpr (forks)
+        for (int j = kTree<S>.end[i]; j < N; ++j) M.at[i][j] = X{};
+      if (on_base(i)) return;
+      for_each_carried(i, [&](auto j) __attribute__((always_inline)) {
         const Wrench<X> w = sum({}, k.link[i], {{fx[j], fy[j], fz[j]}, {nx[j], ny[j], nz[j]}});
         fx[j] = w.f.x, fy[j] = w.f.y, fz[j] = w.f.z;
         nx[j] = w.n.x, ny[j] = w.n.y, nz[j] = w.n.z;
       });
-      body = joined(n.body(before(i)), k.link[i], body);
+      const auto p = parent(i);
+      if constexpr (!forks)
+        body = joined(n.body(p), k.link[i], body);
+      else if (kTree<S>.is_last_child(i))
+        bodies[p] = joined(n.body(p), k.link[i], body);
+      else
+        bodies[p] = joined(bodies[p], k.link[i], body);
     }
   };
 
@@ -205,10 +263,10 @@ struct LinkChain {
   // The base's x and y as seen from one link after the other.
   struct BaseAxes {
     Vec3<X> x = {X{} + 1.0, X{}, X{}}, y = {X{}, X{} + 1.0, X{}};
-    ARM_INLINE void go_on(const Placement<X>& link) { x = link.to_child(x), y = link.to_child(y); }
+    ARM_INLINE void go_on(const Placement& link) { x = link.to_child(x), y = link.to_child(y); }
   };
 
-  static ARM_INLINE Wrench<X> sum(const Wrench<X>& parent, const Placement<X>& link,
+  static ARM_INLINE Wrench<X> sum(const Wrench<X>& parent, const Placement& link,
                                   const Wrench<X>& child) {
     const Vec3<X> f = link.to_parent(child.f);
     return {parent.f + f, parent.n + link.to_parent(child.n) + cross(link.p, f)};
