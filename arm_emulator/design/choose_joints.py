@@ -37,7 +37,7 @@ class Choice:
     tool: str
     """Link that is the tool."""
     joints: tuple[str, ...]
-    """Moving joints, base to tool."""
+    """Moving joints."""
     held: dict[str, Held]
     """All other joints that could move."""
     guesses: tuple[str, ...]
@@ -104,7 +104,12 @@ class _Tree:
 
 
 def choose_joints(
-    robot: ET.Element, where: str, tool: str | None = None, joints: Sequence[str] | None = None
+    robot: ET.Element,
+    where: str,
+    tool: str | None = None,
+    joints: Sequence[str] | None = None,
+    *,
+    tree: bool = False,
 ) -> Choice:
     """Choose the arm in a robot description.
 
@@ -116,35 +121,46 @@ def choose_joints(
         robot: the URDF's root element.
         where: what to call it in refusals.
         tool: the link that is the tool; the arm ends there.
-        joints: the joints that move; all others are held.
+        joints: the joints that move, on any branch, with those that follow them; all others are
+            held.
+        tree: whether all joints move, those beside the arm, too.
 
     Raises:
-        Refusal: no such link or joint, joints that are not in a row, or nothing that moves.
+        Refusal: no such link or joint, or nothing that moves.
     """
-    tree = _Tree(robot, where)
+    if tree and joints is not None:
+        raise Refusal("new", "--tree", "stand without --joints", "both")
+    limbs = _Tree(robot, where)
     guesses: list[str] = []
     if joints is not None:
-        chosen = _named(tree, joints, tool)
-        way = tree.path(tool or (chosen[-1].child if chosen else tree.links[0]))
+        chosen = _named(limbs, joints, tool)
+        rows = [limbs.path(joint.child) for joint in chosen] or [[]]
+        way = max(rows, key=len) if tool is None else limbs.path(_tip(limbs, tool))
     else:
-        way = tree.path(_tip(tree, tool))
+        way = limbs.path(_tip(limbs, tool))
         chosen = [joint for joint in way if joint.moves]
         if tool is None:
-            chosen = _without_gripper(tree, chosen, guesses)
+            chosen = _without_gripper(limbs, chosen, [] if tree else guesses)
     if not chosen:
         raise Refusal(where, "the robot", "have a joint that moves", "none on the way to the tool")
-    along = _along(way, chosen)
-    guesses += [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
     if tool is None:
+        along = _along(way, chosen)
         last = [joint for joint in way if joint in chosen or joint in along][-1]
-        tool = _tool_behind(tree, last.child)
+        tool = _tool_behind(limbs, last.child)
         guesses.append(f"tool: {tool} (--tool names another)")
+    if tree:
+        chosen = [joint for joint in limbs.joints if joint.moves]
+    along = _along(way if joints is None and not tree else limbs.joints, chosen)
+    guesses[:0] = [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
     names = tuple(joint.name for joint in chosen)
     held = {
         joint.name: _held(joint, chosen)
-        for joint in tree.joints
+        for joint in limbs.joints
         if joint.kind != "fixed" and joint.name not in names and joint not in along
     }
+    if beside := [joint.name for joint in limbs.joints if joint.moves and joint.name in held]:
+        if joints is None and not tree:
+            guesses.append(f"held beside the arm: {', '.join(beside)} (--tree moves them, too)")
     return Choice(tool, names, held, tuple(guesses))
 
 
@@ -209,7 +225,7 @@ def _tip(tree: _Tree, tool: str | None) -> str:
 
 
 def _along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
-    """Return the joints on the way to the tool that move with those chosen alone."""
+    """Return the joints among some that move with those chosen alone."""
     names = {joint.name for joint in chosen}
     return [
         joint
@@ -219,7 +235,7 @@ def _along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
 
 
 def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
-    """Return the joints of these names, base to tool."""
+    """Return the joints of these names."""
     known = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
     for name in joints:
         if name not in known:
@@ -229,14 +245,9 @@ def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]
             others = ", ".join(known[name].follows)
             kind = f"one that follows {others}" if others else known[name].kind
             raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))
-    rows = [tree.path(known[name].child) for name in joints]
-    longest = tree.path(_tip(tree, tool)) if tool is not None else max(rows, key=len, default=[])
-    chosen = [joint for joint in longest if joint.name in joints]
-    for name in joints:
-        if known[name] not in chosen:
-            rule = "be on one chain from the base to the tool"
-            raise Refusal("new", "--joints", rule, name, ", ".join(j.name for j in longest))
-    return chosen
+    if tool is not None:
+        _tip(tree, tool)
+    return [joint for joint in tree.joints if joint.name in joints]
 
 
 def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> list[_Joint]:

@@ -81,6 +81,7 @@ def write_new(
     payload: float | None = None,
     density: float = DENSITY,
     motor: str | None = None,
+    tree: bool = False,
     force: bool = False,
 ) -> NewScene:
     """Write a scene for a robot.
@@ -94,6 +95,7 @@ def write_new(
         payload: mass at the tool [kg].
         density: density of bodies without inertia in the description [kg/m3].
         motor: kind of all motors; None: that of a scene that gives none.
+        tree: whether the joints beside the arm move, too.
         force: whether to overwrite existing files.
 
     Raises:
@@ -107,7 +109,7 @@ def write_new(
         raise Refusal("new", "--motor", "be a kind of motor", motor, ", ".join(kinds))
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
-    choice = choose_joints(description, robot.name, tool, joints)
+    choice = choose_joints(description, robot.name, tool, joints, tree=tree)
     mended = forget_impossible(description)
     assumed = _assume(description, robot, choice, density)
     if mended or assumed:

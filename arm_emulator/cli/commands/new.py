@@ -23,6 +23,7 @@ def new(
     *arguments: Annotated[str, Parameter(metavar="NAME:=VALUE")],
     tool: Annotated[str | None, Parameter(metavar="LINK")] = None,
     joints: Annotated[list[str] | None, Parameter(metavar="JOINT ...")] = None,
+    tree: bool = False,
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     density: Annotated[float, Parameter(metavar="KG/M3")] = 1200.0,
     motor: Annotated[str | None, Parameter(metavar="KIND")] = None,
@@ -37,6 +38,7 @@ def new(
         arguments: arguments of the xacro source.
         tool: link of the tool (default: chosen).
         joints: moving joints; the others are held (default: chosen).
+        tree: move all joints: a second arm, a gripper.
         payload: mass at the tool (default: none).
         density: density of bodies without inertia in the description.
         motor: kind of all motors, as `motor.kind` in scenes (default: that of scenes).
@@ -52,8 +54,9 @@ def new(
             raise Refusal("new", "argument", "be NAME:=VALUE", one)
         given[name] = value
     written = write_new(
-        robot, out, tool, joints, given, payload=payload, density=density, motor=motor, force=force
-    )
+        robot, out, tool, joints, given, payload=payload, density=density, motor=motor, tree=tree,
+        force=force,
+    )  # fmt: skip
     facts = _report(written)
     if ros2_control:
         folder = written.file.parent / "ros2_control"
