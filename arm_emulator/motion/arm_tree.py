@@ -96,6 +96,7 @@ class ArmTree(Lasting):
         self._arm = WAY.ffi.new("way_arm*")
         self._arm.joints, self._arm.coordinates = len(chain), len(names)
         self._arm.tool_parent = chain.index(frame.parentJoint) if frame.parentJoint else -1
+        self._arm.tool_coordinates = int(kinematics.to_tool.sum())
         self._arm.reach = kinematics.reach
         self._held = [self._point(name, array) for name, array in self._arrays.items()]
         self._law = way_library()

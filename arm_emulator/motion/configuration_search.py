@@ -25,15 +25,16 @@ class ConfigurationSearch:
     The angles are evenly spread and the same for every target (an additive sequence with the powers
     of the generalised golden ratio: Roberts 2018, The unreasonable effectiveness of quasirandom
     sequences). Joints that turn farther than half a turn either way begin within half a turn of
-    where they are.
+    where they are. Joints that do not move the tool stay.
 
     Args:
         kinematics: of the arm.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self._goal = JointGoal(kinematics)
-        n = len(kinematics.joint_names)
+        self._to_tool = kinematics.to_tool
+        self._goal = JointGoal(kinematics.of_tool)
+        n = int(self._to_tool.sum())
         ratio = 2.0
         for _ in range(64):  # the root of x^(n+1) = x + 1
             ratio = (1.0 + ratio) ** (1.0 / (n + 1))
@@ -44,6 +45,7 @@ class ConfigurationSearch:
     def begin(self, target: Pose, q: FloatArray) -> None:
         """Look for a configuration for another target, the arm being at q (N,)."""
         kinematics = self._goal.kinematics
+        self._all, q = q, q[self._to_tool]
         turn = math.pi * kinematics.joint_scale
         low = np.maximum(kinematics.lower, np.minimum(q, kinematics.upper) - turn)
         high = np.minimum(kinematics.upper, np.maximum(q, kinematics.lower) + turn)
@@ -67,7 +69,9 @@ class ConfigurationSearch:
         self._left -= steps
         if goal.reached:
             self._starts = []
-            return goal.q
+            found = self._all.copy()
+            found[self._to_tool] = goal.q
+            return found
         if goal.settled or self._left <= 0:
             self._starts.pop(0)
             if self._starts:

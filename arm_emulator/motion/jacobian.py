@@ -28,7 +28,7 @@ _STEP_LIMIT = Number("step_limit", "rad", above=0.0)
 
 
 class JacobianController(Closed):
-    """Eq. (6) for any serial arm.
+    """Eq. (6) for the joints that move the tool; others stay where they are.
 
     The error ``X_target - X(q)`` is the translation and, in a pose task, the rotation vector
     (logarithm) from the tool to its target, both along the world's axes at the tool.
@@ -131,7 +131,8 @@ class JacobianController(Closed):
         """Return q_target, the tool's error, and limits of the step as text."""
         error = self.kinematics.tool_error(q, target)
         scale = self.kinematics.scale
-        J = self.kinematics.jacobian(q) * scale[:, None]
+        moved = self.kinematics.to_tool
+        J = self.kinematics.jacobian(q)[:, moved] * scale[:, None]
         U, s, Vt = np.linalg.svd(J, full_matrices=False)
         notices = []
         if s[-1] < self.singular_below:
@@ -139,7 +140,8 @@ class JacobianController(Closed):
                 f"near a singular pose, damped: singular value {s[-1]:.2g} is below "
                 f"{self.singular_below:g}"
             )
-        step = self.weight * (Vt.T @ (self._inverse(s) * (U.T @ (scale * error))))
+        step = np.zeros(len(q))
+        step[moved] = self.weight * (Vt.T @ (self._inverse(s) * (U.T @ (scale * error))))
         longest = float(np.abs(step).max())
         if longest > self.step_limit:
             step *= self.step_limit / longest

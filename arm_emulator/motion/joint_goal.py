@@ -47,7 +47,8 @@ class JointGoal:
     Where no step leads nearer, motions of no effect in first order are tried by a finite one: an
     exactly stretched arm bends, to the side of the middle of its limits.
 
-    All angles inside are scaled: a joint that slides counts per reach of the arm.
+    All angles inside are scaled: a joint that slides counts per reach of the arm. They are those of
+    joints that move the tool; others stay where they are.
 
     Args:
         kinematics: of the arm.
@@ -60,18 +61,19 @@ class JointGoal:
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self.kinematics = kinematics
+        self._to_tool, self._rest = kinematics.to_tool, np.zeros(len(kinematics.joint_names))
+        self.kinematics = kinematics = kinematics.of_tool
         self._low = kinematics.lower / kinematics.joint_scale
         self._high = kinematics.upper / kinematics.joint_scale
         finite = np.isfinite(self._low) & np.isfinite(self._high)
         self._middle = np.zeros(len(self._low))
         self._middle[finite] = 0.5 * (self._low[finite] + self._high[finite])
         self._scales = kinematics.scale[:, None] * kinematics.joint_scale
-        self.begin(np.zeros(len(self._low)))
+        self.begin(self._rest)
 
     def begin(self, q: FloatArray) -> None:
         """Take joint angles (N,) for the posture, and for the angles found."""
-        self._posture = self._inside(q / self.kinematics.joint_scale)
+        self._posture = self._scaled(q)
         self._x = self._reached = self._posture
         self._target: Pose | None = None
         self.returning = False
@@ -81,12 +83,26 @@ class JointGoal:
     @property
     def q(self) -> FloatArray:
         """The angles found so far."""
-        return self._x * self.kinematics.joint_scale
+        return self._angles(self._x)
 
     @property
     def posture(self) -> FloatArray:
         """The posture of redundant joints (N,)."""
-        return self._posture * self.kinematics.joint_scale
+        return self._angles(self._posture)
+
+    def hold(self, q: FloatArray) -> None:
+        """Take the angles of joints that do not move the tool from q (N,)."""
+        self._rest = np.array(q, dtype=np.float64)
+
+    def _scaled(self, q: FloatArray) -> FloatArray:
+        """Take joint angles (N,), and return those that move the tool, scaled and inside."""
+        self.hold(q)
+        return self._inside(q[self._to_tool] / self.kinematics.joint_scale)
+
+    def _angles(self, x: FloatArray) -> FloatArray:
+        q = self._rest.copy()
+        q[self._to_tool] = x * self.kinematics.joint_scale
+        return q
 
     @property
     def reached(self) -> bool:
@@ -102,7 +118,7 @@ class JointGoal:
         left = _size(self.error)
         self.returning = self._target is not None and left > _LEEWAY
         self._target = target
-        x = self._inside(q / self.kinematics.joint_scale)
+        x = self._scaled(q)
         start = min((self._x, x), key=lambda x: _size(self._error(x)))
         self._start(start)
         if self.returning and _size(self.error) < left:
@@ -123,7 +139,7 @@ class JointGoal:
 
     def take(self, q: FloatArray) -> None:
         """Take joint angles (N,) that were found elsewhere for the target."""
-        self._x = self._inside(q / self.kinematics.joint_scale)
+        self._x = self._scaled(q)
         self.error = self._error(self._x)
         self.settled = True
         self._reached = self._x

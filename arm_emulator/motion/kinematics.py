@@ -37,7 +37,7 @@ POSE_ROWS = 6
 
 
 class Kinematics(Closed, Lasting):
-    """Tool pose, Jacobian and joint limits of any serial arm.
+    """Tool pose, Jacobian and joint limits of any arm, or of a tree of arms with one tool.
 
     Tool errors and Jacobians have the rows of the task: translation, then in a pose task the
     rotation, both along the world's axes at the tool.
@@ -54,6 +54,7 @@ class Kinematics(Closed, Lasting):
         urdf_xml: the robot description.
         rows: of the task, 3 or 6.
         turns_tool: whether the task rules the tool's orientation.
+        to_tool: whether a joint moves the tool, (N,): a second arm or a gripper does not.
         reach: length of the chain from its first joint to the tool, with what limited joints slide
             [m].
         shafts: which joints go with the coordinates that are commanded.
@@ -87,8 +88,6 @@ class Kinematics(Closed, Lasting):
         self.urdf_xml = urdf_xml
         self.joint_names = tuple(joint_names)
         self.tool = tool
-        self.rows = _rows(task, len(self.joint_names), where)
-        self.turns_tool = self.rows == POSE_ROWS
         self.shafts = Shafts(urdf_xml, self.joint_names, tool)
         self.model = arm_model(urdf_xml, self.joint_names, self.shafts.joints, tool, where)
         self._data = self.model.createData()
@@ -102,6 +101,13 @@ class Kinematics(Closed, Lasting):
         self._places = np.array([joint.idx_q for joint in self._joints])
         self._neutral = pin.neutral(self.model)
         self._frame = tool_frame(self.model, tool, where)
+        self.to_tool = self._moves_tool()
+        self.rows = _rows(task, int(self.to_tool.sum()), where)
+        self.turns_tool = self.rows == POSE_ROWS
+        self._of_tool: Kinematics | None = None
+        if not self.to_tool.all():
+            names = [name for name, on in zip(joint_names, self.to_tool, strict=True) if on]
+            self._of_tool = Kinematics(urdf_xml, names, tool, task, where)
         self.lower, self.upper = self._position_limits()
         rates = rate_limits(urdf_xml)
         moved = [rates[name] for name in self.shafts.joints]
@@ -121,6 +127,16 @@ class Kinematics(Closed, Lasting):
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
         slides = [_slides(joint) for joint in self._joints[: len(self.joint_names)]]
         self.joint_scale = np.where(slides, self.reach, 1.0)
+
+    @property
+    def of_tool(self) -> Kinematics:
+        """Of the joints alone that move the tool."""
+        return self._of_tool or self
+
+    @property
+    def redundant(self) -> bool:
+        """Whether more joints move the tool than the task has rows."""
+        return int(self.to_tool.sum()) > self.rows
 
     def __repr__(self) -> str:
         return f"<Kinematics of {', '.join(self.joint_names)} to {self.tool}>"
@@ -179,7 +195,7 @@ class Kinematics(Closed, Lasting):
 
     def singular_values(self, q: npt.ArrayLike) -> FloatArray:
         """Return the singular values of the scaled Jacobian, largest first [rad/rad]."""
-        scaled = self.jacobian(q) * self.scale[:, None]
+        scaled = self.jacobian(q)[:, self.to_tool] * self.scale[:, None]
         return np.asarray(np.linalg.svd(scaled, compute_uv=False), dtype=np.float64)
 
     def vector(self, q: npt.ArrayLike) -> FloatArray:
@@ -214,6 +230,16 @@ class Kinematics(Closed, Lasting):
         ]
         lower, upper = self.shafts.positions(*np.array(bounds, dtype=np.float64).T)
         return lower, upper
+
+    def _moves_tool(self) -> npt.NDArray[np.bool_]:
+        """Return which joints move the tool (N,); where none does, all."""
+        joint, way = self.model.frames[self._frame].parentJoint, set[str]()
+        while joint > 0:
+            way.add(self.model.names[joint].removeprefix(JOINT))
+            joint = self.model.parents[joint]
+        on_way = np.array([name in way for name in self.shafts.joints])
+        moved = np.asarray((self.shafts.C[on_way] != 0.0).any(axis=0))
+        return moved if moved.any() else ~moved
 
     def _reach(self) -> float:
         frame = self.model.frames[self._frame]

@@ -99,9 +99,8 @@ def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
     off = kinematics.tool_error(q, to) * kinematics.scale
     if float(np.linalg.norm(off)) < 1e-9:
         return Rest(q)
-    redundant = len(q) > kinematics.rows
     goal = None
-    line: JointCurve | str = "" if redundant else joints_along(law.arm, q, begin, to, None)
+    line: JointCurve | str = "" if kinematics.redundant else joints_along(law.arm, q, begin, to, None)
     if not isinstance(line, JointCurve):
         goal = JointGoal(kinematics)
         goal.begin(law.posture)
@@ -242,7 +241,7 @@ def _joints(
     low = np.minimum(kinematics.lower, start) - ROUNDING
     high = np.maximum(kinematics.upper, start) + ROUNDING
     q = arm.trace(start, poses.p, poses.R)
-    if len(q) == len(x) + 1 and len(start) > kinematics.rows:
+    if len(q) == len(x) + 1 and kinematics.redundant:
         goal = JointGoal(kinematics)  # redundant joints end where they began after a cycle
         goal.begin(law.posture)
         goal.aim(Pose(poses.p[-1], poses.R[-1]), q[-1])

@@ -56,12 +56,16 @@ class ToolDirections:
     def __init__(self, kinematics: Kinematics, q: FloatArray) -> None:
         self._kinematics, self._q = kinematics, q
         J = kinematics.scale[:, None] * kinematics.jacobian(q) * kinematics.joint_scale
+        moved = kinematics.to_tool
         try:
-            U, self.s, self._V = np.linalg.svd(J)
+            U, self.s, V = np.linalg.svd(J[:, moved])
         except np.linalg.LinAlgError:
             words = "the singular values of the Jacobian cannot be computed"
             raise ArithmeticError(words) from None
-        self._U = U[:, : len(self.s)]
+        self._U, self._V = U[:, : len(self.s)], V
+        if not moved.all():  # the others are directions of their own, which do nothing to the tool
+            self._V = np.zeros((len(q), len(q)))
+            self._V[: len(V), moved], self._V[len(V) :, ~moved] = V, np.eye(len(q) - len(V))
 
     def idle(self, v: FloatArray) -> FloatArray:
         """Return the part of joint speeds (N,) that does not move the tool, to first order (N,)."""

@@ -247,10 +247,13 @@ class WayController:
 
     def _aim(self, target: Pose, now: Reference) -> None:
         self._goal.aim(target, now.q)
+        if not self._is_still(now) and not self.kinematics.to_tool.all():
+            stop = self.stopping(now)
+            self._goal.hold(stop.at(stop.duration).q)
         self._looking, self._waits = False, 0
         self._seeking = 1
         self._followed: JointCurve | str = ""
-        if self._is_still(now) and len(now.q) <= self.kinematics.rows:
+        if self._is_still(now) and not self.kinematics.redundant:
             # The tool's line leads to the only joint angles that continue those of now.
             self._followed = self._tool_line(now, target, None)
             if isinstance(self._followed, JointCurve):
@@ -285,8 +288,8 @@ class WayController:
             return
         line = self._followed
         if goal.reached and not isinstance(line, JointCurve):
-            redundant = len(now.q) > self.kinematics.rows
-            line = self._tool_line(now, self._target, goal.q) if redundant else line
+            if self.kinematics.redundant:
+                line = self._tool_line(now, self._target, goal.q)
         if goal.reached:
             self._set_out(now, line, notices)
         elif goal.settled:  # another configuration may reach it, and is better taken from here
@@ -340,7 +343,7 @@ class WayController:
 
     def _turning_with_the_joints(self, now: Reference, end: FloatArray) -> JointCurve | str:
         """Return the joints' curve to their angles at the end on which the tool goes straight."""
-        if len(now.q) <= POSITION_ROWS:
+        if self.kinematics.to_tool.sum() <= POSITION_ROWS:
             return "the tool's place alone determines the joints"
         p, R = self.arm.forward(np.stack([now.q, end]))
         return joints_along(self.arm, now.q, Pose(p[0], R[0]), Pose(p[1], R[1]), end, False)
@@ -389,6 +392,7 @@ class WayController:
             words += f" and {np.linalg.norm(error[3:]):.3g} rad"
         words += " away"
         at = (goal.q <= kinematics.lower) | (goal.q >= kinematics.upper)
+        at &= kinematics.to_tool
         if at.any():
             names = ", ".join(kinematics.joint_names[j] for j in np.flatnonzero(at))
             words += f", {names} at the limit"

@@ -76,9 +76,9 @@ inline bool solve(int n, double (*A)[MOST_JOINTS], double* b) {
 }
 
 // The shortest step of the scaled coordinates that removes the error in first order.
-inline bool shortest_step(const Task& task, int rows, int n, double* step) {
+inline bool shortest_step(const Task& task, int rows, int n, bool wide, double* step) {
   double A[MOST_JOINTS][MOST_JOINTS];
-  const bool wide = n >= rows;  // J' (J J')^-1 e, or (J' J)^-1 J' e
+  // Wide: J' (J J')^-1 e; else (J' J)^-1 J' e.
   const int m = wide ? rows : n;
   for (int i = 0; i < m; ++i)
     for (int k = 0; k <= i; ++k) {
@@ -115,7 +115,7 @@ inline bool reach(const way_arm& arm, int rows, const Vector& p, const Matrix& R
     if (k > 2 && task.size > 0.5 * before) return task.size <= 100.0 * THERE;
     before = task.size;
     double step[MOST_JOINTS], longest = 0.0;
-    if (!shortest_step(task, rows, n, step)) return false;
+    if (!shortest_step(task, rows, n, arm.tool_coordinates >= rows, step)) return false;
     for (int j = 0; j < n; ++j) longest = std::max(longest, std::fabs(step[j]));
     if (!(longest < LONGEST)) return false;
     for (int j = 0; j < n; ++j) q[j] += arm.scale[j] * step[j];

@@ -13,20 +13,21 @@ extern "C" {
 /* A chain or tree of joints with one degree of freedom each, parents before children. */
 typedef struct {
   int32_t joints;
-  int32_t coordinates;    /* that are commanded: the joints are coupling * coordinates + offset */
-  const int32_t* parent;  /* (joints), -1: the world */
-  const int32_t* slides;  /* (joints), 1: along its axis; 0: it turns about it */
-  const double* axis;     /* (joints, 3) in the joint's frame */
-  const double* rotation; /* (joints, 3, 3) of the joint's frame in its parent's, at 0 */
-  const double* place;    /* (joints, 3) of it [m] */
-  const double* coupling; /* (joints, coordinates) */
-  const double* offset;   /* (joints) */
-  const double* scale;    /* (coordinates) that makes one an angle: 1, or the reach [m] */
-  const double* mass;     /* (joints) of the bodies [kg] */
-  const double* centre;   /* (joints, 3) of their masses, in the joints' frames [m] */
-  const double* inertia;  /* (joints, 3, 3) about it, along the joints' axes [kg m2] */
-  const double* gravity;  /* (3) in the world [m/s2] */
-  int32_t tool_parent;    /* -1: the world */
+  int32_t coordinates;      /* that are commanded: the joints are coupling * coordinates + offset */
+  int32_t tool_coordinates; /* of those: that move the tool */
+  const int32_t* parent;    /* (joints), -1: the world */
+  const int32_t* slides;    /* (joints), 1: along its axis; 0: it turns about it */
+  const double* axis;       /* (joints, 3) in the joint's frame */
+  const double* rotation;   /* (joints, 3, 3) of the joint's frame in its parent's, at 0 */
+  const double* place;      /* (joints, 3) of it [m] */
+  const double* coupling;   /* (joints, coordinates) */
+  const double* offset;     /* (joints) */
+  const double* scale;      /* (coordinates) that makes one an angle: 1, or the reach [m] */
+  const double* mass;       /* (joints) of the bodies [kg] */
+  const double* centre;     /* (joints, 3) of their masses, in the joints' frames [m] */
+  const double* inertia;    /* (joints, 3, 3) about it, along the joints' axes [kg m2] */
+  const double* gravity;    /* (3) in the world [m/s2] */
+  int32_t tool_parent;      /* -1: the world */
   const double* tool_rotation; /* (3, 3) in its parent's frame */
   const double* tool_place;    /* (3) [m] */
   double reach;                /* [m], by which the tool's errors are divided */
