@@ -111,12 +111,26 @@ def test_a_gripper_is_reported_from_the_arm(seed: int) -> None:
     assert set(chosen.held) == {*arm, *fingers} - {*some}
 
 
-def test_joints_that_are_not_in_a_row_are_refused() -> None:
-    text, arm, fingers = robot_with_gripper(np.random.default_rng(0))
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tree_has_arm_and_fingers(seed: int) -> None:
+    """All of them move, those that follow others along; the tool remains that of the arm."""
+    text, arm, fingers = robot_with_gripper(np.random.default_rng(seed))
     robot = ET.fromstring(text)
-    last = [name for name in fingers if name.endswith("0")]
+    alone, whole = choose_joints(robot, "robot"), choose_joints(robot, "robot", tree=True)
+    follow = {
+        joint.get("name") for joint in robot.findall("joint") if joint.find("mimic") is not None
+    }
+    assert {*whole.joints} == {*arm, *fingers} - follow
+    assert not whole.held and whole.tool == alone.tool
+    assert set(alone.held) == {*fingers}
+    named = choose_joints(robot, "robot", joints=[*arm, *({*fingers} - follow)], tool=alone.tool)
+    assert named.joints == whole.joints and not named.held, "by name"
+
+
+def test_joints_that_cannot_move_are_refused() -> None:
+    text, *_ = robot_with_gripper(np.random.default_rng(0))
+    robot = ET.fromstring(text)
     for named, words in (
-        ([arm[0], *last[:2]], "be on one chain" if "mimic" not in text else "--joints"),
         (["nobody"], "be joints of the robot that can move, got nobody"),
         ([], "have a joint that moves"),
     ):

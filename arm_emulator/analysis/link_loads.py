@@ -19,20 +19,16 @@ class LinkLoads:
 
     def __init__(self, scene: Scene) -> None:
         model = pin.Model()
-        parent = 0
         for joint in scene.chain.links:
-            c, s = joint.cos_alpha, joint.sin_alpha
-            tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-            C, S = np.cos(joint.theta_0), np.sin(joint.theta_0)
-            turn = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
             kind = pin.JointModelPZ() if joint.kind == "prismatic" else pin.JointModelRZ()
-            parent = model.addJoint(parent, kind, pin.SE3(tilt @ turn, joint.p), joint.name)
+            at = pin.SE3(joint.R, joint.p)
+            number = model.addJoint(joint.parent + 1, kind, at, joint.name)
             body = joint.body
             (xx, xy, xz), (_, yy, yz), (_, _, zz) = body.inertia
             # As they are about the joint: of a point, rounding leaves anything about its centre.
             numbers = np.array([body.mass, *body.moment, xx, xy, yy, xz, yz, zz])
             inertia = pin.Inertia.FromDynamicParameters(numbers)
-            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            model.appendBodyToJoint(number, inertia, pin.SE3.Identity())
         gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
         model.gravity.linear = scene.chain.R_BW @ gravity
         self._model, self._data = model, model.createData()

@@ -315,8 +315,10 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
             for limit in joint.findall("limit"):
                 joint.remove(limit)
             ET.SubElement(joint, "limit", lower="-1e9", upper="1e9", effort="1e9", velocity="1e9")
+    _name_in_order(robot, list(scene.joint_names))
     model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
-    assert list(model.names)[1:] == list(scene.joint_names)
+    names = [name.split(" ", 1)[1] for name in list(model.names)[1:]]
+    assert names == list(scene.joint_names)
     model.gravity.linear = np.array(scene.gravity or (0.0, 0.0, 0.0))
     if payload is not None:
         xx, yy, zz, xy, xz, yz = payload.get("inertia", (0.0,) * 6)
@@ -330,3 +332,23 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
     if abs(moved - given) > 1e-13 * moved:  # rounding of sums of some hundred masses
         raise Refusal("reference", "payload", "be the scene's", f"{given - moved:g} kg too much")
     return model
+
+
+def _name_in_order(robot: ET.Element, names: list[str]) -> None:
+    """Put a number before each joint's name: Pinocchio takes joints of one link by their names."""
+    below: dict[str, list[ET.Element]] = {}
+    for joint in robot.iter("joint"):
+        below.setdefault(joint.find("parent").get("link"), []).append(joint)  # type: ignore[union-attr, arg-type]
+
+    def first(joint: ET.Element) -> int:
+        """Return the place of the first moving joint at or behind a joint."""
+        if (name := joint.get("name", "")) in places:
+            return places[name]
+        behind = below.get(joint.find("child").get("link"), [])  # type: ignore[union-attr, arg-type]
+        return min(map(first, behind), default=len(places))
+
+    places = {name: k for k, name in enumerate(names)}
+    for joint in list(robot.iter("joint")):
+        joint.set("order", f"{first(joint):04}")
+    for joint in robot.iter("joint"):
+        joint.set("name", f"{joint.get('order')} {joint.get('name')}")

@@ -87,6 +87,16 @@ class _Tree:
                 raise Refusal(self.where, f"link {link}", "have no loop above it", "one")
         return path[::-1]
 
+    def ordered(self) -> list[_Joint]:
+        """Return all joints, each behind what carries it, and with all that it carries."""
+        left = [link for link in self.links if link not in self.above]
+        found: list[_Joint] = []
+        while left:
+            below = self.below.get(left.pop(), [])
+            left += [joint.child for joint in below[::-1]]
+            found += below
+        return found
+
     def fixed_to(self, link: str) -> list[str]:
         """Return a link and all that are fixed to it, towards the tips."""
         found = [link]
@@ -149,7 +159,7 @@ def choose_joints(
         tool = _tool_behind(limbs, last.child)
         guesses.append(f"tool: {tool} (--tool names another)")
     if tree:
-        chosen = [joint for joint in limbs.joints if joint.moves]
+        chosen = [joint for joint in limbs.ordered() if joint.moves]
     along = _along(way if joints is None and not tree else limbs.joints, chosen)
     guesses[:0] = [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
     names = tuple(joint.name for joint in chosen)
@@ -247,7 +257,7 @@ def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]
             raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))
     if tool is not None:
         _tip(tree, tool)
-    return [joint for joint in tree.joints if joint.name in joints]
+    return [joint for joint in tree.ordered() if joint.name in joints]
 
 
 def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> list[_Joint]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pinocchio as pin
 
@@ -24,15 +22,12 @@ class LinkRegressor:
 
     def __init__(self, scene: Scene) -> None:
         self.model = pin.Model()
-        chain, parent = scene.chain, 0
+        chain = scene.chain
         for joint in chain.links:
-            c, s = joint.cos_alpha, joint.sin_alpha
-            tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-            c, s = math.cos(joint.theta_0), math.sin(joint.theta_0)
-            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
             slides = joint.kind == "prismatic"
             kind = pin.JointModelPZ() if slides else pin.JointModelRZ()
-            parent = self.model.addJoint(parent, kind, pin.SE3(tilt @ turn, joint.p), joint.name)
+            at = pin.SE3(joint.R, joint.p)
+            self.model.addJoint(joint.parent + 1, kind, at, joint.name)
         gravity = np.zeros(3) if scene.gravity is None else chain.R_BW @ scene.gravity
         self.model.gravity.linear = gravity
         self._data = self.model.createData()

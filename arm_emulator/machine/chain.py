@@ -137,6 +137,17 @@ class ChainJoint:
         """Name of the joint's child in the URDF."""
         return next(iter(self.links))
 
+    @property
+    def R(self) -> Array:
+        """Rotation (3, 3) of its frame in the parent's, with the joint at 0."""
+        c, s = self.cos_alpha, self.sin_alpha
+        tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        C, S = math.cos(self.theta_0), math.sin(self.theta_0)
+        turn = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
+        c, s = self.cos_gamma, self.sin_gamma
+        R: Array = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ (tilt @ turn)
+        return R
+
 
 @dataclass(frozen=True)
 class Chain:

@@ -100,7 +100,9 @@ def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
     if float(np.linalg.norm(off)) < 1e-9:
         return Rest(q)
     goal = None
-    line: JointCurve | str = "" if kinematics.redundant else joints_along(law.arm, q, begin, to, None)
+    line: JointCurve | str = (
+        "" if kinematics.redundant else joints_along(law.arm, q, begin, to, None)
+    )
     if not isinstance(line, JointCurve):
         goal = JointGoal(kinematics)
         goal.begin(law.posture)
