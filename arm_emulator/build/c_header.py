@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -103,10 +104,9 @@ class Header:
             values: by the names of fields. A NumPy array stands for a pointer to its numbers: it
                 must outlive the struct, and its type must be that of the field.
         """
-        fields = self.ffi.typeof(struct).item.fields
-        if fields[0][0] == "size":
-            struct.size = self.ffi.sizeof(struct[0])
-        kinds = dict(fields)
+        kinds, size = _fields(self.ffi.typeof(struct))
+        if size:
+            struct.size = size
         for name, value in values.items():
             if isinstance(value, np.ndarray) and name in kinds:
                 value = self._place(kinds[name].type, value)
@@ -129,6 +129,14 @@ class Header:
         if _dtype(self.ffi, kind.item) != rows.dtype:
             raise TypeError(f"{kind.cname} to an array of {rows.dtype}")
         return self.ffi.cast(kind, self.ffi.from_buffer(rows))
+
+
+@cache  # a structure is filled in for every run
+def _fields(kind: Any) -> tuple[dict[str, Any], int]:
+    """Return the fields of what a type points to, and its size if it begins with one, else 0."""
+    fields = kind.item.fields
+    size = _cffi_backend.FFI().sizeof(kind.item) if fields[0][0] == "size" else 0
+    return dict(fields), size
 
 
 _OPEN: dict[str, list[tuple[FFI, CData]]] = {}  # cffi closes libraries without a reference

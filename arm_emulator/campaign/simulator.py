@@ -71,6 +71,7 @@ class Simulator:
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
         self._parameters = {one.name for one in campaign.scene.varied}
+        self._sensed = campaign.scene.sensed
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()
@@ -139,7 +140,7 @@ class Simulator:
         except Refusal as no:
             where = f"{campaign.where}, run {case.index}"
             raise Refusal(where, no.quantity, no.rule, no.got, no.valid) from None
-        if self._scene.sensed and "seed" not in values:
+        if self._sensed and "seed" not in values:
             session.plant.set_parameter("seed", case.seed)
         session.plant.reset(self._scenario.start)
         self._events = self._ordered(

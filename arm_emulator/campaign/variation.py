@@ -73,6 +73,12 @@ class Variation:
             raise Refusal(self.where, "sampling", rule, f"latin, {D * self.count}")
         self._mixed = None if self.correlation is None else self._root(self.correlation)
         self._key = int.from_bytes(self.key[:16], "little")
+        mixed = np.eye(len(self.numbers)) if self._mixed is None else self._mixed
+        self._coupled = [place for place in self._free if np.count_nonzero(mixed[place]) > 1]
+        # One stream whose counter is set: a new one for each run takes four times as long.
+        self._bits = np.random.Philox(counter=np.zeros(4, np.uint64), key=self._key)
+        self._fresh = self._bits.state
+        self._stream = np.random.Generator(self._bits)
 
     def _root(self, correlation: Array) -> Array:
         try:
@@ -90,9 +96,9 @@ class Variation:
     def uniforms(self, index: int) -> list[float]:
         """Return the random numbers of a run from 0 to 1: for each that varies, and one more."""
         if self._newest[0] != index:
-            counter = np.array([0, 0, 0, index], np.uint64)
-            stream = np.random.Generator(np.random.Philox(counter=counter, key=self._key))
-            self._newest = index, stream.random(len(self.numbers) + 1).tolist()
+            self._fresh["state"]["counter"][3] = index
+            self._bits.state = self._fresh
+            self._newest = index, self._stream.random(len(self.numbers) + 1).tolist()
         return self._newest[1]
 
     def values(self, index: int) -> dict[str, float]:
@@ -105,18 +111,20 @@ class Variation:
 
     def values_at(self, z: Sequence[float] | Array) -> dict[str, float]:
         """Return the values at a point of independent standard normal numbers (D,), by name."""
-        scores = np.asarray(z, np.float64)
+        shares = self._shares(np.asarray(z, np.float64))
         return {
-            one.name: one.distribution.at(self._share(place, scores), one.nominal)
-            for place, one in enumerate(self.numbers)
+            one.name: one.distribution.at(share, one.nominal)
+            for share, one in zip(shares, self.numbers, strict=True)
         }
 
-    def _share(self, place: int, z: Array) -> float:
-        """Return what share of a number's values lies below its value at a point."""
-        score = float(z[place])
+    def _shares(self, z: Array) -> list[float]:
+        """Return what share of each number's values lies below its value at a point."""
+        scores = z.copy()
         if self._mixed is not None:
-            score = math.fsum((self._mixed[place] * z).tolist())
-        return min(max(float(special.ndtr(score)), _FIRST), _LAST)
+            for place in self._coupled:
+                scores[place] = math.fsum((self._mixed[place] * z).tolist())
+        shares: list[float] = np.clip(special.ndtr(scores), _FIRST, _LAST).tolist()
+        return shares
 
     def _point(self, index: int) -> list[float]:
         """Return a point of the unit cube, a number for each that varies."""
@@ -124,9 +132,9 @@ class Variation:
         for place, at in zip(self._free, self._free_point(index), strict=True):
             u[place] = min(max(at, _FIRST), _LAST)
         if self._mixed is not None:
-            z = np.array([float(special.ndtri(at)) for at in u])
+            shares = self._shares(special.ndtri(u))
             for place in self._free:
-                u[place] = self._share(place, z)
+                u[place] = shares[place]
         rest = index
         for place in reversed(self._grids):
             levels = self.numbers[place].distribution.levels

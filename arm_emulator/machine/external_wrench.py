@@ -76,6 +76,8 @@ def on_moving_link(
 
 def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
     """Return vectors as rows (arms, 3), or (1, 3) of one machine."""
+    if values is NONE and not arms:
+        return np.zeros((1, 3))
     if not arms:
         return bound.row(where, values, 3)[np.newaxis]
     rows = bound.numbers(where, values)
@@ -87,6 +89,8 @@ def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -
 
 
 def _turned(R: Array, rows: Array) -> Array:
+    if len(rows) == 1:
+        return (R @ rows[0])[np.newaxis]
     return np.array([R @ row for row in rows])
 
 

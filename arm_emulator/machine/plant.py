@@ -244,7 +244,9 @@ class Plant(CoreMachine):
     @in_turn
     def commanded(self) -> Array:
         """The newest commands of `exchange` or `exchange_in`, and further inputs (1 + I, N)."""
-        return np.vstack([self._commands["value"], self._further])
+        rows = np.empty((1 + len(self._further), self._N))
+        rows[0], rows[1:] = self._commands["value"], self._further
+        return rows
 
     @property
     @in_turn

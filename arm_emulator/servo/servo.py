@@ -124,7 +124,14 @@ class Servo(Turns):
         Raises:
             Refusal: as the constructor. Nothing has changed then.
         """
-        self._joint[:] = self._numbers_of(config)
+        now = self.config
+        if (now.period, now.supply_voltage) != (config.period, config.supply_voltage):
+            self._joint[:] = self._numbers_of(config)
+        else:  # most often a few joints of many are other ones
+            pairs = zip(now.joints, config.joints, strict=True)
+            places = [place for place, (one, other) in enumerate(pairs) if one is not other]
+            changed = tuple(config.joints[place] for place in places)
+            self._joint[places] = servo_numbers(changed, config.period, config.supply_voltage)
         self.config = config
 
     @property

@@ -23,12 +23,11 @@ def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage:
             fast that a voltage held for a period cannot control the current.
     """
     rows = [_row(joint, period, supply_voltage) for joint in joints]
-    kind = SERVO.dtype("servo_joint")
-    return np.array([tuple(row[name] for name in kind.names or ()) for row in rows], kind)
+    return np.array(rows, SERVO.dtype("servo_joint"))
 
 
 @lru_cache(256)  # of an arm whose numbers vary one by one
-def _row(joint: JointServo, period: float, supply_voltage: float) -> dict[str, Any]:
+def _row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, ...]:
     numbers = _finite_numbers(joint, period)
     if numbers is None:
         rule = "have data that finite coefficients of the control law follow from"
@@ -44,7 +43,8 @@ def _row(joint: JointServo, period: float, supply_voltage: float) -> dict[str, A
             f"{_time_constant(joint):.3g} s"
         )
         raise Refusal("servo", f"joint {joint.name}", rule, got, _period_that_holds(joint, period))
-    return numbers.row(joint, supply_voltage)
+    row = numbers.row(joint, supply_voltage)
+    return tuple(row[name] for name in SERVO.dtype("servo_joint").names or ())
 
 
 _MOST_KEPT = 0.9  # of a current error over a period
