@@ -306,6 +306,13 @@ struct arm_machine {
     const double counts = __builtin_floor(angle * Scene::device[j].counts_per_rad);
     return static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
   }
+  // The same in lanes.
+  template <class X>
+  static auto counts(int j, const X& angle) {
+    X counts = angle * Scene::device[j].counts_per_rad;
+    for (int lane = 0; lane < arm::kWidth<X>; ++lane) counts[lane] = __builtin_floor(counts[lane]);
+    return __builtin_convertvector(arm::clamp(counts, 0x1p62), arm::Mask<X>);
+  }
   void measure_here(arm_measurement* out, const Motors& motors) const {
     [[maybe_unused]] bool hot[N] = {};
     if constexpr (Machine::heats) machine.too_hot(hot);

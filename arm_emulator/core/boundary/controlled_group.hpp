@@ -46,11 +46,13 @@ class ControlledGroup {
   template <class Group>
   bool glide([[maybe_unused]] Group& group, [[maybe_unused]] double* links, bool& glides) {
     if constexpr (requires { group.is_abreast(0); }) {
-      double angle[N * lanes], speed[N * lanes];
+      alignas(64) double angle[N * lanes], speed[N * lanes];
       group.report(rows_.current, angle, speed);
       group.applied(rows_.applied);
-      for (int k = 0; k < N * lanes; ++k)
-        rows_.encoder[k] = arm_machine::counts(k / lanes, angle[k]);
+      using X = arm::Lanes<lanes>;
+      for (int j = 0; j < N; ++j)
+        *reinterpret_cast<arm::Mask<X>*>(rows_.encoder + j * lanes) =
+            arm_machine::counts(j, *reinterpret_cast<const X*>(angle + j * lanes));
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();
       for (int j = 0; j < N; ++j)

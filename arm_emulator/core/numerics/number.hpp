@@ -33,13 +33,28 @@ inline constexpr int kNativeLanes = 2;
 template <class X>
 using Mask = decltype(X{} < X{});
 
+// A bit for each lane of a mask, by its sign: in one instruction where a mask fills a register.
+template <class M>
+ARM_INLINE unsigned bits_of(const M& mask) {
+#if defined(__AVX512DQ__)
+  typedef long long Whole __attribute__((vector_size(64)));
+  if constexpr (sizeof(M) == sizeof(Whole)) return __builtin_ia32_cvtq2mask512((Whole)mask);
+#elif defined(__AVX__)
+  typedef double Whole __attribute__((vector_size(32)));
+  if constexpr (sizeof(M) == sizeof(Whole))
+    return static_cast<unsigned>(__builtin_ia32_movmskpd256((Whole)mask));
+#endif
+  unsigned bits = 0;
+  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane)
+    bits |= static_cast<unsigned>(mask[lane] != 0) << lane;
+  return bits;
+}
+
 ARM_INLINE constexpr bool any(bool mask) { return mask; }
 template <class M>
   requires(!std::is_arithmetic_v<M>)
 ARM_INLINE bool any(const M& mask) {
-  bool found = false;
-  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) found |= mask[lane] != 0;
-  return found;
+  return bits_of(mask) != 0;
 }
 
 // Whether it holds in every lane.
@@ -47,9 +62,7 @@ ARM_INLINE constexpr bool all(bool mask) { return mask; }
 template <class M>
   requires(!std::is_arithmetic_v<M>)
 ARM_INLINE bool all(const M& mask) {
-  bool holds = true;
-  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) holds &= mask[lane] != 0;
-  return holds;
+  return bits_of(mask) == (1u << sizeof(M) / sizeof(mask[0])) - 1;
 }
 
 // A mask, combined with a condition that all lanes share.

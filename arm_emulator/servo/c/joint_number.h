@@ -19,6 +19,14 @@ SERVO_INLINE servo_real real_of(servo_count counts) {
 }
 SERVO_INLINE servo_flag flag_of(servo_mask mask, int bit) { return mask & bit; }
 SERVO_INLINE int any(servo_mask mask) {
+#ifdef __AVX512DQ__ /* one instruction */
+  typedef long long whole __attribute__((vector_size(64)));
+  if (sizeof(whole) == sizeof mask) {
+    whole lanes;
+    __builtin_memcpy(&lanes, &mask, sizeof mask);
+    return __builtin_ia32_cvtq2mask512(lanes) != 0;
+  }
+#endif
   int64_t found = 0;
   for (int lane = 0; lane < SERVO_LANES; ++lane) found |= mask[lane];
   return found != 0;
