@@ -49,9 +49,13 @@ MEASURED = (
 )  # fmt: skip
 
 
+LINES = "command_*", "measurement_*", "controller_*", "encoders_swapped"
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return load_scene(rich_machine(tmp_path_factory.mktemp("rich"), NAMES))
+    faults = [f"*.{kind}" for kind in LINES]
+    return load_scene(rich_machine(tmp_path_factory.mktemp("rich"), NAMES, faults=faults))
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +102,13 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
     assert one.get("time")[0] == pytest.approx(start + plant.t, abs=1e-9), "time goes along"
 
 
+def quoted(name: str) -> str:
+    """The name of a fault as FMI writes it."""
+    owner, _, kind = name.rpartition(".")
+    escaped = owner.replace("'", "\\'").replace('"', '\\"')
+    return f"{owner if owner.isidentifier() else chr(39) + escaped + chr(39)}.{kind}"
+
+
 def set_all(one: Instance, values: dict[str, Any]) -> None:
     """Set variables; all are taken."""
     for name, value in values.items():
@@ -129,15 +140,22 @@ def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
 
 @pytest.mark.parametrize("seed", some(range(20), 3))
 def test_a_unit_moves_as_plant_does_to_the_last_bit(fmu: Fmu, plant: Plant, seed: int) -> None:
-    """Under random commands, forces, power cuts, parameters and steps."""
+    """Under random commands, forces, power cuts, parameters, steps and faults of the lines."""
     rng = np.random.default_rng(seed)
     one, start = Instance(fmu), 5.0 * seed
+    faults = {f"faults.{quoted(fault.name)}": fault.varied for fault in plant.scene.faults}
+    assert len(faults) == 2 * 12 + 1, "the last joint has no neighbour to swap encoders with"
 
     def vary() -> None:
         mass, stiffness = float(rng.uniform(0.1, 2.0)), float(10.0 ** rng.uniform(3, 5))
         set_all(one, {MASS: mass, STIFFNESS: stiffness})
         plant.set_parameter("payload.mass", mass)
         plant.set_parameter(f"joints.{NAMES[0]}.gear.stiffness", stiffness)
+        for name in rng.choice([*faults], 3):
+            varied = faults[name]
+            size = float(rng.choice([0.0, 0.3, 1.0])) * varied.number.default
+            set_all(one, {name: size})
+            plant.set_parameter(varied.name, size)
 
     q, v = rng.normal(0.0, 0.3, (2, len(NAMES)))
     set_all(one, {"start.q": q, "start.v": v})

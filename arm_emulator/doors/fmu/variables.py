@@ -292,11 +292,12 @@ def _of_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
 def _parts(one: Varied, scene: Scene) -> Sequence[str]:
     """Return the parts of the name of a varied number; names in it may have dots."""
     group, _, rest = one.name.partition(".")
-    owners = {
+    known = {
         "joints": scene.joint_names,
         "links": tuple(joint.link for joint in scene.chain.joints),
         "imus": tuple(imu.name for imu in scene.imus),
-    }.get(group, ())
+    }
+    owners = sum(known.values(), ()) if group == "faults" else known.get(group, ())
     for owner in sorted(owners, key=len, reverse=True):
         if rest.startswith(f"{owner}."):
             return (group, owner, *rest[len(owner) + 1 :].split("."))
