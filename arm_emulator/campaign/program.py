@@ -167,6 +167,11 @@ class Program:
         """Begin a run."""
         self._calls.judges_begin(self._struct)
 
+    def go_on(self, taken: int) -> None:
+        """Continue a run of which so many samples were taken elsewhere; of rows alone."""
+        self._calls.judges_begin(self._struct)
+        self._struct.taken = taken
+
     def take(self, samples: Array, count: int, targets: Targets | None = None) -> None:
         """Go on with `count` samples of the rows of `samples` (S, room)."""
         piece = JUDGES.new(

@@ -234,10 +234,10 @@ def _halves(fault: Fault, session: Session) -> tuple[Event, Event]:
     ends: list[Event] = []
 
     def begin() -> None:
-        ends.append(fault.begin(session))
+        ends[:] = [fault.begin(session)]
 
-    def end() -> None:
-        ends.pop()()
+    def end() -> None:  # once for each fork of a run
+        ends[0]()
 
     return begin, end
 

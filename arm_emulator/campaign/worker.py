@@ -55,11 +55,21 @@ def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator]:
 
 @cache
 def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator]:
+    campaign = campaign_of(file, key)
+    return campaign, Simulator(campaign)
+
+
+def campaign_of(file: str, key: bytes) -> Campaign:
+    """Return a campaign.
+
+    Raises:
+        Refusal: it is not the same here.
+    """
     campaign = load_campaign(Path(file))
     if campaign.key != key:
         rule = "be the same for all workers"
         raise Refusal(campaign.where, "the campaign", rule, "another one, or other files")
-    return campaign, Simulator(campaign)
+    return campaign
 
 
 def simulate(

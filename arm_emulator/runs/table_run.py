@@ -71,6 +71,10 @@ class TableRun:
         """
         self.session.reset()
         self.session.restore(machine)
+        self.aim(table)
+
+    def aim(self, table: TargetTable) -> None:
+        """Follow another table from the present tick on."""
         self._loop.aim(self._targets(table))
 
     def advance(self, ticks: int) -> None:

@@ -7,10 +7,13 @@ from arm_emulator.base.wheel import need_wheel
 from arm_emulator.campaign.search.falsification import Bayes, CmaEs
 from arm_emulator.campaign.search.method import Method
 from arm_emulator.campaign.search.sensitivity import Morris, Sobol
+from arm_emulator.campaign.search.splitting import Splitting
 from arm_emulator.campaign.search.subset import Subset
 from arm_emulator.campaign.variation import Variation
 
-METHODS: dict[str, type[Method]] = {one.kind: one for one in (CmaEs, Bayes, Sobol, Morris, Subset)}
+METHODS: dict[str, type[Method]] = {
+    one.kind: one for one in (CmaEs, Bayes, Sobol, Morris, Subset, Splitting)
+}
 
 
 def read_method(root: Section, variation: Variation) -> Method | None:

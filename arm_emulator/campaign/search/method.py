@@ -63,12 +63,14 @@ class Method:
         kind: its name in files.
         package: module and pip's name of a package that it needs; empty: none.
         every: whether it gets all requirements and measures, instead of one margin.
+        forks: whether it forks runs in their midst, instead of a course of whole runs.
         of: requirement whose margin it gets; empty: the least of all.
     """
 
     kind: ClassVar[str] = ""
     package: ClassVar[tuple[str, ...]] = ()
     every: ClassVar[bool] = False
+    forks: ClassVar[bool] = False
 
     of: str = ""
 

@@ -31,6 +31,7 @@ from arm_emulator.campaign.results import Results, column_units, digest_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.splitter import Splitter
 from arm_emulator.campaign.summary import Summary, summary_of
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Keep
@@ -139,6 +140,8 @@ def _simulate(
 
     with _shown() as report:
         try:
+            if one.search is not None and one.search.forks:
+                return False, Splitter(one, results, pool, report).run()
             if one.search is not None:
                 return False, Searcher(one, results, pool, workers, seconds, report).run()
             run_campaign(one, results, pool, workers, seconds, report)

@@ -1,0 +1,198 @@
+"""Rare failures by splitting: machines that are on the way to a failure are forked in mid-run.
+
+A level is a margin. Of the runs that reach a level, some are chosen, and each continues from there
+several times, with other noise: an exact copy of the machine with another seed. The probability is
+the product of the shares of runs that reach the next level (Garvels and Kroese, Winter Simulation
+Conference 1998: fixed effort). Unlike subset simulation it needs no numbers that vary: what the
+sensors' noise causes during the run is enough.
+
+A pilot sets the levels. Independent repetitions with these follow, each unbiased; how far they
+differ gives the interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.number import number
+from arm_emulator.base.section import Section
+from arm_emulator.campaign.intervals import of_repetitions
+from arm_emulator.campaign.search.method import Finding, Method
+from arm_emulator.campaign.variation import Variation
+
+MOST_LEVELS = 60
+SEEDS = 2**32
+
+State = TypeVar("State")
+
+
+class Process(Protocol[State]):
+    """A random process whose margin never rises, and which can be forked."""
+
+    def begin(self, index: int, seed: int) -> None:
+        """Begin a run."""
+
+    def go_on(self, state: State, seed: int) -> None:
+        """Continue from a fork, with other random numbers."""
+
+    def reach(self, level: float) -> tuple[bool, float]:
+        """Advance until the margin is at most `level`, or to the end of the run.
+
+        At level 0 the margin must be below it. Returns whether it is, and the margin.
+        """
+
+    def fork(self) -> State:
+        """Return the present state."""
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """An estimate of the probability, and the runs and parts of runs that it took."""
+
+    probability: float
+    runs: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splitting(Method):
+    """Splitting: failures that noise causes during a run, by machines forked in mid-run."""
+
+    kind: ClassVar[str] = "splitting"
+    forks: ClassVar[bool] = True
+
+    per_level: float = number(
+        at_least=20, at_most=10**6, whole=True, default=200, text="runs of a level, a repetition"
+    )
+    share: float = number(
+        at_least=0.01, at_most=0.5, default=0.2, text="of a level's runs that reach the next"
+    )
+    repetitions: float = number(
+        at_least=4, at_most=1000, whole=True, default=10, text="independent ones, for the interval"
+    )
+    confidence: float = number(above=0.5, at_most=0.999999, default=0.95, text="of the interval")
+    least: float = number(
+        above=0.0, at_most=0.1, default=1e-12, text="probability below which it gives up"
+    )
+    look: float = number(
+        "s", above=0.0, at_most=100.0, default=0.01, text="after which a run is looked at"
+    )
+
+    def check(self, section: Section, variation: Variation) -> None:
+        """Refuse a search without one requirement; numbers need not vary, noise suffices.
+
+        Raises:
+            Refusal: see above.
+        """
+        if not self.of:
+            raise section.refusal("of", "name the requirement whose margin leads to it", "nothing")
+
+    def runs(self, D: int) -> int:
+        """Return how many runs, or parts of runs, it takes at most."""
+        return int((self.repetitions + 1) * self.per_level) * (self._levels + 1)
+
+    @property
+    def _levels(self) -> int:
+        """Levels after which a repetition gives up."""
+        return min(MOST_LEVELS, math.ceil(math.log(self.least) / math.log(self.share)))
+
+    def pilot(self, process: Process[Any], seed: int) -> tuple[list[float], bool]:
+        """Return the levels, and whether they lead to failures."""
+        rng, N = np.random.default_rng([seed, 0]), int(self.per_level)
+        wanted, levels, starts = round(self.share * N), list[float](), list[Any]()
+        while True:
+            # The whole way of each run, to know how far it comes.
+            seeds = _seeds(rng, N)
+            lowest = np.empty(N)
+            for k in range(N):
+                _set(process, starts, k, seeds)
+                lowest[k] = process.reach(-math.inf)[1]
+            if np.count_nonzero(lowest < 0.0) >= wanted:
+                return levels, True
+            level = max(0.0, float(np.sort(lowest)[wanted - 1]))
+            before = levels[-1] if levels else math.inf
+            if len(levels) == self._levels or not level < before:  # too rare, or a plateau
+                return levels, False
+            if level == 0.0:
+                return levels, True
+            levels.append(level)
+            reached = []
+            for k in range(N):  # the same runs once more, to the level
+                if lowest[k] <= level:
+                    _set(process, starts, k, seeds)
+                    process.reach(level)
+                    reached.append(process.fork())
+            starts = _chosen(reached, N, rng)
+
+    def repetition(
+        self, process: Process[Any], levels: Sequence[float], seed: int, number: int
+    ) -> Repetition:
+        """Return an estimate, a function of the seed and its number.
+
+        Args:
+            process: that fails.
+            levels: of the margin, falling.
+            seed: of the campaign.
+            number: of the repetition, from 1 on.
+        """
+        rng, N = np.random.default_rng([seed, number]), int(self.per_level)
+        first, p, runs, starts = number * N, 1.0, 0, list[Any]()
+        for level in (*levels, 0.0):
+            seeds, reached = _seeds(rng, N), list[Any]()
+            for k in range(N):
+                _set(process, starts, k, seeds, first)
+                runs += 1
+                if process.reach(level)[0]:
+                    reached.append(None if level == 0.0 else process.fork())
+            p *= len(reached) / N
+            if not reached:
+                break
+            if level != 0.0:
+                starts = _chosen(reached, N, rng)
+        return Repetition(p, runs)
+
+    def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+        """Return what repetitions have found."""
+        p = np.array([one.probability for one in found])
+        runs = sum(one.runs for one in found)
+        mean, (low, high) = 0.0, (0.0, 1.0)
+        if len(p):
+            mean, (low, high) = float(np.mean(p)), of_repetitions(p, self.confidence)
+            about = (
+                f"Margin of {of} below 0: mean of {len(p)} repetitions over {len(levels)} levels, "
+                f"{runs} runs and forks of runs in all."
+            )
+            if lost := int(np.count_nonzero(p == 0.0)):
+                about += f" {lost} found no failure: take more runs per level."
+        else:
+            about = f"No level led to a failure of {of}: rarer than `least`, or impossible."
+        percent = f"{100 * self.confidence:g} %"
+        head = "requirement", "probability", f"low end ({percent})", f"high end ({percent})", "runs"
+        return Finding("Rare failures", about, head, ((of, mean, low, high, runs),))
+
+
+def _seeds(rng: np.random.Generator, count: int) -> list[int]:
+    seeds: list[int] = rng.integers(0, SEEDS, count).tolist()
+    return seeds
+
+
+def _set(
+    process: Process[Any], starts: Sequence[Any], k: int, seeds: Sequence[int], first: int = 0
+) -> None:
+    """Begin a run, or continue from one of the starts."""
+    if starts:
+        process.go_on(starts[k], seeds[k])
+    else:
+        process.begin(first + k, seeds[k])
+
+
+def _chosen(states: Sequence[State], count: int, rng: np.random.Generator) -> list[State]:
+    """Return so many of the states, each as often as the others but for chance."""
+    order: NDArray[np.int64] = rng.permutation(len(states))
+    places = ((np.arange(count) + rng.random()) * len(states) / count).astype(int)
+    return [states[order[place]] for place in places.tolist()]

@@ -1,0 +1,118 @@
+"""A search by splitting, its repetitions shared by several processes."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.campaign.executor import Pool, Progress, check_breaks
+from arm_emulator.campaign.forking import ForkingRun
+from arm_emulator.campaign.results import Results
+from arm_emulator.campaign.search.method import Finding
+from arm_emulator.campaign.search.splitting import Repetition, Splitting
+from arm_emulator.campaign.searcher import FOUND
+from arm_emulator.campaign.worker import Done, campaign_of
+
+FOLDER = "splitting"
+PILOT = 0
+
+
+class Splitter:
+    """Takes a search by splitting to its end.
+
+    A repetition is a function of the campaign and its number. Each is a file in the results, so
+    that a search that was interrupted continues with those that are missing.
+
+    Args:
+        campaign: with a search by `Splitting`.
+        results: where to.
+        make_pool: makes processes; called again after one of them was killed.
+        report: is called after each repetition.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        results: Results,
+        make_pool: Callable[[], Pool],
+        report: Callable[[Progress], None],
+    ) -> None:
+        assert isinstance(campaign.search, Splitting)
+        self._campaign, self._method, self._results = campaign, campaign.search, results
+        self._make_pool, self._report = make_pool, report
+        self._folder = results.folder / FOLDER
+        self._folder.mkdir(exist_ok=True)
+        count = self._method.runs(len(campaign.variation.numbers))
+        self._progress = Progress(count, 0, failures=[0] * (len(campaign.requirements) + 1))
+
+    def run(self) -> list[Finding]:
+        """Search to the end; return what was found, which is written beside the results, too.
+
+        Raises:
+            Refusal: a run that is not taken, or workers that end again and again.
+            KeyboardInterrupt: after what was done has been written.
+        """
+        ForkingRun.check(self._campaign)
+        self._complete([PILOT])
+        pilot = json.loads(_file(self._folder, PILOT).read_text())
+        found: list[Repetition] = []
+        if pilot["leads"]:
+            numbers = range(1, 1 + int(self._method.repetitions))
+            self._complete(list(numbers))
+            for number in numbers:
+                found.append(Repetition(**json.loads(_file(self._folder, number).read_text())))
+        findings = [self._method.finding(self._method.of, pilot["levels"], found)]
+        _write(self._results.folder / FOUND, [asdict(one) for one in findings])
+        return findings
+
+    def _complete(self, numbers: list[int]) -> None:
+        """Have the repetitions done that are not."""
+        breaks = 0
+        while missing := [one for one in numbers if not _file(self._folder, one).exists()]:
+            pool, before = self._make_pool(), self._progress.done
+            try:
+                of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
+                for one in cf.as_completed([pool.submit(split, *of_all, k) for k in missing]):
+                    self._progress.add(one.result())
+                    self._report(self._progress)
+            except pool.breaks:
+                breaks = breaks + 1 if self._progress.done == before else 0
+            finally:
+                pool.end()
+            check_breaks(self._campaign, breaks, missing[0])
+
+
+def split(file: str, key: bytes, folder: str, number: int) -> Done:
+    """Do a repetition, or the pilot, and write its file."""
+    campaign, began = campaign_of(file, key), time.process_time()
+    method, seed = campaign.search, int.from_bytes(campaign.key[16:24])
+    assert isinstance(method, Splitting)
+    run = ForkingRun(campaign)
+    if number == PILOT:
+        levels, leads = method.pilot(run, seed)
+        _write(_file(Path(folder), number), {"levels": levels, "leads": leads})
+        runs = int(method.per_level) * (len(levels) + 1)
+    else:
+        levels = json.loads(_file(Path(folder), PILOT).read_text())["levels"]
+        found = method.repetition(run, levels, seed, number)
+        _write(_file(Path(folder), number), asdict(found))
+        runs = found.runs
+    nothing = (0,) * (len(campaign.requirements) + 1)
+    return Done(runs, nothing, time.process_time() - began, True)
+
+
+def _file(folder: Path, number: int) -> Path:
+    return folder / ("pilot.json" if number == PILOT else f"{number:04d}.json")
+
+
+def _write(file: Path, content: object) -> None:
+    """Write a file, whole or not at all."""
+    hidden = file.with_name(f".{file.name}.{os.uname().nodename}.{os.getpid()}")
+    hidden.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    hidden.replace(file)

@@ -1,0 +1,177 @@
+"""Splitting: probabilities known in closed form, and forks of a campaign's runs to the last bit."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import math
+
+import numpy as np
+import pytest
+import yaml
+from scipy import stats
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import load_campaign
+from arm_emulator.campaign.forking import ForkingRun
+from arm_emulator.campaign.results import Results
+from arm_emulator.campaign.search.splitting import Splitting
+from arm_emulator.campaign.splitter import Splitter
+
+DRIFTS = {
+    "scene": "three_axis",
+    "set": {"faults": ["elbow.encoder_misses_edges"]},
+    "scenario": {"seconds": 0.1, "targets": [{"at": 0.0, "elbow": 1.0}]},
+    "vary": {"faults.push.at": "uniform(0.01, 0.03)"},
+    "faults": {
+        "edges": {
+            "kind": "machine", "at": 0.0, "fault": "elbow.encoder_misses_edges", "magnitude": 0.1,
+        },
+        "push": {"kind": "power_cut", "at": 0.02, "lasting": 0.03},
+    },
+    # A count is 6.14e-5 rad at the link.
+    "requirements": {
+        "counts": "always abs(q.elbow - 6.13592315e-5 * measured.encoder_counts.elbow) < 0.004",
+        "comes": "eventually q.elbow > 0.9",
+    },
+    "search": {"method": "splitting", "of": "counts", "per_level": 20, "repetitions": 4},
+}  # fmt: skip
+
+
+def read(folder, data=DRIFTS):
+    file = folder / "c.yaml"
+    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    return load_campaign(file)
+
+
+def bits(run):
+    """Of the machine and its readings. (Setting the seed begins the energy's account anew.)"""
+    state, measured = run.session.plant.state, run.session.plant.measured
+    rows = state.q, state.v, state.current, state.theta_m, state.omega_m, measured.encoder_counts
+    return b"".join(row.tobytes() for row in rows)
+
+
+class Walk:
+    """x' = 0.9 x + w with normal w; it fails where x passes `bound` within 50 steps."""
+
+    def __init__(self, bound):
+        self.bound = bound
+
+    def begin(self, index, seed):
+        self.go_on((0, 0.0, self.bound), seed)
+
+    def go_on(self, state, seed):
+        (self.t, self.x, self.least), self.rng = state, np.random.default_rng(seed)
+
+    def fork(self):
+        return self.t, self.x, self.least
+
+    def at(self, level):
+        return self.least < 0.0 if level == 0.0 else self.least <= level
+
+    def reach(self, level):
+        while not self.at(level) and self.t < 50:
+            self.x = 0.9 * self.x + self.rng.standard_normal()
+            self.t, self.least = self.t + 1, min(self.least, self.bound - self.x)
+        return self.at(level), self.least
+
+
+def of_walk(bound):
+    """Its probability, by integration over a grid: 1e-6 of itself."""
+    x, step = np.linspace(-25.0, bound, 1500, retstep=True)
+    kernel = step * stats.norm.pdf(x[:, None] - 0.9 * x[None])
+    density, weight = stats.norm.pdf(x), np.ones(len(x))
+    weight[[0, -1]] = 0.5
+    for _ in range(49):
+        density = kernel @ (density * weight)
+    return 1.0 - step * (density * weight).sum()
+
+
+def test_repetitions_have_the_true_probability_in_their_mean():
+    method, process = Splitting(of="g", per_level=60, repetitions=40), Walk(9.0)
+    levels, leads = method.pilot(process, 1)
+    found = [method.repetition(process, levels, 1, k) for k in range(1, 41)]
+    p = np.array([one.probability for one in found])
+    truth = of_walk(9.0)
+    assert leads and truth == pytest.approx(9.9e-4, rel=0.01)
+    # Four standard errors of the mean: once in 16 000 draws of the seed.
+    assert np.mean(p) == pytest.approx(truth, abs=4.0 * np.std(p) / math.sqrt(len(p)))
+    assert np.std(p) < 2.0 * truth, "sampling as many runs would have 4 times that"
+    _, _, low, high, runs = method.finding("g", levels, found).rows[0]
+    assert low <= truth <= high and runs == sum(one.runs for one in found)
+
+
+def test_what_no_level_leads_to_is_reported():
+    method = Splitting(of="g", per_level=20, least=1e-2)
+    levels, leads = method.pilot(Walk(100.0), 1)
+    assert not leads and "No level led" in method.finding("g", levels, []).about
+
+
+def test_a_fork_with_the_noise_of_its_run_is_that_run(tmp_path):
+    """Faults that have begun and ended, power, servo and counts with it; whatever is between."""
+    one = ForkingRun(read(tmp_path))
+    one.begin(3, 5)
+    whole = one.reach(-math.inf)[1]
+    state = bits(one)
+    one.begin(3, 5)
+    level = 0.9 * 0.004 + 0.1 * whole
+    assert one.reach(level)[0]
+    fork, tick = one.fork(), one.session.tick
+    one.begin(4, 6)  # another run between
+    one.reach(-math.inf)
+    one.go_on(fork, 5)
+    assert one.session.tick == tick
+    assert one.reach(-math.inf)[1] == whole and bits(one) == state
+    one.go_on(fork, 7)
+    one.reach(-math.inf)
+    assert bits(one) != state, "other noise"
+
+
+def test_a_level_is_reached_at_its_tick(tmp_path):
+    """Pieces of any length find the same tick."""
+    one, found = ForkingRun(read(tmp_path)), set()
+    for look in (1, 7, 1000):
+        one._look = one._at_most = look
+        one.begin(2, 9)
+        reached, least = one.reach(0.003)
+        found.add((reached, least, one.session.tick, bits(one)))
+    assert len(found) == 1 and found.pop()[0]
+
+
+class Here:
+    """A pool in this process."""
+
+    breaks = (RuntimeError,)
+
+    def submit(self, function, *arguments):
+        future = cf.Future()
+        future.set_result(function(*arguments))
+        return future
+
+    def end(self):
+        pass
+
+
+def test_a_search_goes_on_and_has_the_same_end(tmp_path):
+    one = read(tmp_path)
+    results = Results(tmp_path / "results", one)
+    first = Splitter(one, results, Here, lambda _: None).run()
+    for name in ("pilot", "0003"):  # as if it had been interrupted
+        (results.folder / f"splitting/{name}.json").unlink()
+    seen = []
+    assert Splitter(one, results, Here, lambda now: seen.append(now.done)).run() == first
+    assert len(seen) == 2, "what was there was not done again"
+    ((name, mean, low, high, _),) = first[0].rows
+    assert name == "counts" and low <= mean <= high
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"set": {}, "vary": {}, "faults": {}}, "search.method must have noise"),
+        ({"search": {"method": "splitting", "of": "comes"}}, "must be `always` of comparisons"),
+        ({"search": {"method": "splitting"}}, "search.of must name the requirement"),
+    ],
+)
+def test_what_cannot_be_split_is_refused(tmp_path, change, words):
+    with pytest.raises(Refusal, match=words):
+        ForkingRun.check(read(tmp_path, DRIFTS | change))
