@@ -89,8 +89,6 @@ def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -
 
 
 def _turned(R: Array, rows: Array) -> Array:
-    if len(rows) == 1:
-        return (R @ rows[0])[np.newaxis]
     return np.array([R @ row for row in rows])
 
 
