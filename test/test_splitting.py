@@ -100,7 +100,7 @@ def test_repetitions_have_the_true_probability_in_their_mean():
     assert low <= truth <= high and runs == sum(one.runs for one in found)
 
 
-def test_what_no_level_leads_to_is_reported():
+def test_a_failure_that_no_level_leads_to_is_reported():
     method = Splitting(of="g", per_level=20, least=1e-2)
     levels, leads = method.pilot(Walk(100.0), 1)
     assert not leads and "No level led" in method.finding("g", levels, []).about
@@ -172,6 +172,6 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
         ({"search": {"method": "splitting"}}, "search.of must name the requirement"),
     ],
 )
-def test_what_cannot_be_split_is_refused(tmp_path, change, words):
+def test_runs_that_cannot_be_split_are_refused(tmp_path, change, words):
     with pytest.raises(Refusal, match=words):
         ForkingRun.check(read(tmp_path, DRIFTS | change))
