@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import yaml
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
@@ -60,6 +63,7 @@ def network(
     scene: str | Path = "three_axis",
     *,
     without: Sequence[str] = (),
+    faults: Sequence[str] = (),
     log: Path | None = None,
     keep: Path | None = None,
     **emulator: object,
@@ -71,6 +75,8 @@ def network(
     Args:
         scene: a scene by name or file, with its gains beside it.
         without: nodes that the test starts itself: "emulator", "servo", "motion_controller".
+        faults: names or patterns of faults that the machine may have beside those of its scene, for
+            `set_fault`; a scene file with them is written into `log` or beside `keep`.
         log: folder for the output of the nodes; None: that of the test.
         keep: folder of a bag, which stays only if the block fails; the error then has the line that
             drives the machine through it again.
@@ -95,6 +101,13 @@ def network(
         raise Refusal("testing.network", "keep", "be given without record", keep)
     only = tuple(name for name in NODES if name not in without)
     given = dict(emulator) if keep is None else {**emulator, "record": keep}
+    again = f"arm_emulator check-bag {keep}"
+    if faults:
+        folder = log or (keep.parent if keep is not None else None)
+        if folder is None:
+            raise Refusal("testing.network", "faults", "come with log or keep", ", ".join(faults))
+        scene = _scene_with(faults, find_scene(str(scene)), folder)
+        again += f" --scene {scene}"
     try:
         with own_domain(), Bringup(str(scene), emulator=given, log=log, only=only) as nodes:
             context = Context()
@@ -110,10 +123,24 @@ def network(
             assert set(codes.values()) <= {0}, f"exit codes {codes}"
     except BaseException as error:
         if keep is not None:
-            error.add_note(f"driven again by: arm_emulator check-bag {keep}")
+            error.add_note(f"driven again by: {again}")
         raise
     if keep is not None:
         shutil.rmtree(keep)
+
+
+def _scene_with(faults: Sequence[str], file: Path, folder: Path) -> Path:
+    """Write a copy of a scene file that lists more faults; return it."""
+    scene = dict(read_yaml(file))
+    scene["faults"] = [*scene.get("faults", ()), *faults]
+    if isinstance(scene.get("urdf"), str) and (file.parent / scene["urdf"]).exists():
+        scene["urdf"] = str((file.parent / scene["urdf"]).resolve())
+    for kind in ("servo", "motion"):
+        scene[kind] = str(find_beside(file, kind))
+    folder.mkdir(parents=True, exist_ok=True)
+    copy = folder / file.name
+    copy.write_text(yaml.safe_dump(scene, sort_keys=False), encoding="utf-8")
+    return copy
 
 
 def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) -> None:

@@ -1,12 +1,13 @@
 """`arm_emulator.testing.network`: acknowledged targets, the bag of a failure, equal bits."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.context import Context
 
-from arm_emulator import testing
+from arm_emulator import Refusal, testing
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.ros.network_guest import NetworkGuest
 from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
@@ -34,6 +35,31 @@ def test_a_failure_leaves_a_bag_that_is_driven_again_to_equal_bits(
             raise AssertionError("as asked")
     assert failure.value.__notes__ == [f"driven again by: arm_emulator check-bag {bag}"]
     assert check_bag(bag, scene="three_axis") == 0
+    assert "equal to the last bit" in capfd.readouterr().out
+
+
+def test_one_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its joint stays behind the target, and the bag is driven again with the scene written."""
+    bag, fault = tmp_path / "bag", "waist.controller_restarts"
+    how: dict[str, Any] = {"start": "paused", "log": tmp_path, "keep": bag, "faults": [fault]}
+    with pytest.raises(AssertionError, match="as asked") as failure:
+        with testing.network(**how) as net:
+            net.set_fault(fault)
+            with pytest.raises(Refusal, match="elbow"):
+                net.set_fault("elbow.controller_restarts")
+            start = dict(zip(net.truth.name, net.truth.position, strict=True))
+            target = {name: q + 0.2 for name, q in start.items()}
+            net.send_joint_target(target, 0.5, at=0.1)
+            net.go_on()
+            net.wait_until(0.9)
+            now = dict(zip(net.truth.name, net.truth.position, strict=True))
+            off = {name: abs(target[name] - q) for name, q in now.items()}
+            # Others may pull at the waist, but no motor moves it to its target.
+            assert off["waist"] > 0.1 > 10.0 * off["elbow"], off
+            raise AssertionError("as asked")
+    (note,) = failure.value.__notes__
+    scene = note.rpartition(" --scene ")[2]
+    assert check_bag(bag, scene=scene) == 0
     assert "equal to the last bit" in capfd.readouterr().out
 
 

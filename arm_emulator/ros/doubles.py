@@ -51,6 +51,7 @@ class Doubles:
         self._kind, self._topic = kind, node.resolve_topic_name(topic)
         self._consequence = consequence
         self._known: dict[int, _Double] = {}  # by start time
+        self._made_at = time.monotonic()  # the middleware has looked for others since then
         self._leads = self._works = False
         self._mine = {
             "kind": kind,
@@ -88,17 +89,17 @@ class Doubles:
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
-        begin = time.monotonic()
         full = self._node.resolve_topic_name(sign)
         own = sum(one.topic_name == full for one in self._node.publishers)
 
         def waits() -> bool:
-            listened = time.monotonic() - begin
+            listened = time.monotonic() - self._made_at
             if listened < LISTEN or self._first():
                 return True
             unknown = self._node.count_publishers(sign) - own > len(self._known)
             return unknown and listened < IDENTIFY
 
+        executor.spin_once(timeout_sec=0.0)
         while waits():
             executor.spin_once(timeout_sec=0.05)
             first = self._first()

@@ -19,7 +19,7 @@ from rclpy.node import Node
 
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.middleware import FAILED, HotPath, middleware
+from arm_emulator.ros.middleware import FAILED, PYTHON, HotPath, middleware
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
 # rclpy's own executor (QoS events, clients, guard conditions).
@@ -142,6 +142,9 @@ class LeanExecutor:
             raise ExternalShutdownException
         if end == FAILED:
             raise RuntimeError("rcl does not wait for messages")
+        if isinstance(self._node, ManagedNode):
+            self._node.in_c_so_far += waiting.handled
+            self._node.in_python_so_far += end == PYTHON
         for topic, (_, subscription) in zip(self._topics, subscriptions, strict=True):
             if topic.ready:
                 self._take_message(subscription)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import time
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -33,12 +34,13 @@ class ManagedNode(LifecycleNode):
             unconfigured.
         configured, active: its state.
         generation: number of transitions so far.
+        in_c_so_far, in_python_so_far: messages taken in C, and in Python, since its start.
         hot: its messages in C; None: nothing.
         cleanup: its callbacks are called when the node is cleaned up, the last one first.
     """
 
     hot: HotPath | None = None
-    generation = 0
+    generation = in_c_so_far = in_python_so_far = 0
     configured = active = False
     _configuring = False
 
@@ -79,6 +81,15 @@ class ManagedNode(LifecycleNode):
     def in_c(self) -> HotPath | None:
         """Messages that are taken in C now."""
         return self.hot if self.active else None
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """Use of the process by messages, for its diagnostics."""
+        return {
+            "messages taken in C": self.in_c_so_far,
+            "messages taken in Python": self.in_python_so_far,
+            "processor time [s]": f"{time.process_time():.2f}",
+        }
 
     def start(self) -> None:
         """Configure and activate, unless `autostart` is false.

@@ -18,7 +18,7 @@ from arm_emulator.build.unit import library
 from arm_emulator.ros.c import MIDDLEWARE, middleware_unit
 from arm_emulator.ros.fixed_layout import FixedLayout
 
-FAILED = MIDDLEWARE.constant("ROS_FAILED")
+FAILED, PYTHON = MIDDLEWARE.constant("ROS_FAILED"), MIDDLEWARE.constant("ROS_PYTHON")
 LIBRARIES = ("librcutils.so", "librcl.so")  # rclpy has loaded them, but for itself
 
 Numbers = NDArray[Any]

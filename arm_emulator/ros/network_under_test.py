@@ -25,6 +25,7 @@ from arm_emulator.ros.node_shell import (
     stamp,
 )
 from arm_emulator_msgs.msg import EmulatorStatus, MotionStatus
+from arm_emulator_msgs.srv import SetVaried
 
 PATIENCE = 120.0  # s, wall: for what takes below a second on an idle machine
 AHEAD = 0.25  # s, logical: a target arrives before it holds
@@ -89,6 +90,19 @@ class NetworkUnderTest:
     def power(self, on: bool) -> None:
         """Switch the power of all drives."""
         self._switch("emulator/power", on)
+
+    def set_fault(self, name: str, magnitude: float = 1.0) -> None:
+        """Set a fault that the scene lists, 0 for none, from this tick on.
+
+        ``joint.controller_restarts`` cuts one motor's torque: its drive is disabled.
+
+        Raises:
+            Refusal: the scene does not list it, or another magnitude.
+        """
+        request = SetVaried.Request(name=f"faults.{name}", value=float(magnitude))
+        answer = self._call(SetVaried, "emulator/set_varied", request)
+        if not answer.success:
+            raise Refusal("testing.network", f"fault {name}", "be settable", answer.message)
 
     def wait_until(self, t: float) -> None:
         """Wait until a logical time [s]."""
@@ -181,11 +195,15 @@ class NetworkUnderTest:
         return number
 
     def _switch(self, service: str, on: bool) -> None:
-        client = self._guest.create_client(SetBool, service)
+        self._call(SetBool, service, SetBool.Request(data=on))
+
+    def _call(self, kind: Any, service: str, request: Any) -> Any:
+        client = self._guest.create_client(kind, service)
         self._wait(f"service {service}", client.service_is_ready)
-        answer = client.call_async(SetBool.Request(data=on))
+        answer = client.call_async(request)
         self._wait(f"an answer of {service}", answer.done)
         self._guest.destroy_client(client)
+        return answer.result()
 
     def _wait(self, what: str, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE

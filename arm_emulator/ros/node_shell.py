@@ -135,6 +135,7 @@ class Diagnostics:
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
         self.values: dict[str, object] = {}
+        self._node = node
         self.doubles: dict[str, str] = {}
         guard_clock(node, self.refuse)
         # With `use_sim_time` too: health is needed when logical time stands still.
@@ -182,6 +183,7 @@ class Diagnostics:
         values = {f"refused {topic}": count for topic, count in self._refused.items()}
         if self._newest_refusal:
             values["newest refusal"] = self._newest_refusal  # type: ignore[assignment]
+        figures = self._node.figures if isinstance(self._node, ManagedNode) else {}
         status = DiagnosticStatus(
             level=level,
             name=self._name,
@@ -189,7 +191,7 @@ class Diagnostics:
             hardware_id=f"{self._namespace}/{self.hardware_id}".lstrip("/"),
             values=[
                 KeyValue(key=key, value=str(value))
-                for key, value in {**values, **self.values, **self.doubles}.items()
+                for key, value in {**values, **self.values, **figures, **self.doubles}.items()
             ],
         )
         array = DiagnosticArray(status=[status])
