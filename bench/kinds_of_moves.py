@@ -162,8 +162,10 @@ def draw(folder: Path) -> Path:
         beside.set_ylim(0.0, 0.5)
         beside.set_xlabel("t [s]")
         way.set_ylabel("z [m]" if side else "x [m]")
+    joints = [f"joint {k}" for k in range(1, speeds.shape[1] + 1)]
+    axes[1, 1].legend(joints, fontsize=6, ncols=2, loc="upper right", bbox_to_anchor=(1.0, 0.97))
     axes[1, 0].set_ylabel("link speed / limit")
     axes[2, 0].set_ylabel("off the reference [mm]")
     file = folder / "kinds_of_moves.png"
-    figure.savefig(file, dpi=80)
+    figure.savefig(file, dpi=100)
     return file

@@ -161,6 +161,8 @@ def draw(folder: Path) -> Path:
         off.plot(one.t, one.off * 1e3, lw=0.8)
         off.set_ylabel("beside the path [mm]")
         off.set_xlabel("t [s]")
+    joints = [f"joint {k}" for k in range(1, one.joints.shape[1] + 1)]
+    axes[1, -1].legend(joints, fontsize=6, ncols=2, loc="upper right", bbox_to_anchor=(1.0, 0.97))
     file = folder / "tool_paths.png"
     figure.savefig(file, dpi=110)
     return file
