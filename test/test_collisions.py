@@ -309,15 +309,15 @@ def sent_down(arm: Arm, kind: str) -> list[MotionReport]:
 def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, box: bool) -> None:
     """The pair is named; the true arm never touches, comes near, and can leave again."""
     arm = Arm(name, box)
-    said = [one for one in sent_down(arm, kind) if "would touch" in one.reason]
+    refused = [one for one in sent_down(arm, kind) if "would touch" in one.reason]
     jog = arm.run.instructor.jogging
     if kind == "jog":
         assert jog is not None and jog.status is JogStatus.HALT_FOR_COLLISION
         assert "and floor" in jog.words
     else:
-        assert said and "and floor would touch" in said[0].reason
+        assert refused and "and floor would touch" in refused[0].reason
         state = State.ABORTED if kind == "stream" else State.REFUSED
-        assert said[0].state is state
+        assert refused[0].state is state
     stopped = kind in ("jog", "stream")
     assert (arm.height < -0.05) == stopped, "what is refused has not begun"
     arm.advance(0.5)

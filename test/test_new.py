@@ -374,7 +374,7 @@ def with_shapes(shapes: dict[str, str]) -> ET.Element:
 def test_a_new_arm_does_not_run_into_itself(
     shapes: dict[str, str], parameter: str, reason: str, tmp_path: Path
 ) -> None:
-    """Where its shapes can be read, those of a package beside the description, too."""
+    """It does not if its shapes can be read, those of a package beside the description included."""
     (tmp_path / "bodies").mkdir()
     corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, -0.1)]
     faces = [[corners[k] for k in range(4) if k != left] for left in range(4)]

@@ -337,7 +337,7 @@ struct Drive {
     return x;
   }
 
-  // What acts on the shafts; the files of drive_*.hpp take it, too.
+  // The forces on the shafts; the files of drive_*.hpp use them, too.
   // Speed in the induced voltage: the rotor's, times the factor of torque ripple.
   template <class X>
   ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
