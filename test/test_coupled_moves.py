@@ -7,9 +7,11 @@ q = C p and Pinocchio's model of the bare chain, which knows nothing of coupling
 from __future__ import annotations
 
 import dataclasses
+import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import canopen_master
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -23,6 +25,8 @@ from arm_emulator.base.shafts import Shafts, shaft_limits
 from arm_emulator.base.urdf_text import limits_of
 from arm_emulator.build.c_header import Library
 from arm_emulator.design.new_scene import write_new
+from arm_emulator.doors.fieldbus.canopen_node import Frame
+from arm_emulator.doors.fieldbus.canopen_segment import Segment
 from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.identification.link_regressor import torques_of_links
@@ -199,6 +203,41 @@ def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
         reached = min(goal, limit) if per_count[j] > 0 else max(goal, limit)
         assert truth(drives, "q")[j] == pytest.approx(reached * per_count[j], abs=0.02)
         assert np.abs(np.delete(truth(drives, "q") - before, j)).max() < 0.02
+
+
+def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
+    """CANopen, cyclic positions by PDOs: counts are the motors', the links go by the matrix.
+
+    Positions, speeds and torques that come back are those of the shafts' drives.
+    """
+    scene, rng = machine.scene, np.random.default_rng(4)
+    drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
+    segment = Segment(drives, 1)
+    segment.boot()
+    canopen_master.enable(segment, CSP)
+    N = len(scene.joints)
+    per_count = 2.0 * np.pi * scene.gear_ratios / [one.counts_per_turn for one in scene.joints]
+    begun = np.array([drives.read(j, 0x6064) for j in range(N)])
+    ends = np.sort([[drives.read(j, 0x607D, sub) for j in range(N)] for sub in (1, 2)], axis=0)
+    way = np.clip(begun + rng.choice([-0.06, 0.06], N) / per_count, *ends) - begun
+    before, tool = truth(drives, "q"), machine.tool(truth(drives, "q"))
+    actual = np.zeros(N)
+    for k in range(900):
+        part = min(k / 600.0, 1.0)
+        goal = begun + np.rint(way * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)).astype(int)
+        for j, one in enumerate(goal.tolist()):
+            segment.receive(Frame(0x301 + j, struct.pack("<Hi", 15, one)))
+        frames = segment.receive(canopen_master.SYNC)
+        (rows,) = zip(*(canopen_master.sent(frames, 0x281 + j) for j in range(N)), strict=True)
+        status, actual = np.array([struct.unpack("<Hi", row) for row in rows]).T
+        assert (status & 0x6F == 0x27).all(), "Operation enabled"
+        assert np.abs((actual - goal) * per_count).max() < 0.05
+    moved = truth(drives, "q") - before
+    np.testing.assert_allclose(actual * per_count, truth(drives, "q"), atol=0.02)  # wind-up
+    np.testing.assert_allclose(moved, way * per_count, atol=0.02)
+    assert np.linalg.norm(machine.tool(before + moved).translation - tool.translation) > 0.005
+    torques = np.array([drives.read(j, 0x6077) for j in range(N)])
+    assert (np.abs(torques) < 1000).all() and torques.any(), "parts in a thousand of rated torque"
 
 
 def test_numbers_of_its_links_explain_the_torques_that_its_gears_carry(machine: Machine) -> None:
