@@ -146,6 +146,8 @@ def test_a_misspelt_attribute_is_refused_with_the_nearest(tmp_path: Path) -> Non
                 assert name in str(refusal.value), owner
     plant.powered = False
     assert not plant.powered, "one that it has is set"
+    with pytest.raises(AttributeError, match="no setter"):
+        session.tick = 5  # type: ignore[misc]
 
 
 class Tuned(Plant):

@@ -32,7 +32,7 @@ from arm_emulator.machine.scene import Scene, scene_of
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
-_PLACE = ("tick", "fault", "_powered", "_paused")  # of a session in its run, but for its commands
+_PLACE = ("_tick", "fault", "_powered", "_paused")  # of a session in its run, but for its commands
 STARTS = ("free_run", "first_answer", "paused")
 
 
@@ -99,7 +99,7 @@ class Session(Turns):
         self._goes_on = False  # after which a loop continues
         self._start, self._standing = start, standing
         self._answers = Answers(scene, self.lockstep)
-        self.tick = -1
+        self._tick = -1
         self.reset()
 
     @in_turn
@@ -153,7 +153,7 @@ class Session(Turns):
         with self.between_ticks():
             self.plant.reset()
             self._answers.begin(self.tick)
-            self.tick = 0
+            self._tick = 0
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
             self._look()
@@ -351,6 +351,11 @@ class Session(Turns):
         return self.plant.energy if self._read.energy is None else self._read.energy
 
     @property
+    def tick(self) -> int:
+        """Number of this servo period, from 0; only `advance` and `reset` change it."""
+        return self._tick
+
+    @property
     def logical_ns(self) -> int:
         """Logical time [ns]."""
         return self.tick * self.period_ns
@@ -434,7 +439,7 @@ class Session(Turns):
         self._look()
         if self.fault is not None:
             return
-        self.tick += 1
+        self._tick += 1
 
     @in_turn
     def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
@@ -455,7 +460,7 @@ class Session(Turns):
         finally:
             self._look()
             self._answers.put(loop.tick - 1, self.plant.commanded)
-            self.tick = loop.tick
+            self._tick = loop.tick
 
     @property
     def last_tick(self) -> int:
@@ -476,7 +481,7 @@ class Session(Turns):
         newest = self.plant.commanded
         rows = np.vstack([before, np.zeros_like(newest[1:])])
         self._answers.put(tick if self.fault else tick - 1, newest, rows)
-        self.tick = tick
+        self._tick = tick
 
     @in_turn
     def close(self) -> None:
@@ -493,7 +498,7 @@ class Session(Turns):
         reached = self._clock.take()
         if reached is None:
             return False
-        self.tick = reached.tick
+        self._tick = reached.tick
         self._read.energy, self._read.measured = reached.energy, reached.measured
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows
