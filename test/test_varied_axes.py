@@ -76,7 +76,7 @@ def skewed_joint(rng: np.random.Generator) -> ChainJoint:
     body = Body(float(rng.uniform(0.5, 3.0)), rng.normal(size=3), A @ A.T + np.eye(3))
     nowhere = np.zeros(3)
     return ChainJoint(
-        "joint", "revolute", 1.0, 0.0, 0.0, nowhere, body, R.R, {"link": Frame()}
+        "joint", "revolute", -1, 1.0, 0.0, 1.0, 0.0, 0.0, nowhere, body, R.R, {"link": Frame()}
     )  # fmt: skip
 
 
