@@ -43,7 +43,14 @@ ANALOG = {
     "resolution": 1e-12,
 }
 
-AXES = {"held": 0.0, "gain_error": 0.0, "noise": 0.0, "range": 1e9, "resolution": 1e-12}
+AXES = {
+    "held": 0.0,
+    "gain_error": 0.0,
+    "noise": 0.0,
+    "range": 1e9,
+    "resolution": 1e-12,
+    **{f"bias_{axis}": 0.0 for axis in "xyz"},
+}
 
 POSE = {"xyz": [0.1, -0.2, 0.05], "rpy": [0.4, -1.1, 2.2]}
 

@@ -1,7 +1,6 @@
 """Units of FMI 3.0 against `Plant`, and under everything that an importer may do wrong.
 
-What needs the standard's own schemas and importers of others is in test/peers/test_fmu_fmpy.py.
-"""
+What needs the standard's own schemas and importers of others is in test/peers/test_fmu_fmpy.py."""
 
 from __future__ import annotations
 
@@ -10,46 +9,31 @@ import json
 import math
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from concurrent.futures import ThreadPoolExecutor
-from fractions import Fraction
 from pathlib import Path
-from time import sleep
 from typing import Any
 
 import numpy as np
 import pytest
 from draws import FULL, some
 from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse, rich_machine
-from fuzz.cores import environment, random_machine
-from random_scenes import NAMES as ODD_NAMES
-from random_scenes import draw
+from fuzz.cores import environment
+from own_fmu import LINES, MASS, NAMES, PERIOD, STIFFNESS, moved, random_inputs, set_all
 
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import Library
-from arm_emulator.cli.commands.fmu import fmu as write_fmu
 from arm_emulator.doors.fmu.export import export
-from arm_emulator.doors.fmu.model_description import model_description
-from arm_emulator.doors.fmu.model_description_2 import model_description_2
-from arm_emulator.doors.fmu.units import unit_of
-from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 
 TEST = Path(__file__).resolve().parent
-NAMES = 'hip\'s "<1>"', "lift"
-PERIOD = 1e-3
-MASS, STIFFNESS = "payload.mass", "joints.'hip\\'s \\\"<1>\\\"'.gear.stiffness"
+
+
 MEASURED = (
     "current", "brake_closed", "index_counts", "index_pulses", "link_encoder_counts",
     "link_index_counts", "link_index_pulses", "torque",
 )  # fmt: skip
-
-
-LINES = "command_*", "measurement_*", "controller_*", "encoders_swapped"
 
 
 @pytest.fixture(scope="module")
@@ -107,35 +91,6 @@ def quoted(name: str) -> str:
     owner, _, kind = name.rpartition(".")
     escaped = owner.replace("'", "\\'").replace('"', '\\"')
     return f"{owner if owner.isidentifier() else chr(39) + escaped + chr(39)}.{kind}"
-
-
-def set_all(one: Instance, values: dict[str, Any]) -> None:
-    """Set variables; all are taken."""
-    for name, value in values.items():
-        assert one.set(name, value) == OK, one.printed
-
-
-def random_inputs(rng: np.random.Generator) -> dict[str, Any]:
-    """Commands and forces."""
-    N = len(NAMES)
-    return {
-        "command": rng.normal(0.0, 20.0, N),
-        "command_d": rng.normal(0.0, 20.0, N) * [1.0, 0.0],
-        "external.force": rng.normal(0.0, 5.0, (N, 3)),
-        "external.moment": rng.normal(0.0, 5.0, (N, 3)),
-        "external.point": rng.normal(0.0, 0.3, (N, 3)),
-        "external.world_axes": bool(rng.integers(2)),
-    }
-
-
-def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
-    """An instance that is on its way."""
-    rng = np.random.default_rng(seed)
-    one = Instance(fmu)
-    set_all(one, {"start.q": rng.normal(0.0, 0.3, len(NAMES)), **random_inputs(rng)})
-    one.start()
-    assert one.step(periods * PERIOD) == OK, one.printed
-    return one
 
 
 @pytest.mark.parametrize("seed", some(range(20), 3))
@@ -276,149 +231,6 @@ def test_inputs_out_of_bounds_are_discarded(fmu: Fmu) -> None:
     assert early.set("start.v", [0.0, -1e7]) == DISCARD, early.printed
 
 
-def random_lengths(seed: int) -> list[float]:
-    """Lengths of steps, mostly of some periods, some far shorter."""
-    rng = np.random.default_rng(seed)
-    return (PERIOD * 10.0 ** rng.uniform(-3.0, 1.0, 120)).tolist()
-
-
-@pytest.mark.parametrize(
-    "lengths",
-    [
-        [1 / 60] * 30,
-        [1e-5] * 2000,
-        [PERIOD / 3] * 100,
-        [math.pi * 1e-3] * 60,
-        [1e-9] * 50 + [0.7 * PERIOD] * 20,
-        *map(random_lengths, some(range(20), 3)),
-    ],
-    ids=lambda lengths: f"{len(lengths)}x{lengths[0]:.3g}",
-)
-def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
-    fmu: Fmu, plant: Plant, lengths: list[float]
-) -> None:
-    """A servo period has the inputs of the step in which it begins; outputs are those of ticks."""
-    rng = np.random.default_rng(len(lengths))
-    one, start, rounding = Instance(fmu), 12.5, Fraction(PERIOD) / 10**6
-    one.start(start)
-    plant.reset(plant.scene.start)
-    period, time, ticks = Fraction(PERIOD), Fraction(0), 0
-    held: dict[str, Any] | None = None  # none: the next period begins with the next step
-
-    def let_go_on(inputs: dict[str, Any]) -> None:
-        plant.set_parameter("payload.mass", inputs[MASS])
-        plant.exchange(inputs["command"], command_d=inputs["command_d"])
-
-    mass = 0.5
-    for k, length in enumerate(lengths):
-        if rng.random() < 0.1:
-            mass = float(rng.uniform(0.1, 2.0))
-        drawn = random_inputs(rng)
-        inputs = {"command": drawn["command"], "command_d": drawn["command_d"], MASS: mass}
-        set_all(one, inputs)
-        held = held or inputs
-        assert one.step(length) == OK, one.printed
-        time += Fraction(length)
-        while held and time >= (ticks + 1) * period - rounding:
-            let_go_on(held)
-            ticks += 1
-            held = inputs if time > ticks * period + rounding else None
-        if k % 7 and k < len(lengths) - 1:
-            continue
-        now = {"encoder_counts": plant.measured.encoder_counts, "truth.q": plant.state.q,
-               "truth.v": plant.state.v, "applied": plant.measured.applied}  # fmt: skip
-        for name, value in now.items():
-            assert np.array_equal(one.get(name), value), (name, k, float(time))
-        assert one.get("time")[0] == pytest.approx(start + float(time), abs=1e-9), "time"
-        assert one.restore(one.save()) == OK, "a state in the midst of a period"
-    assert ticks > 10, "it has moved"
-
-
-def test_a_step_beyond_all_bounds_is_discarded(fmu: Fmu) -> None:
-    one = moved(fmu, 6)
-    before = one.save()
-    assert one.step(1e300) == DISCARD, one.printed
-    assert "must be at most" in one.printed[-1][2], one.printed[-1]
-    assert one.save() == before, "nothing changed"
-    assert one.step(PERIOD) == OK, "it goes on"
-
-
-@pytest.mark.parametrize("until", [0.0, 3.0, 7.4, 400.0])
-def test_a_step_can_return_early(fmu: Fmu, plant: Plant, until: float) -> None:
-    """At the tick at which it is asked to, or later; the importer looks at the machine then."""
-    seen: list[tuple[float, float]] = []
-
-    def watch(time: float) -> float | None:
-        seen.append((time, one.get("truth.q")[0]))
-        return None if len(seen) < 5 else time + until * PERIOD
-
-    one = Instance(fmu, watch=watch)
-    one.start()
-    set_all(one, {"command": [3.0, 4.0]})
-    end = (5.0 + until) * PERIOD
-    assert one.step(100.6 * PERIOD) == OK, one.printed
-    assert one.early == (until < 95.0), "it reports that it came back early"
-    ended = one.get("time")[0]
-    assert ended == pytest.approx(min(end, 100.6 * PERIOD), abs=1e-12), "where it ended"
-    plant.reset(plant.scene.start)
-    for time, q in seen:
-        plant.exchange([3.0, 4.0])
-        assert (time, q) == (pytest.approx(plant.t), plant.state.q[0]), "what was seen at a tick"
-    one.time = ended
-    assert one.step(20.0 * PERIOD) == OK, one.printed
-    patient = Instance(fmu)
-    patient.start()
-    set_all(patient, {"command": [3.0, 4.0]})
-    assert patient.step(one.get("time")[0]) == OK, patient.printed
-    assert np.array_equal(one.get("truth.q"), patient.get("truth.q")), "it goes on"
-
-
-def test_a_step_can_be_ended_from_another_thread(fmu: Fmu) -> None:
-    one = Instance(fmu)
-    one.start()
-    with ThreadPoolExecutor(1) as threads:
-        step = threads.submit(one.step, 1e9)  # some weeks
-        sleep(0.2)
-        assert one.call("Terminate") == OK, one.printed
-        assert step.result(timeout=30.0) == DISCARD, one.printed
-    assert 0.0 < one.get("time")[0] < 1e9, "where it ended"
-    assert one.step(PERIOD) == ERROR, "it is over"
-    assert one.call("Reset") == OK, one.printed
-
-
-def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
-    """As a constant, as a difference of times, as times that are summed up."""
-    wanted, start = Instance(fmu), 1e4 + 0.1
-    wanted.start(start)
-    assert wanted.step(3000 * PERIOD) == OK, wanted.printed
-    differences, summed = Instance(fmu), Instance(fmu)
-    for one in (differences, summed):
-        one.start(start)
-    for k in range(3000):
-        now, then = start + k * PERIOD, start + (k + 1) * PERIOD
-        differences.time = now
-        assert differences.step(then - now) == OK, differences.printed
-    time = start
-    for _ in range(3000):
-        summed.time = time
-        assert summed.step(PERIOD) == OK, summed.printed
-        time += PERIOD
-    assert differences.everything() == wanted.everything() == summed.everything(), "equal bits"
-
-
-@pytest.mark.parametrize(("at", "step"), [
-    (0.0, 0.0), (0.0, -PERIOD), (0.0, math.nan), (0.0, math.inf), (math.nan, PERIOD),
-    (PERIOD, PERIOD), (-PERIOD, PERIOD), (0.0, 0.02),
-])  # fmt: skip
-def test_a_step_that_cannot_be_is_an_error(fmu: Fmu, at: float, step: float) -> None:
-    one = Instance(fmu)
-    one.start(stop=0.01)
-    one.time = at
-    assert one.step(step) == ERROR, one.printed
-    assert one.call("DoStep", 0.0, PERIOD, True, *[None] * 4) == ERROR, "it is over"
-    assert one.call("Reset") == OK, "a reset helps"
-
-
 def test_a_divergence_is_reported_and_hurts_nobody_else(fmu: Fmu) -> None:
     other, wanted = moved(fmu, 7), moved(fmu, 7)
     one = Instance(fmu, logging=False)
@@ -485,6 +297,8 @@ CALLS = {
     "DoStep": (0.0, PERIOD, True, None, None, None, None),
     "Terminate": (),
 }
+
+
 ALLOWED = {
     "instantiation": {"EnterInitializationMode"},
     "initialization": {"ExitInitializationMode"},
@@ -548,88 +362,3 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr.decode()[-3000:]
     for statuses in json.loads(done.stdout.splitlines()[-1])["statuses"]:
         assert min(statuses[str(status)] for status in (OK, DISCARD, ERROR)) > 200, statuses
-
-
-# Of joints: in URDFs, whose XML has no other control characters than those.
-ODD = [one for one in ODD_NAMES if one and not set(one) & set("\0\x1b\r\n\t")]
-
-ODDER = [one for one in ODD if not one.isascii() or set(one) & set("'\"\\<>&")]
-
-
-def scenes(folder: Path, count: int) -> list[Scene]:
-    """Scenes that are taken, of any names and numbers."""
-    found: list[Scene] = []
-    for number in range(10 * count):
-        rng = np.random.default_rng([11, number])
-        at = folder / str(number)
-        try:
-            if number % 3 == 0:
-                path = random_machine(rng, at, int(rng.integers(1, 7)))
-            elif number % 3 == 1:
-                path = draw(rng, at)
-            else:
-                at.mkdir()
-                known = ODD if rng.random() < 0.5 else ODDER
-                names = rng.choice(known, int(rng.integers(1, 4)), replace=False)
-                path = rich_machine(at, tuple(map(str, names)))
-            found.append(load_scene(path, {} if number % 5 else {"varied": ["*"]}))
-        except Refusal:
-            continue
-        if len(found) == count:
-            break
-    return found
-
-
-def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
-    """Its names differ, its references lead somewhere, its start values fit."""
-    conventions = set()
-    for scene in scenes(tmp_path, 50 if FULL else 16):
-        listed = variables(scene)
-        root = ET.fromstring(model_description(scene, listed, "{token}"))
-        elements = root.find("ModelVariables")
-        assert elements is not None and len(elements) == len(listed), "all are listed"
-        names = [one.attrib["name"] for one in elements]
-        assert len(set(names)) == len(names), "names differ"
-        assert not any(set(name) & set("\r\n\t") for name in names), "names are of one line"
-        units = {one.attrib["name"] for one in root.iter("Unit")}
-        for one in elements:
-            assert one.attrib.get("unit") in (None, *units), "its unit is defined"
-            size = math.prod(int(part.attrib["start"]) for part in one)
-            start = one.attrib.get("start")
-            assert start is None or len(start.split()) == size, "start values fit"
-        single = scalars(scene)
-        root = ET.fromstring(model_description_2(scene, single, "{token}"))
-        conventions.add(root.attrib["variableNamingConvention"])
-        names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
-        assert len(set(names)) == len(names), "names differ"
-        assert len(names) == sum(one.count for one in listed[1:]), "one per number, but for time"
-    assert conventions == {"structured", "flat"}, "names of both kinds are drawn"
-
-
-def test_units_are_powers_of_base_units() -> None:
-    for part in PARTS:
-        for key, one in part.numbers().items():
-            if one.varied and not one.whole:
-                assert unit_of(one.unit).powers is not None, (part.__name__, key, one.unit)
-    assert unit_of("V s/rad").powers == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
-    assert unit_of("N m/rad3").powers == {"kg": 1, "m": 2, "s": -2, "rad": -3}
-
-
-def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -> None:
-    files = tmp_path / "a.fmu", tmp_path / "b.fmu"
-    for file in files:
-        export(scene, file, "native")
-    assert files[0].read_bytes() == files[1].read_bytes(), "byte by byte"
-
-
-@pytest.mark.parametrize(("change", "words"), [
-    ({"scene": "no_such"}, "file no_such must exist"),
-    ({"varied": "joints.*.color"}, "varied must name numbers"),
-    ({"target": "z80"}, "target must be known"),
-    ({"out": Path("arm.zip")}, "--out must end in .fmu"),
-])  # fmt: skip
-def test_unknown_arguments_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
-    given = {"scene": "three_axis", "out": tmp_path / "arm.fmu", "target": "native", **change}
-    with pytest.raises(Refusal, match=words):
-        write_fmu(given.pop("scene"), **given)
-    assert not (tmp_path / "arm.fmu").exists(), "nothing is written"

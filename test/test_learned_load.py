@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from draws import some
-from test_servo import JOINT as COARSE
-from test_servo import PERIOD, Drivetrain
+from one_motor import JOINT as COARSE
+from one_motor import PERIOD, Drivetrain
 
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import ServoConfig

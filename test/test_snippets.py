@@ -40,7 +40,7 @@ OURS = {
     "firmware": "needs a cross compiler; test/peers",
     "identify": "needs the reader's record; test_identification.py",
     "look": "runs until Ctrl-C; test/peers/test_page.py",
-    "modbus": "runs until Ctrl-C; test_modbus.py",
+    "modbus": "runs until Ctrl-C; test_modbus_port.py",
     "move": "needs a network; test_move.py",
     "new": "needs the reader's robot; test_new.py",
     "moveit-config": "half a minute of compilation; test_json.py",

@@ -33,7 +33,7 @@ from fmpy.validation import validate_fmu
 from fmu_client import OK, Fmu, Instance, plant_for, rich_machine
 from lxml import etree
 from machines import DC, GANTRY, gantry_urdf, write_scene
-from test_fmu import scenes
+from test_fmu_file import scenes
 
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.model_description import model_description

@@ -6,12 +6,12 @@ import dataclasses
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Self
 
-from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import DELAY, read_delay
-from arm_emulator.machine.parts.fault import FALLS, HOLDS, RISES, STUCK, Fault, rise, share
+from arm_emulator.machine.parts.fault import FALLS, HOLDS, STUCK, Fault, rise, sensor_fault, share
 from arm_emulator.machine.parts.part import Part, PartNumber, number
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
@@ -73,23 +73,8 @@ class Converter(Part):
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
-        def kind(
-            name: str,
-            text: str,
-            key: str,
-            size: Number,
-            to: str = RISES,
-            absent: float | None = 0.0,
-        ) -> Fault:
-            return Fault(
-                name=f"{cls.section}_{name}",
-                of=cls.owners,
-                text=f"{cls.section.replace('_', ' ')}: {text}",
-                sets={f"{cls.section}.{key}": to},
-                magnitude=size,
-                absent=absent,
-            )
-
+        about = cls.section.replace("_", " ")
+        kind = partial(sensor_fault, cls.section, about, of=cls.owners)
         return (
             kind("offset", "the amplifier's zero moves", cls.zero,
                  rise(cls.unit, 0.5, LARGEST_ERROR, signed=True)),

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.parts.fault import HOLDS, RISES, STUCK, Fault, rise, share
+from arm_emulator.machine.parts.fault import HOLDS, STUCK, Fault, rise, sensor_fault, share
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
@@ -223,15 +224,7 @@ class Encoder(Part):
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
-        def kind(name: str, text: str, key: str, size: Number, to: str = RISES) -> Fault:
-            return Fault(
-                name=f"{cls.section}_{name}",
-                text=f"{cls.about}: {text}",
-                sets={f"{cls.section}.{key}": to},
-                magnitude=size,
-                absent=0.0,
-            )
-
+        kind = partial(sensor_fault, cls.section, cls.about)
         return (
             kind("slips", "the disc turns on its shaft", "offset",
                  rise("rad", 0.1, 1e3, signed=True)),

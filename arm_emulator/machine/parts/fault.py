@@ -70,3 +70,30 @@ def rising(places: Sequence[str]) -> dict[str, str]:
 def falling(places: Sequence[str]) -> dict[str, str]:
     """Return a fault that lowers numbers by the magnitude's share."""
     return dict.fromkeys(places, FALLS)
+
+
+def sensor_fault(
+    section: str, about: str, name: str, text: str, key: str, magnitude: Number, to: str = RISES,
+    *, of: str = "joints", absent: float | None = 0.0,
+) -> Fault:  # fmt: skip
+    """Return a fault of a sensor, which changes one of its numbers.
+
+    Args:
+        section: of the sensor.
+        about: name of the sensor in texts.
+        name: of the fault, behind the sensor's section.
+        text: what happens to the sensor.
+        key: of the number.
+        magnitude: see `Fault`.
+        to: expression of the number, see `Fault.sets`.
+        of: see `Fault`.
+        absent: see `Fault`.
+    """
+    return Fault(
+        name=f"{section}_{name}",
+        of=of,
+        text=f"{about}: {text}",
+        sets={f"{section}.{key}": to},
+        magnitude=magnitude,
+        absent=absent,
+    )

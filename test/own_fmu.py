@@ -1,0 +1,45 @@
+"""A unit of a scene, and the same machine as `Plant`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from fmu_client import OK, Fmu, Instance
+
+NAMES = 'hip\'s "<1>"', "lift"
+
+PERIOD = 1e-3
+
+MASS, STIFFNESS = "payload.mass", "joints.'hip\\'s \\\"<1>\\\"'.gear.stiffness"
+
+LINES = "command_*", "measurement_*", "controller_*", "encoders_swapped"
+
+
+def set_all(one: Instance, values: dict[str, Any]) -> None:
+    """Set variables; all are taken."""
+    for name, value in values.items():
+        assert one.set(name, value) == OK, one.printed
+
+
+def random_inputs(rng: np.random.Generator) -> dict[str, Any]:
+    """Commands and forces."""
+    N = len(NAMES)
+    return {
+        "command": rng.normal(0.0, 20.0, N),
+        "command_d": rng.normal(0.0, 20.0, N) * [1.0, 0.0],
+        "external.force": rng.normal(0.0, 5.0, (N, 3)),
+        "external.moment": rng.normal(0.0, 5.0, (N, 3)),
+        "external.point": rng.normal(0.0, 0.3, (N, 3)),
+        "external.world_axes": bool(rng.integers(2)),
+    }
+
+
+def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
+    """An instance that is on its way."""
+    rng = np.random.default_rng(seed)
+    one = Instance(fmu)
+    set_all(one, {"start.q": rng.normal(0.0, 0.3, len(NAMES)), **random_inputs(rng)})
+    one.start()
+    assert one.step(periods * PERIOD) == OK, one.printed
+    return one

@@ -1,0 +1,181 @@
+"""Kinematics: against first principles, differences, and the names of joints."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kinematic_arms import (
+    NAMES,
+    THREE_AXIS,
+    arm,
+    bent,
+    chain,
+    moved,
+    pose_at,
+    three_axis,
+    turning_chain,
+)
+from machines import random_chain_urdf
+from scipy.spatial.transform import Rotation
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import read_urdf
+from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.motion.jacobian import JacobianController
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+
+
+def test_forward_kinematics_of_the_three_axis_arm() -> None:
+    """Written from Fig. 3: two rods of 0.3 m in a vertical plane that the waist turns."""
+    rng = np.random.default_rng(1)
+    kinematics = three_axis().kinematics
+    for waist, shoulder, elbow in rng.uniform(-3, 3, (20, 3)):
+        out = 0.3 * math.sin(shoulder) + 0.3 * math.sin(shoulder + elbow)
+        up = 0.3 + 0.3 * math.cos(shoulder) + 0.3 * math.cos(shoulder + elbow)
+        R_WT, p_WT = kinematics.forward([waist, shoulder, elbow])
+        expected = [out * math.cos(waist), out * math.sin(waist), up]
+        assert np.allclose(p_WT, expected, rtol=0, atol=1e-14)  # m, rounding
+        turn = Rotation.from_euler("ZY", [waist, shoulder + elbow]).as_matrix()
+        assert np.allclose(R_WT, turn, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("joints", [1, 3, 6, 7, 12])
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobian_is_the_derivative_of_forward_kinematics(joints: int, seed: int) -> None:
+    """Random joints of every kind about random axes, against central differences."""
+    rng = np.random.default_rng([joints, seed])
+    urdf = random_chain_urdf(rng, joints)
+    names = [
+        f"{kind}_{i}"
+        for i in range(joints)
+        for kind in ("revolute", "continuous", "prismatic")
+        if f'<joint name="{kind}_{i}"' in urdf
+    ]
+    kinematics = Kinematics(urdf, names, f"{names[-1]}_link", task="pose")
+    q, h = rng.uniform(-2, 2, joints), 1e-6
+    J = kinematics.jacobian(q)
+    for j in range(joints):
+        step = h * np.eye(joints)[j]
+        R_plus, p_plus = kinematics.forward(q + step)
+        R_minus, p_minus = kinematics.forward(q - step)
+        turn = Rotation.from_matrix(R_plus @ R_minus.T).as_rotvec()
+        difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
+        # Central differences: h^2 of truncation and 1e-16 / h of rounding.
+        assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8)
+
+
+def longest_chain(file: Path) -> tuple[list[str], str]:
+    """Joints from the root of a robot to the link with the most moving ones above it."""
+    above = {}
+    for joint in ET.parse(file).getroot().findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        assert parent is not None and child is not None
+        above[child.get("link", "")] = joint, parent.get("link", "")
+    best: tuple[list[str], str] = [], ""
+    for tool in above:
+        names, link = [], tool
+        while link in above:
+            joint, link = above[link]
+            if joint.get("type") in ("revolute", "continuous", "prismatic"):
+                names.append(joint.get("name", ""))
+        if len(names) > len(best[0]):
+            best = names[::-1], tool
+    return best
+
+
+@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kinematics() -> None:
+    folder = example_robot_data()
+    assert folder is not None
+    rng, robots, h = np.random.default_rng(11), 0, 1e-6
+    for file in sorted(folder.rglob("*.urdf")):
+        names, tool = longest_chain(file)
+        try:
+            kinematics = Kinematics(read_urdf(file), names, tool, "pose")
+        except Refusal:
+            continue  # no moving joint, or more than a chain: reported in other tests
+        robots += 1
+        for _ in range(3):
+            q = rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
+            J = kinematics.jacobian(q)
+            for j in range(len(names)):
+                step = h * np.eye(len(names))[j]
+                R_plus, p_plus = kinematics.forward(q + step)
+                R_minus, p_minus = kinematics.forward(q - step)
+                turn = Rotation.from_matrix(R_plus @ R_minus.T).as_rotvec()
+                difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
+                # Central differences: h^2 of truncation and 1e-16 / h of rounding.
+                assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8), (file.name, names[j])
+            error, same = kinematics.error_and_jacobian(q, Pose(*kinematics.forward(q)[::-1]))
+            assert np.array_equal(same, J) and np.abs(error).max() < 1e-15, file.name
+    assert robots >= 60, f"{robots} robots only"
+
+
+def test_joints_are_matched_by_name() -> None:
+    forth, back = (
+        arm(6),
+        JacobianController(Kinematics(turning_chain(6), [f"j{i}" for i in range(6)][::-1], "tool")),
+    )
+    q = bent(6)
+    assert np.array_equal(forth.kinematics.jacobian(q)[:, ::-1], back.kinematics.jacobian(q[::-1]))
+    target = moved(pose_at(forth, q), np.full(6, 1e-3))
+    # The singular value decomposition sums in another order.
+    assert np.allclose(forth.update(q, target).q[::-1], back.update(q[::-1], target).q, atol=1e-13)
+
+
+def test_joints_not_named_stay_at_their_neutral_position() -> None:
+    q = bent(4)
+    all_joints = chain(7, "position")
+    some = Kinematics(turning_chain(7), [f"j{i}" for i in range(4)], "tool")
+    expected = all_joints.forward(np.concatenate([q, np.zeros(3)]))
+    assert np.allclose(some.forward(q)[1], expected[1], rtol=0, atol=1e-14)
+    assert some.rows == 3
+
+
+def test_task_follows_from_the_number_of_joints() -> None:
+    assert [chain(n).rows for n in (3, 5, 6, 7)] == [3, 3, 6, 6]
+    assert chain(7, "position").rows == 3
+    assert chain(3, "pose").rows == 6
+
+
+def test_base_and_reach() -> None:
+    assert three_axis().kinematics.base == "base"
+    assert three_axis().kinematics.reach == pytest.approx(0.9)
+
+
+def test_limits_of_the_description_are_taken() -> None:
+    """Random limits of speed and acceleration, given or not, of joints of every kind."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        urdf, expected = THREE_AXIS, []
+        for name in NAMES:
+            kind = str(rng.choice(["continuous", "revolute", "prismatic"]))
+            given = {
+                key: float(rng.choice([0.0, rng.uniform(0.1, 20.0)]))
+                for key in ("velocity", "acceleration")
+                if rng.random() < 0.7
+            }
+            if kind != "continuous" and rng.random() < 0.5:
+                given.update(lower=-1.5, upper=2.5)
+            words = " ".join(f'{key}="{value!r}"' for key, value in given.items())
+            start = urdf.index(f'<joint name="{name}"')
+            end = urdf.index("</joint>", start)
+            urdf = f"{urdf[:end]}<limit effort='1' {words}/>{urdf[end:]}"
+            urdf = urdf.replace(f'name="{name}" type="continuous"', f'name="{name}" type="{kind}"')
+            expected.append([given.get(key) or math.inf for key in ("velocity", "acceleration")])
+        kinematics = Kinematics(urdf, NAMES, "tool")
+        found = np.stack([kinematics.velocity_limit, kinematics.acceleration_limit], axis=1)
+        assert np.array_equal(found, expected), urdf
+
+
+@pytest.mark.parametrize("value", ["-1", "nan", "fast"])
+@pytest.mark.parametrize("key", ["velocity", "acceleration"])
+def test_malformed_limits_are_refused(key: str, value: str) -> None:
+    urdf = THREE_AXIS.replace("</joint>", f'<limit {key}="{value}"/></joint>', 1)
+    with pytest.raises(Refusal, match=f"joint waist: limit {key} must be a number >= 0"):
+        Kinematics(urdf, NAMES, "tool")
