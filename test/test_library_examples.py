@@ -89,11 +89,26 @@ def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
     assert (np.abs(env.fleet.state.q[8:] - began[8:]).max(axis=1) > 1e-3).all(), "none moved"
 
 
-@pytest.mark.parametrize(("name", "passed"), [("my_tests", 5), ("my_network_tests", 1)])
-def test_the_tests_of_a_user_pass(name: str, passed: int, tmp_path: Path) -> None:
+def test_the_tests_of_a_user_pass(tmp_path: Path) -> None:
     words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--basetemp={tmp_path / 'all'}"]
-    shown = run(ROOT, sys.executable, *words, EXAMPLES / f"{name}.py")
-    assert f"{passed} passed" in shown
+    shown = run(ROOT, sys.executable, *words, EXAMPLES / "my_tests.py")
+    assert "5 passed" in shown
+
+
+def test_a_repository_that_follows_the_layout_passes_its_tests(tmp_path: Path) -> None:
+    """The lines of its README are run as they stand, but for docker."""
+    (tmp_path / "examples").symlink_to(EXAMPLES)
+    readme = (EXAMPLES / "my_repository" / "README.md").read_text()
+    begin, image = re.findall(r"```sh\n(.*?)```", readme, re.S)
+    run(tmp_path, "bash", "-ec", begin)
+    assert "docker run --rm -v $PWD/out:/out my_servo" in image
+    made = tmp_path / "my_repository"
+    (tmp_path / "out").mkdir()  # as docker's -v does
+    docker = (made / "Dockerfile").read_text()
+    (tests,) = re.findall(r"pytest --basetemp=\S+", docker)
+    words = tests.replace("/out", str(tmp_path / "out")).split()
+    shown = run(made, sys.executable, "-m", *words, "-q", "-p", "no:cacheprovider")
+    assert "1 passed" in shown
 
 
 def test_a_servo_with_an_observer_brings_the_arm_to_its_targets(tmp_path: Path) -> None:
