@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -29,6 +28,8 @@ from arm_emulator.machine.phase import Phase
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene, scene_of
+from arm_emulator.machine.state_of_joints import StateOfJoints
+from arm_emulator.machine.tick_readings import TickReadings
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
@@ -41,15 +42,6 @@ class EndOfTime(RuntimeError):
 
     def __init__(self) -> None:
         super().__init__("logical time ends at 2**31 s, the largest that a message can report")
-
-
-@dataclass(slots=True)
-class _Read:
-    """Values of the machine at this tick, once they were read."""
-
-    state: PlantState | None = None
-    measured: Measured | None = None
-    energy: float | None = None
 
 
 class Session(Turns):
@@ -91,10 +83,10 @@ class Session(Turns):
         self.plant = Plant(scene)
         super().__init__(self.plant)
         self._powered = True
-        self._read = _Read()
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
+        self._read = TickReadings(self.plant, by_itself=self._clock.by_itself)
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
         self._start, self._standing = start, standing
@@ -156,7 +148,7 @@ class Session(Turns):
             self._tick = 0
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
-            self._look()
+            self._read.forget()
             self._clock.begin()
             self._goes_on = False
 
@@ -260,26 +252,9 @@ class Session(Turns):
             Refusal: no or other names, another number of values, values that are not finite, too
                 large or contradict each other; nothing has changed.
         """
-        where, known = "set_state", self.scene.joint_names
-        names = list(joint_names)
-        if not names or len(set(names)) < len(names) or not set(names) <= set(known):
-            rule, got = "name joints, each once", ", ".join(map(str, names)) or "none"
-            raise Refusal(where, "joint names", rule, got, ", ".join(known))
-        places = [known.index(name) for name in names]
-        values = {quantity: row for quantity, row in given.items() if len(row)}
-        if not values:
-            raise Refusal(where, "given", "have at least one quantity", "none")
-        for quantity, row in values.items():
-            if len(row) != len(names):
-                rule = f"have one value per joint name ({len(names)})"
-                called = self.plant.bounds[quantity].name
-                raise Refusal(where, called, rule, f"{len(row)} values")
+        wanted = StateOfJoints(self.plant, joint_names, given)
         with self.between_ticks():
-            now = self.plant.state
-            rows = {quantity: getattr(now, quantity).copy() for quantity in values}
-            for quantity, row in values.items():
-                rows[quantity][places] = row
-            self.plant.put(where, rows)
+            self.plant.put(wanted.where, wanted.rows())
             self._take_machine()
 
     @in_turn
@@ -318,37 +293,25 @@ class Session(Turns):
         """Take over the machine's new state."""
         self._powered = self.plant.powered
         self.fault = self.plant.diverged
-        self._look()
-
-    def _look(self) -> None:
-        """Forget what was read; a machine that a loop drives is read while it stands still."""
-        read = self._read
-        read.state = read.measured = read.energy = None
-        if self._clock.by_itself:
-            plant = self.plant
-            read.state, read.measured, read.energy = plant.state, plant.measured, plant.energy
+        self._read.forget()
 
     @property
     @in_turn
     def state(self) -> PlantState:
         """State of the machine at this tick."""
-        if self._read.state is None:
-            self._read.state = self.plant.state
         return self._read.state
 
     @property
     @in_turn
     def measured(self) -> Measured:
         """Readings of the sensors at this tick."""
-        if self._read.measured is None:
-            self._read.measured = self.plant.measured
         return self._read.measured
 
     @property
     @in_turn
     def energy(self) -> float:
         """Energy of the machine at this tick [J]."""
-        return self.plant.energy if self._read.energy is None else self._read.energy
+        return self._read.energy
 
     @property
     def tick(self) -> int:
@@ -436,7 +399,7 @@ class Session(Turns):
             self.plant.exchange(rows[0], answered, came=came, **further)
         except Diverged as fault:
             self.fault = fault
-        self._look()
+        self._read.forget()
         if self.fault is not None:
             return
         self._tick += 1
@@ -458,7 +421,7 @@ class Session(Turns):
         except Diverged as fault:
             self.fault = fault
         finally:
-            self._look()
+            self._read.forget()
             self._answers.put(loop.tick - 1, self.plant.commanded)
             self._tick = loop.tick
 
@@ -477,7 +440,7 @@ class Session(Turns):
             before: commands (N,) before the newest ones.
         """
         self.fault = self.plant.diverged
-        self._look()
+        self._read.forget()
         newest = self.plant.commanded
         rows = np.vstack([before, np.zeros_like(newest[1:])])
         self._answers.put(tick if self.fault else tick - 1, newest, rows)
@@ -499,12 +462,10 @@ class Session(Turns):
         if reached is None:
             return False
         self._tick = reached.tick
-        self._read.energy, self._read.measured = reached.energy, reached.measured
-        t = reached.tick * self.scene.servo_period
-        current, theta_m, omega_m, q, v, gear_torque = reached.rows
-        self._read.state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
+        state = self._read.take(reached)
         if reached.fault >= 0:
-            self.fault = self.plant.fault(reached.fault, t, q, v, reached.measured.applied)
+            given = reached.measured.applied
+            self.fault = self.plant.fault(reached.fault, state.t, state.q, state.v, given)
         return True
 
     def _follow_phase(self) -> None:
