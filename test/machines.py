@@ -146,6 +146,14 @@ class Oracle:
         kinetic = pin.computeKineticEnergy(self.model, self.data, at, self._in(v))
         return float(kinetic + pin.computePotentialEnergy(self.model, self.data, at))
 
+    def jacobian(self, q: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray]:
+        """J (6, N) at a link's frame along the world's axes, and the frame's rotation (3, 3)."""
+        frame, at = self.model.getFrameId(link), self.configuration(q)
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        J = pin.computeFrameJacobian(self.model, self.data, at, frame, axes)
+        placement = pin.updateFramePlacement(self.model, self.data, frame)
+        return J[:, self._places], placement.rotation
+
     def _in(self, values: np.ndarray) -> np.ndarray:
         """Pinocchio's order of joints, which goes by their names."""
         out = np.empty(len(values))
