@@ -105,7 +105,8 @@ def kinematics(scene: Scene) -> dict[str, Any]:
         "kinematics_solver_search_resolution": 0.005,
         "kinematics_solver_timeout": 0.05,
     }
-    if len(scene.joints) < FREE:
+    arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    if arm.to_tool.sum() < FREE:
         solver["position_only_ik"] = True
     return {GROUP: solver}
 

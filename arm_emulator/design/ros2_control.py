@@ -80,11 +80,13 @@ def controllers(scene: Scene) -> str:
         TRAJECTORY_CONTROLLER: "joint_trajectory_controller/JointTrajectoryController",
     }
     manager = {"update_rate": update_rate(scene), **{n: {"type": t} for n, t in types.items()}}
-    trajectory = {
+    trajectory: dict[str, object] = {
         "joints": joints,
         "command_interfaces": ["position"],
         "state_interfaces": ["position", "velocity"],
     }
+    if scene.chain.forks:  # a planner of one arm names its joints alone
+        trajectory["allow_partial_joints_goal"] = True
     nodes = {"controller_manager": manager, TRAJECTORY_CONTROLLER: trajectory}
     parameters = {name: {"ros__parameters": one} for name, one in nodes.items()}
     return yaml.safe_dump(parameters, sort_keys=False)
