@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from arm_emulator.motion.jacobian import JacobianController as JacobianController
     from arm_emulator.motion.kinematics import Kinematics as Kinematics
     from arm_emulator.motion.pose import Pose as Pose
+    from arm_emulator.runs.breakpoint import Breakpoint as Breakpoint
     from arm_emulator.runs.condition import Condition as Condition
     from arm_emulator.runs.gains import load_gains as load_gains
     from arm_emulator.runs.offline import OfflineRun as OfflineRun
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from arm_emulator.servo.servo_config import load_servo_config as load_servo_config
 
 _MODULES = {
+    "Breakpoint": "runs.breakpoint",
     "Condition": "runs.condition",
     "Diverged": "machine.diverged",
     "ExternalWrench": "machine.external_wrench",

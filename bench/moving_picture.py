@@ -16,6 +16,7 @@ from PIL import Image
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.view.film import write_gif
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator.view.screenshot import take_screenshots
 
@@ -25,7 +26,6 @@ EVERY = 10  # servo periods between samples
 FRAMES = 40
 SIZE = (960, 540)  # points
 SHOWN = (0, 37, 960, 510)  # of these, without menu and time line
-COLOURS = 96
 _SETTLING = 3.0  # s, for the way to the first corner
 
 
@@ -76,14 +76,5 @@ def draw(out: Path) -> Path:
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES
     shots = take_screenshots(out / "square.rrd", moments.tolist(), size=SIZE, patience=600.0)
     pictures = [Image.open(io.BytesIO(shot)).convert("RGB").crop(SHOWN) for shot in shots]
-    palette = pictures[FRAMES // 2].quantize(COLOURS)
-    frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
-    frames[0].save(
-        out / "arm.gif",
-        save_all=True,
-        append_images=frames[1:],
-        duration=round(1e3 * (end - begin) / FRAMES),
-        loop=0,
-        optimize=True,
-    )
+    write_gif(pictures, out / "arm.gif", FRAMES / (end - begin))
     return out / "arm.gif"

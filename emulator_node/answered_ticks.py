@@ -15,6 +15,7 @@ from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import FixedLayout, Taking
 from arm_emulator.ros.middleware import middleware, pattern_of
+from emulator_node.breaks import Breaks
 from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
 from emulator_node.context import Context
 from emulator_node.health import Health
@@ -50,6 +51,7 @@ class AnsweredTicks:
         commands: the commands that Python has taken.
         reports: what is published.
         health: of the node.
+        breaks: what stops it.
     """
 
     def __init__(
@@ -59,7 +61,9 @@ class AnsweredTicks:
         commands: Taking,
         reports: Reports,
         health: Health,
+        breaks: Breaks,
     ) -> None:
+        self._breaks = breaks
         self._session, self._gate, self._view, self._outbox = (
             own.session, own.gate, own.view, own.outbox,
         )  # fmt: skip
@@ -107,7 +111,7 @@ class AnsweredTicks:
         """Prepare, see `HotPath`."""
         ticks, session = self._struct, self._session
         ticks.tick = ticks.last = session.tick
-        ticks.result = 0
+        ticks.result, ticks.stop = 0, self._breaks.stop
         if self._view.open or session.last_tick == session.tick or not self._knows_commands():
             return
         ticks.last = min(session.last_tick, session.tick + self._gate.room())
@@ -126,6 +130,7 @@ class AnsweredTicks:
         if self._outbox.record is not None:
             self._record(before)
         self._health.report_fault()
+        self._breaks.look()
 
     def _knows_commands(self) -> bool:
         """Return whether the newest commands have the form that C can take."""

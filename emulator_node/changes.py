@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from arm_emulator.machine.session import Session
+from arm_emulator.page.watched import Watched
+from emulator_node.breaks import Breaks
 from emulator_node.pacer import Pacer
 from emulator_node.reports import Reports
 
@@ -16,10 +18,17 @@ class Changes:
     Attributes:
         pacer: publishes the ticks before a change.
         reports: publishes the change.
+
+    Args:
+        watched: shows the change on a page.
+        breaks: may stop there.
     """
 
-    def __init__(self, session: Session, pacer: Pacer, reports: Reports) -> None:
+    def __init__(
+        self, session: Session, pacer: Pacer, reports: Reports, watched: Watched, breaks: Breaks
+    ) -> None:
         self._session, self.pacer, self.reports = session, pacer, reports
+        self._watched, self._breaks = watched, breaks
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:
@@ -38,7 +47,9 @@ class Changes:
         with self.between_ticks():
             change()
             saved = self._session.plant.save()
+            self._watched.take()
         self.reports.event(kind, saved)
+        self._breaks.changed()
 
     def put(self, kind: int, change: Callable[[], None]) -> None:
         """Change the machine, publish its new state, and continue from there, see `make`."""

@@ -16,6 +16,7 @@ from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.node_shell import COMMAND_SUB_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, RecorderReport
+from emulator_node.breaks import Breaks
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.pacer import Pacer
@@ -33,15 +34,14 @@ class Intake:
         taking: takes them.
     """
 
-    def __init__(self, own: Context, pacer: Pacer, changes: Changes) -> None:
+    def __init__(self, own: Context, pacer: Pacer, changes: Changes, breaks: Breaks) -> None:
+        self._breaks = breaks
         self._session, self._pacer, self._changes = own.session, pacer, changes
         self.answered: Callable[[], None] = lambda: None
         self._gate, self._outbox, self._lock = own.gate, own.outbox, own.lock
         self._diagnostics, node = own.diagnostics, own.node
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
-        self.taking = Taking(
-            "motor_commands", MotorCommand, self._on_command, own.diagnostics.refuse
-        )
+        self.taking = Taking("motor_commands", MotorCommand, self._on_command, breaks.refused)
         self.commands = subscribe(MotorCommand, "motor_commands", self.taking.take, qos, raw=True)
         subscribe(PoseStamped, "tool_target", own.view.target, qos)
         for topic, axes in EXTERNAL_WRENCHES.items():
@@ -62,7 +62,7 @@ class Intake:
                 self._diagnostics.count(f"motor_commands {reason.kind}")
                 return
             except Refusal as reason:
-                self._diagnostics.refuse("motor_commands", reason)
+                self._breaks.refused("motor_commands", reason)
                 return
             if self._outbox.record is not None:
                 self._outbox.record.put(self.commands.topic_name, data)
@@ -74,7 +74,7 @@ class Intake:
             try:
                 self._gate.on_report(report)
             except Refusal as reason:
-                self._diagnostics.refuse("emulator/recorders", reason)
+                self._breaks.refused("emulator/recorders", reason)
                 return
             if self._gate.waited_for and self._session.answered:
                 self._pacer.go_on()
@@ -94,4 +94,4 @@ class Intake:
                 push = partial(session.set_external_wrench, link, wrench)
                 self._changes.make(MachineEvent.KIND_EXTERNAL_WRENCH, push)
             except Refusal as reason:
-                self._diagnostics.refuse(topic, reason)
+                self._breaks.refused(topic, reason)

@@ -24,6 +24,7 @@ from arm_emulator.base.parameters import parameter
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
+from arm_emulator.page.watched import Watched
 from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
@@ -34,6 +35,7 @@ from arm_emulator.ros.node_parameters import (
 )
 from arm_emulator.ros.node_shell import Diagnostics, run_node, wall_timer
 from emulator_node.answered_ticks import AnsweredTicks
+from emulator_node.breaks import Breaks
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
@@ -43,7 +45,7 @@ from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.repeater import REPEAT_AFTER, Repeater
 from emulator_node.reports import Reports
-from emulator_node.services import MachineServices, TimeServices
+from emulator_node.services import BreakService, MachineServices, TimeServices
 from emulator_node.simulation_services import SimulationServices, installed
 from emulator_node.stepper import Stepper
 from emulator_node.time_control import TimeControl
@@ -83,6 +85,12 @@ class EmulatorParameters:
     rerun_port: int = parameter(
         0, "local port for a Rerun viewer; 0: none", at_least=0, at_most=65535
     )
+    page_port: int = parameter(
+        -1,
+        "local port of a page in the browser; 0: any that is free, -1: no page",
+        at_least=-1,
+        at_most=65535,
+    )
 
 
 class EmulatorNode(ManagedNode):
@@ -113,6 +121,8 @@ class EmulatorNode(ManagedNode):
             if config.clock == "realtime"
             else Session(scene, config.clock, config.start, standing=True)
         )
+        watched = self._watch(session, config.page_port)
+        self.cleanup.callback(watched.close)
         view = View(session, config.rerun_file, config.rerun_port)
         self.cleanup.callback(view.close)
         self.cleanup.callback(session.close)
@@ -123,10 +133,11 @@ class EmulatorNode(ManagedNode):
         self._status = status = Status(own, reports)
         health = Health(own, lambda: self._config.timeout)
         pace = LoopPacer if session.by_itself else LockstepPacer
-        self._pacer: Pacer = pace(own, reports, health)
+        breaks = Breaks(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
+        self._pacer: Pacer = pace(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
-        changes = Changes(session, self._pacer, reports)
-        intake = Intake(own, self._pacer, changes)
+        changes = Changes(session, self._pacer, reports, watched, breaks)
+        intake = Intake(own, self._pacer, changes, breaks)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
             folder = Path(config.record)
@@ -135,10 +146,11 @@ class EmulatorNode(ManagedNode):
             diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
             self.cleanup.callback(self._end_record)
         if not session.by_itself:
-            self.hot = AnsweredTicks(own, intake.commands, intake.taking, reports, health)
+            self.hot = AnsweredTicks(own, intake.commands, intake.taking, reports, health, breaks)
         control = TimeControl(own, changes, health, status)
         TimeServices(own, control)
         MachineServices(own, changes)
+        BreakService(own, changes, breaks)
         if installed():
             stepper = Stepper(own, control)
             intake.answered = stepper.go_on
@@ -153,6 +165,18 @@ class EmulatorNode(ManagedNode):
             f"clock {config.clock}"
         )
         diagnostics.ok("inactive: the machine stands")
+
+    def _watch(self, session: Session, port: int) -> Watched:
+        """Return the machine with a page at a port, or without one."""
+        if port < 0:
+            return Watched(session.plant, None)
+        # Not imported without a page: it takes messages of other nodes.
+        from emulator_node.page_hands import HandsOnNetwork
+
+        hands = HandsOnNetwork(self.get_namespace(), session.scene.servo_period)
+        watched = Watched(session.plant, port, hands)
+        print(f"page: {watched.url}", flush=True)
+        return watched
 
     def activate(self) -> None:
         """Publish this tick, and let time pass."""

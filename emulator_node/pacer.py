@@ -9,6 +9,7 @@ import rclpy
 
 from arm_emulator.machine.phase import Phase
 from arm_emulator.ros.node_shell import wall_timer
+from emulator_node.breaks import Breaks
 from emulator_node.context import Context
 from emulator_node.health import Health
 from emulator_node.reports import Reports
@@ -38,7 +39,8 @@ class Pacer(Protocol):
 class LockstepPacer:
     """Ticks follow answers; before the first answer the node paces them by the servo period."""
 
-    def __init__(self, own: Context, reports: Reports, health: Health) -> None:
+    def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
+        self._breaks = breaks
         self._session, self._gate = own.session, own.gate
         self._reports, self._health, self._lock = reports, health, own.lock
         self._pace = wall_timer(own.node, own.session.scene.servo_period, self._on_pace)
@@ -55,6 +57,7 @@ class LockstepPacer:
         if self._session.fault is None:
             self._reports.tick()
         self._health.report_fault()
+        self._breaks.look()
 
     def look(self) -> None:
         """Pace the free run again, if the machine has returned to it."""
@@ -79,7 +82,8 @@ class LockstepPacer:
 class LoopPacer:
     """Ticks come from a loop. A thread of its own takes and publishes them."""
 
-    def __init__(self, own: Context, reports: Reports, health: Health) -> None:
+    def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
+        self._breaks = breaks
         self._session, self._outbox, self._lock = own.session, own.outbox, own.lock
         self._reports, self._health = reports, health
         self._closing = False
@@ -135,6 +139,7 @@ class LoopPacer:
     def _take(self) -> bool:
         """Take a tick and publish its state; False after the last."""
         if not self._session.take():
+            self._breaks.look()
             return False
         if self._session.fault is None:  # otherwise it has not reached another tick
             self._reports.tick()

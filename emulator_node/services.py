@@ -10,7 +10,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_msgs.msg import MachineEvent
-from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
+from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetState, SetVaried
+from emulator_node.breaks import Breaks
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.time_control import TimeControl
@@ -142,3 +143,25 @@ class MachineServices:
                 response.message = str(reason)
                 return
             response.success, response.message = True, f"at tick {self._session.tick}"
+
+
+class BreakService:
+    """Breakpoints."""
+
+    def __init__(self, own: Context, changes: Changes, breaks: Breaks) -> None:
+        self._session, self._lock, self._changes, self._breaks = (
+            own.session, own.lock, changes, breaks,
+        )  # fmt: skip
+        own.node.create_service(BreakWhen, "~/break_when", self._on_break_when)
+
+    def _on_break_when(
+        self, request: BreakWhen.Request, response: BreakWhen.Response
+    ) -> BreakWhen.Response:
+        with self._lock, self._changes.between_ticks():
+            try:
+                self._breaks.set(request)
+            except Refusal as reason:
+                response.message = str(reason)
+                return response
+            response.success, response.message = True, f"at tick {self._session.tick}"
+            return response

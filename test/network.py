@@ -30,7 +30,7 @@ from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
-from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
+from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetState, SetVaried
 
 JOINTS = ["waist", "shoulder", "elbow"]  # of three_axis
 PATIENCE = 120.0  # s, for what takes well below a second on an idle machine
@@ -48,7 +48,8 @@ RECEIVER = {
 }
 
 SERVICES = {
-    one.Request: one for one in (SetBool, Trigger, SaveState, RestoreState, SetState, SetVaried)
+    one.Request: one
+    for one in (SetBool, Trigger, SaveState, RestoreState, SetState, SetVaried, BreakWhen)
 }
 
 # Deep enough for every state in lock-step: what is recorded must not get lost. In real time

@@ -22,8 +22,9 @@ from arm_emulator.machine.compiler import fleet_library_of, real_time_library
 from arm_emulator.machine.core_calls import ARM, FIRMWARE_LOOP, FLEET, REAL_TIME
 from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.record_ring import RING, record_ring
+from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.breakpoint import BREAKPOINT, Breakpoint, breakpoint_library
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.drives import Drives as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
@@ -52,6 +53,7 @@ def main() -> None:
     fleet = fleet_library.arm_fleet_new(options_of(scene, np.zeros(0)), 3)
     machine = fleet_library.arm_fleet_machine(fleet, 0)
     assert fleet and machine, "a fleet and one of its machines"
+    stops = Breakpoint(plant, "tick > 3")
     own = {
         "arm_machine *": machine,
         "arm_fleet *": fleet,
@@ -62,11 +64,14 @@ def main() -> None:
         "firmware_loop *": None,  # calls the functions that it names
         "arm_real_time *": None,  # runs a thread
         "ethercat_segment *": segment.pointer,
+        "listeners *": LISTENERS.new("listeners"),
+        "breakpoint *": stops.struct,
     }
     size = plant.core.arm_saved_size()
     values = {
         ("arm_save", 2): size, ("arm_restore", 2): size, ("drives_write", 5): size,
         ("ethercat_frame", 2): size, ("arm_listen", 1): NULL, ("ethercat_serve", 1): -1,
+        ("listeners_add", 1): NULL,
     }  # fmt: skip
     libraries = [
         (ARM, fleet_library),
@@ -74,6 +79,8 @@ def main() -> None:
         (REAL_TIME, real_time_library()),
         (FIRMWARE_LOOP, firmware_loop()),
         (RING, record_ring()),
+        (LISTENERS, record_ring()),
+        (BREAKPOINT, breakpoint_library()),
         (SERVO, servo_law()),
         (DRIVES, segment.drives.calls),
         (SEGMENT, segment.drives.calls),

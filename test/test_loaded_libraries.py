@@ -19,6 +19,7 @@ from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_un
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.breakpoint import breakpoint_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from emulator_node.c import answered_ticks_unit
@@ -70,7 +71,13 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
     units = machine_unit(scene), fleet_unit(scene), drives_unit("drives"), servo_unit()
     units += servo_step_unit(), firmware_loop_unit(), real_time_unit(), record_ring_unit()
-    units += judges_unit(), sampler_unit(), answered_ticks_unit(), answered_states_unit()
+    units += (
+        breakpoint_unit(),
+        judges_unit(),
+        sampler_unit(),
+        answered_ticks_unit(),
+        answered_states_unit(),
+    )
     names = sorted(set().union(*map(names_of, units)))
     assert {"arm_advance", "servo_measure", "firmware_loop_step"} < set(names)
     source, others = tmp_path / "others.c", tmp_path / "others.so"

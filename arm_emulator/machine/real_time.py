@@ -12,7 +12,7 @@ from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns
-from arm_emulator.build.c_header import NULL
+from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.machine.call_arguments import LARGEST_STEPS, commands_of
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
@@ -106,6 +106,10 @@ class RealTimeLoop(Turns):
     def go_on(self) -> None:
         """Continue as if it had not stopped; missed deadlines are lateness and lost periods."""
         self._calls.arm_real_time_go_on(self._loop)
+
+    def break_at(self, stop: CData) -> None:
+        """End behind the period after which an ``int32_t`` in C is not 0; NULL: never."""
+        self._calls.arm_real_time_break(self._loop, stop)
 
     def command(self, answered: int, command: Array, further: Array | None = None) -> None:
         """Set the commands (N,) [V, N m, A] for the periods to come; -1 answers no tick.

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.column import Rows
-from arm_emulator.build.c_header import NULL, Header, Library
+from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 
 RING = Header(BOUNDARY / "record_ring.h")
+LISTENERS = Header(BOUNDARY / "listeners.h")
 CAPACITY = 2**13  # rows: 8 s at 1 kHz
 
 
@@ -31,7 +32,8 @@ def record_ring() -> Library:
 def record_ring_unit() -> Unit:
     """Return the ring as what is compiled."""
     name, part, about = "record_ring", "record_ring.c", "the ring of records"
-    return Unit(name, f'#include "{part}"\n', C_FLAGS, (BOUNDARY,), (RING,), name, about, part)
+    source, headers = f'#include "{part}"\n#include "listeners.c"\n', (RING, LISTENERS)
+    return Unit(name, source, C_FLAGS, (BOUNDARY,), headers, name, about, part)
 
 
 class SharedRing:
@@ -75,6 +77,10 @@ class SharedRing:
 class RingWriter:
     """The machine's side.
 
+    Attributes:
+        take: writes a row of the machine: what is called at the end of each exchange.
+        struct: ``record_writer``, the first argument of `take`.
+
     Args:
         ring: the memory.
         core: library of the machine.
@@ -85,8 +91,8 @@ class RingWriter:
 
     def __init__(self, ring: SharedRing, core: Library, row: Any, reader: int, waits: bool) -> None:
         self._keeps = ring, row  # what the struct points to
-        self._core, self._calls = core, record_ring()
-        self._writer = RING.new(
+        self.take = record_ring().record_take
+        self.struct = RING.new(
             "record_writer",
             waits=waits,
             reader=reader,
@@ -100,12 +106,3 @@ class RingWriter:
             ring=ring.pointer,
             rows=RING.ffi.cast("char *", RING.ffi.from_buffer(ring.rows)),
         )
-
-    def listen(self, machine: Any) -> None:
-        """Write a row now, and one at the end of each exchange."""
-        self._calls.record_take(self._writer, machine)
-        self._core.arm_listen(machine, self._calls.record_take, self._writer)
-
-    def leave(self, machine: Any) -> None:
-        """Write no more rows."""
-        self._core.arm_listen(machine, NULL, NULL)

@@ -17,6 +17,7 @@ import numpy as np
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.build.c_header import CData
 from arm_emulator.machine.answers import Answers
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, RealTimeFigures
@@ -450,6 +451,18 @@ class Session(Turns):
     def close(self) -> None:
         """Stop the machine for good."""
         self._clock.stop()
+
+    @in_turn
+    def break_at(self, stop: CData) -> None:
+        """Let a loop stop behind the period after which an ``int32_t`` in C is not 0.
+
+        Where the owner lets time pass, that looks itself.
+
+        Args:
+            stop: pointer to it; NULL: it stops nowhere.
+        """
+        with self.between_ticks():
+            self._clock.break_at(stop)
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick of a loop."""

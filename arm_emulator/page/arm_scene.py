@@ -74,6 +74,17 @@ class ArmScene:
         """The tool's position (3,) [m] as it is shown."""
         return np.array(self._data.oMf[self._tool].translation)
 
+    @property
+    def wxyz_WT(self) -> tuple[float, float, float, float]:
+        """The tool's orientation as a quaternion, as it is shown."""
+        x, y, z, w = pin.Quaternion(self._data.oMf[self._tool].rotation).coeffs()
+        return float(w), float(x), float(y), float(z)
+
+    def p_WL(self, link: str) -> Array:
+        """Return the origin of a link (3,) [m] as it is shown."""
+        frame = self._model.getFrameId(link)
+        return np.array(pin.updateFramePlacement(self._model, self._data, frame).translation)
+
     def remove(self) -> None:
         """Take the arm and its way out of the scene."""
         for one in (*self._handles, self._frame, self._way):

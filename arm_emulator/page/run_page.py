@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import itertools
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from arm_emulator.analysis.torque_terms import TermsNow
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.wheel import need_wheel
 from arm_emulator.machine.session import Session
 from arm_emulator.page.arm_scene import ArmScene
-from arm_emulator.page.guard import Guard, guarded
-from arm_emulator.page.page_token import page_token
-from arm_emulator.page.style import dress
+from arm_emulator.page.event_list import EventList
+from arm_emulator.page.number_table import UNITS, as_code, number_table
+from arm_emulator.page.page_server import PageServer
+from arm_emulator.page.signal_plot import FIRST, HEIGHT, SCALES, lines_of
 from arm_emulator.page.subject import Subject
 from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.timeline import Timeline
 
-LOCAL = "127.0.0.1"
 FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")
-COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
-FIRST = "q"  # quantity of the first plot
 THIS, OTHER, DIFFERENCE = "this run", "the other run", "difference"
 
 
@@ -61,12 +54,8 @@ class RunPage:
         port: int = 0,
         over: Subject | None = None,
     ) -> None:
-        need_wheel("the page", "viser", "viser")
         if over is not None:
             _check_alike(subject, over)
-        check_count("page", "port", port, 0, 65535)
-        import viser
-
         self._subject, self._explain = subject, explain
         self._over: Subject | None = None
         self._arm_over: ArmScene | None = None
@@ -74,20 +63,11 @@ class RunPage:
         self._playing, self._closing = False, threading.Event()
         self.changing = False
         scene = self._session.scene
-        token = page_token()
-        # It prints addresses without the token, whatever it is asked.
-        with guarded(Guard(token)), contextlib.redirect_stdout(io.StringIO()):
-            try:
-                self._server = server = viser.ViserServer(LOCAL, _free(port), verbose=False)
-            except (OSError, RuntimeError) as error:
-                raise Refusal("page", "port", "be free", port) from error
-        self.url = f"http://{LOCAL}:{server.get_port()}/?token={token}"
-        dress(server)
-        server.scene.set_up_direction("+z")
-        server.scene.add_grid("/floor", 4.0, 4.0, cell_size=0.25)
+        self._served = PageServer(port)
+        self._server = server = self._served.server
+        self.url = self._served.url
         self._arm = ArmScene(server, scene)
-        server.initial_camera.position = tuple(self._arm.size * np.array([1.0, -1.0, 0.8]))
-        server.initial_camera.look_at = (0.0, 0.0, 0.3 * self._arm.size)
+        self._served.look_from(self._arm.size)
         self._arm.show_way(subject.history.values("q"))
         self.gui: Any = server.gui
         self._build(server, scene.name)
@@ -128,7 +108,7 @@ class RunPage:
             self._subject = subject
             subject.line.go_to(tick)
             self._arm.show_way(subject.history.values("q"))
-            self.put(self._event, self._texts(), None)
+            self._list.show(subject.events)
             self.changing = True
             try:
                 self._slider.max = max(1, subject.last)
@@ -183,8 +163,7 @@ class RunPage:
         """End the page."""
         self._closing.set()
         self._thread.join()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._served.stop()
 
     # Controls
 
@@ -200,8 +179,12 @@ class RunPage:
         steps = gui.add_button_group("Step", ("to start", "-1", "+1", "to end"))
         steps.on_click(lambda event: self._step(event.target.value))
         for label, key, step in (
-            ("Play or pause", "P", None), ("One tick back", "B", "-1"), ("One tick on", "N", "+1"),
-        ):  # fmt: skip
+            ("Play or pause", "space", None),
+            ("One tick back", "arrowleft", "-1"),
+            ("One tick on", "arrowright", "+1"),
+            ("To the start", "home", "to start"),
+            ("To the end", "end", "to end"),
+        ):
             one = gui.add_command(label, hotkey=key)
             one.on_trigger(lambda _, step=step: self._step(step) if step else self._switch())
         self._tabs = tabs = gui.add_tab_group()
@@ -213,17 +196,14 @@ class RunPage:
             self._group.on_update(lambda _: None if self.changing else self._plot())
             self._of = gui.add_dropdown("Of", (THIS,))
             self._of.on_update(lambda _: None if self.changing else self._plot())
-            # Of seconds, which are no date.
-            scales = {"x": {"time": False}}
-            self._chart = gui.add_uplot(*self._series(FIRST), scales=scales, height=260)
+            self._chart = gui.add_uplot(*self._series(FIRST), scales=SCALES, height=HEIGHT)
         with tabs.add_tab("Events"):
-            self._event = gui.add_dropdown("Event", self._texts())
-            go = gui.add_button("Go to the event")
-            go.on_click(lambda _: self._go_to_event())
             self._condition = gui.add_text("Condition", "")
             find = gui.add_button("Find the next")
             find.on_click(lambda _: self._find())
             self._found = gui.add_markdown("")
+            self._list = EventList(gui, self._go)
+            self._list.show(self._subject.events)
         with tabs.add_tab("Torques"):
             ask = gui.add_button("Explain this moment")
             ask.on_click(lambda _: self._explained())
@@ -247,22 +227,13 @@ class RunPage:
             self.line.go_to(max(0, min(int(tick), self.last)))
             self._show()
 
-    def _go_to_event(self) -> None:
-        with self.exclusive:
-            if self._subject.events:
-                place = self._texts().index(self._event.value)
-                self._go(self._subject.events[place][0])
-
-    def _texts(self) -> tuple[str, ...]:
-        return tuple(f"{tick}: {text}" for tick, text in self._subject.events) or ("none",)
-
     def _find(self) -> None:
         with self.exclusive:
             scene = self._session.scene
             try:
                 condition = Condition(self._condition.value, scene, "page")
             except Refusal as reason:
-                self._found.content = _code(str(reason))
+                self._found.content = as_code(str(reason))
                 return
             before = self.line.tick
             tick = self.line.find(lambda run: condition.holds(run.session), self.last)
@@ -278,7 +249,7 @@ class RunPage:
             terms, active = self._explain()
             names = self._session.scene.joint_names
             tables = [
-                f"On each {side} [N m or N]\n\n" + _table(names, rows)
+                f"On each {side} [N m or N]\n\n" + number_table(names, rows)
                 for side, rows in (("link", terms.link), ("rotor", terms.rotor))
             ]
             self._terms.content = "\n\n".join([*tables, *(f"- {one}" for one in active)])
@@ -326,9 +297,7 @@ class RunPage:
             f"tick {tick}, {tick * session.scene.servo_period:.4f} s{apart}{power}"
         )
         measured = session.measured
-        # In a line below, as units as headings would make it too wide for a narrow window.
-        units = "rad, rad/s, N m (slides: m, m/s, N), A, and what the motor got"
-        self._numbers.content = f"{units}\n\n" + _table(
+        self._numbers.content = f"{UNITS}\n\n" + number_table(
             names,
             {
                 "q": state.q,
@@ -348,13 +317,7 @@ class RunPage:
         elif self._over is not None and self._of.value == DIFFERENCE:
             ticks, values = history.minus(self._over.history, group)
         t = ticks * self._session.scene.servo_period
-        columns = history.groups[group]
-        series: list[dict[str, Any]] = [{"label": "t [s]"}]
-        series += [
-            {"label": f"{one.path[-1]} [{one.unit}]", "stroke": color, "width": 1.5}
-            for one, color in zip(columns, itertools.cycle(COLORS), strict=False)
-        ]
-        return (t, *values.T), tuple(series)
+        return (t, *values.T), lines_of(history.groups[group])
 
     def _plot(self) -> None:
         with self.exclusive:
@@ -369,32 +332,3 @@ def _check_alike(one: Subject, other: Subject) -> None:
     if first.servo_period != second.servo_period:
         rule = f"be {first.servo_period:g} [s]"
         raise Refusal("page", "servo period of the other run", rule, second.servo_period)
-
-
-def _free(port: int) -> int:
-    """Return the port, or one that is free now; the server would take another one in silence."""
-    import socket
-
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((LOCAL, port))
-        return int(probe.getsockname()[1])
-
-
-def _code(text: str) -> str:
-    return f"```\n{text}\n```"
-
-
-def _table(names: Sequence[str], rows: dict[str, Any]) -> str:
-    """Return rows (N,) as a table of Markdown, a line per joint."""
-    lines = ["| | " + " | ".join(rows) + " |", "|---" * (len(rows) + 1) + "|"]
-    for j, name in enumerate(names):
-        cells = (_cell(np.asarray(row)[j]) for row in rows.values())
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, np.integer):
-        return str(int(value))
-    return "-" if np.isnan(value) else f"{float(value) + 0.0:.5g}"

@@ -37,6 +37,8 @@ class Condition:
 
     Attributes:
         text: the condition.
+        formula: the same, over names of signals.
+        columns: all signals but those of the tool, by name.
 
     Args:
         text: of comparisons, joined by ``and``, ``or``, ``not`` and ``implies``.
@@ -51,12 +53,12 @@ class Condition:
         if not isinstance(text, str):
             raise Refusal(where, "condition", "be text", text)
         self.text = text
-        self._columns = {one.name: one for one in columns_of(scene)}
-        known = [*self._columns, *(TOOL if scene.chain.coupling.plain else ())]
-        self._formula = bound_to(parse_formula(text, where, "condition"), known, where, "condition")
-        _check_without_time(self._formula, where)
-        names = signals_in(self._formula)
-        self._own: list[Column] = [self._columns[name] for name in names if name not in TOOL]
+        self.columns = {one.name: one for one in columns_of(scene)}
+        known = [*self.columns, *(TOOL if scene.chain.coupling.plain else ())]
+        self.formula = bound_to(parse_formula(text, where, "condition"), known, where, "condition")
+        _check_without_time(self.formula, where)
+        names = signals_in(self.formula)
+        self._own: list[Column] = [self.columns[name] for name in names if name not in TOOL]
         self._kinematics = (
             Kinematics(scene.urdf, scene.joint_names, scene.tool)
             if names.intersection(TOOL)
@@ -72,7 +74,7 @@ class Condition:
         """Return whether it holds at the tick at which a session is."""
         if self._row is None or self._session is not session:
             self._row, self._session = RecordRow(session.plant), session
-        return _holds(self._formula, self._values(self._row.take(), session))
+        return _holds(self.formula, self._values(self._row.take(), session))
 
     def _values(self, rows: Rows, session: Session) -> dict[str, float]:
         values = {one.name: float(one.of(rows)[0]) for one in self._own}

@@ -37,6 +37,7 @@ int answered_ticks_take(void* with, const uint8_t* data, int64_t size) {
   ticks->result = ticks->exchange(ticks->machine, ticks->command, ticks->measurement);
   if (ticks->result == ARM_OK) {
     ++ticks->tick;
+    if (ticks->stop && *ticks->stop) ticks->last = ticks->tick;
     report(ticks);
   }
   return ROS_TAKEN;

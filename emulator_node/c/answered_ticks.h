@@ -37,9 +37,10 @@ typedef struct answered_ticks {
   int64_t period; /* ns */
   /* The run. Python sets them while no message is taken. */
   int64_t tick;
-  int64_t last;   /* tick that is not left: the command that answers it is Python's */
-  double* before; /* commands before the newest ones */
-  int64_t result; /* of the newest exchange */
+  int64_t last;        /* tick that is not left: the command that answers it is Python's */
+  double* before;      /* commands before the newest ones */
+  int64_t result;      /* of the newest exchange */
+  const int32_t* stop; /* not 0: the tick that was reached is not left; may be null */
 } answered_ticks;
 
 /* `take` of a ros_topic: go through a servo period, unless the message or the time is unusual. */

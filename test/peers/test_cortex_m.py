@@ -27,6 +27,7 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
 from arm_emulator.machine.firmware import Firmware
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
@@ -279,6 +280,39 @@ def test_halting_in_gdb_changes_no_bit(
     halted = debugged(chip_of(ur5, elf), ur5, table, ticks, gdb)
     assert "Breakpoint 1, control_step" in printed[0] and "ADC_Handler" in printed[0], printed[0]
     assert halted == free, f"the machine at each tick, debugged and free\n{printed[0]}"
+
+
+def test_gdb_halts_where_a_condition_on_the_machine_begins_to_hold(
+    built: Callable[..., Path], ur5: Scene
+) -> None:
+    """Firmware and machine stand together; the run goes on to the same bits."""
+    elf, ticks = built("asleep.elf"), 40
+    table = random_table(np.random.default_rng(6), ur5, 8)
+    free = course(chip_of(ur5, elf), ur5, table, ticks)
+    chip = chip_of(ur5, elf)
+    one, seen, stood = TableRun(ur5, table, chip), [], []
+    stops = Breakpoint(one.session.plant, "tick >= 17")
+    chip.break_at(stops.stop)
+
+    def work(port: int) -> None:
+        with Debugger(port) as gdb:
+            assert gdb.ask(b"c") == b"S05", "as at a breakpoint"
+            stood.append((stops.tick, len(seen)))
+            gdb.send(b"$D#44")
+
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen(1)
+        worker = threading.Thread(target=work, args=[listening.getsockname()[1]])
+        worker.start()
+        chip.debug(listening)
+    for _ in range(ticks):
+        one.advance(1)
+        done = chip.figures
+        seen.append((one.session.plant.save(), done.instructions, done.asleep, done.exceptions))
+    worker.join()
+    assert stood == [(17, 17)], "before the firmware saw tick 17"
+    assert seen == free
 
 
 def test_every_step_and_any_packet_of_a_debugger_change_no_bit(

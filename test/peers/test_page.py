@@ -118,7 +118,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     assert shown.machine.session.plant.save() == other.session.plant.save(), "to the last bit"
     shows(page, f"{other.session.state.q[1]:.5g}")
     page.get_by_role("tab", name="Events").click()
-    page.get_by_role("button", name="Go to the event").click()
+    page.get_by_role("button", name="120: power").click()
     shows(page, "tick 120,")
     condition = page.locator("xpath=//*[text()='Condition']/following::input[1]")
     condition.fill("tick >= 205")

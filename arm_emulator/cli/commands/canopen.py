@@ -16,7 +16,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Clock, Keep, SceneName
+from arm_emulator.cli.options import Clock, Keep, PagePort, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.can_bus import Bus, BusService, can_bus
 from arm_emulator.doors.fieldbus.can_server import CanServer
@@ -25,6 +25,7 @@ from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
 from arm_emulator.doors.fieldbus.eds import eds as data_sheet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.page.desk import watched
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.recorder import Recorder
 
@@ -79,6 +80,7 @@ def canopen(
     first_node: Annotated[int, Parameter(metavar="ID")] = 1,
     clock: Clock = "lockstep",
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    page: PagePort = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve CANopen masters until Ctrl-C.
@@ -110,9 +112,10 @@ def canopen(
             print(f"canopen: {line}")
         period = None if lockstep else round(machine.servo_period * 1e9)
         try:
-            with Recorder(segment.drives.plant, kept, waits=lockstep):
+            plant = segment.drives.plant
+            with Recorder(plant, kept, waits=lockstep), watched(plant, page) as desk:
                 print("canopen: ready", flush=True)
-                BusService(on, segment, period).serve()
+                BusService(on, segment, period).serve(desk.attends)
         finally:
             output.facts({"ignored": on.ignored})
             if on.ignored:

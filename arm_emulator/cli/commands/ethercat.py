@@ -17,11 +17,12 @@ from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, SceneName
+from arm_emulator.cli.options import Keep, PagePort, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.esi import esi as description_of
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.page.desk import watched
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.recorder import Recorder
 
@@ -39,6 +40,7 @@ def ethercat(
     esi: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     lockstep: bool = False,
     realtime: bool = False,
+    page: PagePort = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve an EtherCAT master until Ctrl-C.
@@ -61,7 +63,8 @@ def ethercat(
     descriptor = segment.open(interface)
     # Masters wait some milliseconds for a frame, which a busy host may exceed before it wakes us.
     with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # not for recorder and page
+        os.sched_setscheduler(0, policy, os.sched_param(50))
     clock = "realtime" if realtime else "lockstep"
     output.facts({"scene": machine.name, "clock": clock, "slaves": joints})
     print(f"ethercat: scene {machine.name}, clock {clock}")
@@ -73,9 +76,10 @@ def ethercat(
         if not flags & 1:
             print(f"ethercat: {interface} is down: ip link set {interface} up", file=sys.stderr)
     try:
-        with Recorder(segment.drives.plant, kept, waits=not realtime):
+        plant = segment.drives.plant
+        with Recorder(plant, kept, waits=not realtime), watched(plant, page) as desk:
             print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
-            while not segment.figures.diverged:
+            while not segment.figures.diverged and desk.attends():
                 segment.serve(descriptor, _TURN)
         print(f"scene {machine.name}: the machine has diverged", file=sys.stderr)
         return 1

@@ -23,13 +23,15 @@ from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.run import ctrl_c_ends_at_once, report, ticks_of
-from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
+from arm_emulator.cli.options import Keep, PagePort, SceneName, Seconds, TargetFile, When
 from arm_emulator.cli.output import output
 from arm_emulator.doors.microcontroller.board import Board, load_board
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.page.desk import watched
+from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, off_target
 from arm_emulator.runs.target_table import load_target_table
@@ -47,7 +49,9 @@ def firmware(
     targets: TargetFile = None,
     seconds: Seconds = None,
     gdb: Annotated[int | None, Parameter(metavar="PORT")] = None,
+    stop_when: When = None,
     uart: Annotated[list[str] | None, Parameter(metavar="NAME=WHERE ...")] = None,
+    page: PagePort = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Run unmodified firmware of a microcontroller in the loop with a machine.
@@ -56,6 +60,7 @@ def firmware(
         board: wiring of the registers (YAML).
         firmware: ELF file.
         gdb: port on 127.0.0.1 at which to wait for gdb.
+        stop_when: condition at which gdb halts the firmware, and with it the machine.
         uart: a serial line of the board: stdout, pty or none (default: the first to stdout).
     """
     kept.check("firmware")
@@ -68,17 +73,24 @@ def firmware(
     ticks = ticks_of(seconds, machine)
     if gdb is not None and not 0 < gdb < 65536:
         raise Refusal("firmware", "--gdb", "be a port from 1 to 65535", gdb)
+    if stop_when is not None and gdb is None:
+        raise Refusal("firmware", "--stop-when", "come with --gdb, which halts there", "none")
     with contextlib.ExitStack() as open_:
         lines = open_.enter_context(_lines(wiring, uart or ()))
         chip = Microcontroller(wiring, ElfImage(firmware), machine, lines)
         one = TableRun(machine, table, chip)
         open_.enter_context(Recorder(one.session.plant, kept, waits=True, stays=True))
+        if stop_when is not None:
+            stops = Breakpoint(one.session.plant, stop_when, "firmware: --stop-when")
+            open_.callback(stops.close)
+            chip.break_at(stops.stop)
+        desk = open_.enter_context(watched(one.session.plant, page, steps=True))
         with ctrl_c_ends_at_once():
             if gdb is not None:
                 _wait_for_gdb(chip, gdb, firmware)
             started = time.perf_counter()
             try:
-                one.advance(ticks)
+                desk.drive(one.advance, ticks)
             except (Diverged, FirmwareEnd) as fault:
                 print(explain(fault), file=sys.stderr)
                 output.facts({"scene": machine.name, "failed": explain(fault)})
@@ -101,6 +113,8 @@ def firmware(
         )
         if figures.faults:
             print(f"first fault       {chip.fault}")
+        if page is not None:
+            desk.stay()
         return 0
 
 

@@ -11,7 +11,7 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, SceneName
+from arm_emulator.cli.options import Keep, PagePort, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
@@ -21,6 +21,7 @@ from arm_emulator.doors.fieldbus.serial_line import LineErrors, check_baud
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
+from arm_emulator.page.desk import watched
 from arm_emulator.runs.recorder import Recorder
 
 
@@ -37,6 +38,7 @@ def modbus(
     watchdog: Annotated[int, Parameter(metavar="MS")] = 100,
     link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
     registers: bool = False,
+    page: PagePort = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve Modbus RTU masters until Ctrl-C.
@@ -68,7 +70,11 @@ def modbus(
     try:
         converter = Converter(session, watchdog)
         waits = clock != "realtime"
-        with serial_port(baud, link) as port, Recorder(session.plant, kept, waits):
+        with (
+            serial_port(baud, link) as port,
+            Recorder(session.plant, kept, waits),
+            watched(session, page),
+        ):
             at = f"{port.path}{f' ({link})' if link else ''}"
             output.facts({
                 "scene": machine.name, "port": port.path, "link": link, "station": station,

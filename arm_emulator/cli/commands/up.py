@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Clock, SceneName
+from arm_emulator.cli.options import Clock, PagePort, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
@@ -27,6 +28,7 @@ def up(
     start: Literal["free_run", "first_answer", "paused"] = "first_answer",
     rerun_port: Annotated[int, Parameter(metavar="PORT")] = 0,
     rerun_file: Annotated[str, Parameter(metavar="FILE")] = "",
+    page: PagePort = None,
     record: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     namespace: str = "",
     use_sim_time: bool = False,
@@ -47,6 +49,9 @@ def up(
     streams: dict[str, object] = {"rerun_port": rerun_port}
     if rerun_file:
         streams["rerun_file"] = rerun_file
+    if page is not None:
+        check_count("up", "--page", page, 0, 65535)
+        streams["page_port"] = page
     if record is not None:
         if record.exists():
             raise Refusal("up", f"folder {record}", "be new", "one that exists")

@@ -279,7 +279,7 @@ struct arm_real_time {
       const std::int64_t spent = now() - began;
       if (sound) tick.store(k + 1);
       publish(sound ? k + 1 : k, command.tick, lateness, spent, measurement);
-      if (!sound) return;
+      if (!sound || (breaks && __atomic_load_n(breaks, __ATOMIC_ACQUIRE))) return;
     }
   }
 
@@ -326,7 +326,8 @@ struct arm_real_time {
   Ring ring;
   Lateness late;
   std::atomic<bool> stopping = false;
-  std::int64_t due = 0;  // ns, when the newest period ended or should have
+  const std::int32_t* breaks = nullptr;  // flag that ends the loop
+  std::int64_t due = 0;                  // ns, when the newest period ended or should have
   std::atomic<std::int64_t> tick = 0, lost_periods = 0, old_commands = 0, unread = 0;
   std::atomic<std::int64_t> fifo = 0, locked = 0;
   std::jthread thread;  // last: it uses all of the above
@@ -353,6 +354,9 @@ void arm_real_time_go_on(arm_real_time* loop) {
 }
 void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
   if (loop && command && command->joint) loop->cell.write(*command);
+}
+void arm_real_time_break(arm_real_time* loop, const std::int32_t* stop) {
+  if (loop) loop->breaks = stop;
 }
 int arm_real_time_take(arm_real_time* loop, arm_snapshot* out) {
   return loop && out && out->size >= sizeof *out && out->truth.size >= sizeof out->truth &&

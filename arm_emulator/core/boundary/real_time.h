@@ -67,6 +67,10 @@ void arm_real_time_stop(arm_real_time* loop);
 void arm_real_time_go_on(arm_real_time* loop);
 /* The newest command wins. It may be given and replaced at any time, by one thread. */
 void arm_real_time_command(arm_real_time* loop, const arm_command* command);
+/* End behind the period after which `*stop` is not 0, as a breakpoint.h sets it at the end of an
+ * exchange; null: never. The loop must not run meanwhile, and starts or continues as after a stop.
+ */
+void arm_real_time_break(arm_real_time* loop, const int32_t* stop);
 /* Copy the oldest snapshot that was not taken yet; 0 if all were taken, or if a size is not that of
  * its struct. */
 int arm_real_time_take(arm_real_time* loop, arm_snapshot* out);

@@ -61,6 +61,11 @@ class GdbServer {
     return !killed_;
   }
 
+  // Halt before the next instruction, as at a breakpoint.
+  void halt_here() {
+    if (client_ >= 0 && !halted_) halt(5);
+  }
+
   // Whether to run a single instruction.
   bool steps() const { return stepping_; }
   // The firmware has run.

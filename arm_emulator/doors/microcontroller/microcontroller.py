@@ -114,6 +114,10 @@ class Microcontroller(ControlCode):
         """Wait for gdb at a socket that listens, and let it halt the processor."""
         self._calls.mcu_debug(self.with_, listening.fileno())
 
+    def break_at(self, flag: CData) -> None:
+        """Let gdb halt the processor when an ``int32_t`` in C is not 0, which must outlive it."""
+        self._calls.mcu_break(self.with_, flag)
+
     @property
     def ended(self) -> FirmwareEnd | None:
         """Reason for the end of the firmware, None while it runs."""

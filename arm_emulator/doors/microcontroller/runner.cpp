@@ -25,6 +25,8 @@ MCU_CALL int mcu_load(mcu_runner* runner, uint32_t at, const void* bytes, int64_
 
 MCU_CALL void mcu_debug(mcu_runner* runner, int socket) { runner->debug(socket); }
 
+MCU_CALL void mcu_break(mcu_runner* runner, int32_t* flag) { runner->breaks = flag; }
+
 MCU_CALL void mcu_step(void* with, const firmware_input* in, firmware_output* out) {
   static_cast<mcu_runner*>(with)->step(*in, *out);
 }

@@ -140,6 +140,9 @@ void mcu_delete(mcu_runner* runner);
 int mcu_load(mcu_runner* runner, uint32_t at, const void* bytes, int64_t size);
 /* Wait for a debugger at an open socket that listens. */
 void mcu_debug(mcu_runner* runner, int socket);
+/* Let the debugger halt the processor before its next instruction when a flag is not 0, which is 0
+ * again then; null: never. */
+void mcu_break(mcu_runner* runner, int32_t* flag);
 /* firmware_loop's step; `with` is the runner. */
 void mcu_step(void* with, const firmware_input* in, firmware_output* out);
 /* Pointer to the result of the run: 0, or 1 after a fault or the debugger's kill. */

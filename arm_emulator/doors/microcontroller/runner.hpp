@@ -131,6 +131,7 @@ class Runner : public Bus, public Debugged {
   mcu_fault fault{};
   mcu_figures figures{};
   int32_t stopped = 0;
+  int32_t* breaks = nullptr;  // not 0: the machine is at a breakpoint of its own
 
  private:
   using Kind = Fault::Kind;
@@ -191,6 +192,10 @@ class Runner : public Bus, public Debugged {
 
   // Let a debugger act; false: it has ended the run.
   bool attend(bool at_stop) {
+    if (debugger_ && breaks && *breaks) {
+      *breaks = 0;
+      debugger_->halt_here();
+    }
     if (debugger_ && !debugger_->attend(at_stop)) stopped = 1;
     return !stopped;
   }

@@ -1,0 +1,85 @@
+"""Write a moving picture of a recorded run."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import RunNumber, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.bag import Bag
+from arm_emulator.runs.recording import Recording
+from arm_emulator.view.film import check_film, write_film
+
+SPEED = Number("--speed", "", above=0.0, at_most=1e3)
+RATE = Number("--rate", "pictures a second", above=0.0, at_most=120.0)
+MOST = 20_000  # pictures
+SAMPLES = 2000  # of each signal at least, and four a picture
+
+
+@command(of_ros=True)
+def film(
+    bag: Path,
+    file: Path,
+    /,
+    *,
+    scene: SceneName | None = None,
+    run: RunNumber = -1,
+    begin: Annotated[float, Parameter(metavar="S")] = 0.0,
+    end: Annotated[float | None, Parameter(metavar="S")] = None,
+    speed: float = 1.0,
+    rate: float = 25.0,
+    size: Annotated[tuple[int, int], Parameter(metavar="W H")] = (1280, 720),
+) -> int:
+    """Write a moving picture of a recorded run: the arm, and its signals.
+
+    Args:
+        bag: folder of the bag.
+        file: new .mp4 or .gif; or .png, a picture of the end.
+        scene: scene file or name (default: the one that the bag names).
+        run: which run of the bag, from 1 on (default: the last).
+        begin: logical time at which it begins (s).
+        end: logical time at which it ends (s; default: the run's end).
+        speed: logical seconds per second of the picture.
+        rate: pictures a second.
+        size: width and height (points), even numbers.
+    """
+    check_film("film", file)
+    speed, rate = SPEED.take("film", speed), RATE.take("film", rate)
+    for one in size:
+        if not (64 <= one <= 4096 and one % 2 == 0):
+            raise Refusal("film", "--size", "be even numbers from 64 to 4096", list(size))
+    topics = RecordedTopics(Bag(bag))
+    machine = RecordedMachine(topics, load_scene(scene or topics.scene), run)
+    period = machine.scene.servo_period
+    last = machine.last * period
+    until = last if end is None else end
+    if not 0.0 <= begin <= until <= last:
+        raise Refusal("film", "--begin and --end", f"be within 0 to {last:g} s", [begin, until])
+    step = speed / rate
+    moments = np.arange(begin, until + 1e-9, step)
+    if len(moments) > MOST:
+        raise Refusal("film", "pictures", f"be at most {MOST}", len(moments))
+    ticks = min(step / 4, (until - begin) / SAMPLES) / period
+    every = max(1, int(ticks))
+    with tempfile.TemporaryDirectory() as folder:
+        rrd = Path(folder) / "run.rrd"
+        with Recording(machine.session.plant, rrd) as taken:
+            taken.take()
+            while machine.tick < machine.last and machine.tick * period < until + step:
+                machine.advance(min(every, machine.last - machine.tick))
+                taken.take()
+        write_film(rrd, file, moments.tolist(), rate, size)
+    output.line(f"{file}: {len(moments)} pictures, {until - begin:g} s of logical time")
+    output.facts({"file": file, "pictures": len(moments), "begin": begin, "end": until})
+    return 0

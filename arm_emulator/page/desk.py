@@ -1,0 +1,202 @@
+"""Hands that a page has in another process: requests through a pipe, answered between two ticks."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.session import Session
+from arm_emulator.page.hands import Hands, News, Vector
+from arm_emulator.page.machine_hands import MachineHands
+from arm_emulator.page.watched import Watched
+
+PATIENCE = 10.0  # s, wall: for an answer
+PIECE = 1000  # ticks between two looks
+LOOK = 0.05  # s, wall, between two looks for requests while time stands still
+
+
+class Desk:
+    """The machine's side: fulfils what a page asks for. Without a page it does nothing.
+
+    Args:
+        hands: on the machine.
+        near: end of the pipe; None: there is no page.
+    """
+
+    def __init__(self, hands: MachineHands, near: Connection | None = None) -> None:
+        self._hands, self._near, self._closing = hands, near, threading.Event()
+
+    def attends(self) -> bool:
+        """Fulfil what waits, between two ticks; while time stands still on request, stay here.
+
+        Returns:
+            True, for loops that go on as long as someone attends.
+        """
+        self._fulfil(0.0)
+        while self._hands.stands and not self._closing.is_set():
+            self._fulfil(LOOK)
+        return True
+
+    def drive(self, advance: Callable[[int], None], ticks: int) -> None:
+        """Let so many ticks pass, and attend in between."""
+        if self._near is None:
+            advance(ticks)
+            return
+        while ticks > 0 and self.attends():
+            piece = min(ticks, self._hands.due or PIECE)
+            advance(piece)
+            ticks -= piece
+            self._hands.due = max(0, self._hands.due - piece)
+        self._hands.changed()
+
+    def stay(self) -> None:
+        """Let browsers look at a run that has ended, until Ctrl-C."""
+        print("page: until Ctrl-C", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            threading.Event().wait()
+
+    def attend_always(self, session: Session) -> None:
+        """Fulfil in a thread; its owner lets the session's time pass meanwhile."""
+        assert self._near is not None
+        while not self._closing.is_set():
+            with contextlib.suppress(OSError):
+                if self._near.poll(LOOK):
+                    with session.turn, session.between_ticks():
+                        self.attends()
+
+    def close(self) -> None:
+        """Fulfil nothing any more."""
+        self._closing.set()
+
+    def _fulfil(self, timeout: float) -> None:
+        if self._near is None:
+            return
+        with contextlib.suppress(OSError, EOFError):  # the page has ended
+            while self._near.poll(timeout):
+                what, given = self._near.recv()
+                try:
+                    answer = getattr(self._hands, what)(*given)
+                except Refusal as reason:
+                    answer = reason
+                self._near.send((self._hands.tick, answer))
+                timeout = 0.0
+
+
+@contextlib.contextmanager
+def watched(machine: Plant | Session, port: int | None, *, steps: bool = False) -> Iterator[Desk]:
+    """Serve a page with a machine in this block, and hands on it.
+
+    The owner of a plant calls `attends` of the desk between two ticks; that of a session need not.
+
+    Args:
+        machine: a plant, or a session.
+        port: of the page (0: any that is free); None: no page.
+        steps: whether the owner lets single ticks pass, see `MachineHands`.
+
+    Raises:
+        Refusal: see `Watched`.
+    """
+    hands = MachineHands(machine, steps)
+    if port is None:
+        yield Desk(hands)
+        return
+    near, far = Pipe()
+    plant = machine.plant if isinstance(machine, Session) else machine
+    with contextlib.closing(near):
+        with contextlib.closing(far):
+            there = _FarHands(far.fileno(), hands.can())
+            page = Watched(plant, port, there, (far.fileno(),))
+        desk = Desk(hands, near)
+        hands.changed = page.take
+        with page:
+            print(f"page: {page.url}", flush=True)
+            thread = None
+            if isinstance(machine, Session):
+                thread = threading.Thread(target=desk.attend_always, args=[machine], daemon=True)
+                thread.start()
+            try:
+                yield desk
+            finally:
+                desk.close()
+                if thread is not None:
+                    thread.join()
+
+
+@dataclass(frozen=True)
+class _FarHands:
+    """Makes the page's side in its process.
+
+    Attributes:
+        descriptor: of the pipe there.
+        able: what the hands at the desk can do.
+    """
+
+    descriptor: int
+    able: frozenset[str]
+
+    def __call__(self) -> Hands:
+        return _PipedHands(Connection(self.descriptor), self.able)
+
+
+class _PipedHands(Hands):
+    """Hands whose every method is a request to a desk; docs: see `Hands`."""
+
+    def __init__(self, pipe: Connection, able: frozenset[str]) -> None:
+        self._pipe, self._able, self._turn = pipe, able, threading.Lock()
+        self._events: list[tuple[int, str]] = []
+        self._paused: bool | None = None
+        self._tick = 0
+
+    def can(self) -> frozenset[str]:
+        return self._able
+
+    def news(self) -> News:
+        news = News("paused" if self._paused else "", self._paused, None, self._events)
+        self._events = []
+        return news
+
+    def ask(self, what: str, *given: Any) -> Any:
+        """Return the answer of the desk.
+
+        Raises:
+            Refusal: it has refused, or does not answer.
+        """
+        with self._turn:
+            try:
+                self._pipe.send((what, given))
+                if not self._pipe.poll(PATIENCE):
+                    raise Refusal("page", "machine", f"answer within {PATIENCE:g} s", "no answer")
+                self._tick, answer = self._pipe.recv()
+            except (OSError, EOFError):
+                raise Refusal("page", "machine", "go on", "one that has ended") from None
+        if isinstance(answer, Refusal):
+            raise answer
+        return answer
+
+    def pause(self, on: bool) -> str:
+        answer = str(self.ask("pause", on))
+        self._paused = on
+        return answer
+
+    def step(self, ticks: int) -> str:
+        return str(self.ask("step", ticks))
+
+    def power(self, on: bool) -> str:
+        return self._noted(self.ask("power", on))
+
+    def set_varied(self, name: str, value: float) -> str:
+        return self._noted(self.ask("set_varied", name, value))
+
+    def push(self, link: str, force: Vector, moment: Vector) -> str:
+        return self._noted(self.ask("push", link, force, moment))
+
+    def _noted(self, answer: Any) -> str:
+        self._events.append((self._tick, str(answer)))
+        return str(answer)

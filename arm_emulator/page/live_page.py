@@ -1,0 +1,274 @@
+"""The page of a machine that goes on: the arm now and before, its signals, and hands on it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.column import Column, Rows
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.record_row import values_of
+from arm_emulator.machine.scene import Scene
+from arm_emulator.page.arm_scene import ArmScene
+from arm_emulator.page.event_list import EventList
+from arm_emulator.page.hands import Hands
+from arm_emulator.page.live_history import LiveHistory
+from arm_emulator.page.machine_tab import machine_tab
+from arm_emulator.page.number_table import UNITS, as_code, number_table
+from arm_emulator.page.page_server import PageServer
+from arm_emulator.page.push_tab import PushTab
+from arm_emulator.page.signal_plot import SignalPlot
+from arm_emulator.page.target_tab import TargetTab
+
+PLOTTED = 0.25  # s, wall, between two plots and two tables
+SPANS = {"1 s": 1.0, "10 s": 10.0, "60 s": 60.0, "the whole run": math.inf}
+SAMPLES = 1500  # of a plot
+STEPS = {"+1": 1, "+10": 10, "+100": 100}
+RATES = {"as fast as possible": 0.0, "1": 1.0, "0.25": 0.25, "0.1": 0.1, "0.01": 0.01}
+
+
+class LivePage:
+    """Serves a running machine to browsers on this machine until it is closed.
+
+    Its owner gives it rows by `take`, and lets it draw by `draw`, some times a second. All browsers
+    see the same moment.
+
+    Attributes:
+        url: address with the token.
+        exclusive: lock of all that changes the page.
+        varied: numbers that can be set, as they were at first.
+        answer: line for the answers of the machine.
+
+    Args:
+        scene: the machine.
+        columns: of its rows.
+        kind: of a row.
+        hands: what can be done to it.
+        port: TCP port; 0: any that is free.
+        varied: numbers of the machine that can be set, as they are now.
+
+    Raises:
+        Refusal: see `PageServer`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        columns: Sequence[Column],
+        kind: np.dtype[np.void],
+        hands: Hands,
+        port: int = 0,
+        varied: Mapping[str, float] | None = None,
+    ) -> None:
+        self.varied = dict(varied or {})
+        self._scene, self._hands = scene, hands
+        self._served = served = PageServer(port)
+        self.url, gui = served.url, served.server.gui
+        self.exclusive = threading.RLock()
+        self._history = LiveHistory(kind)
+        self._events: list[tuple[int, str]] = []
+        self._at: int | None = None  # tick in the past that is shown
+        self._changing = False
+        self._shown = -1  # rows that had come
+        self._plotted_at, self._mark, self._factor = 0.0, (time.monotonic(), 0.0), 0.0
+        self._state, self._dropped, self._over = "", 0, ""
+        self._arm = ArmScene(served.server, scene)
+        served.look_from(self._arm.size)
+        can = hands.can()
+        gui.add_markdown(f"**{scene.name}**")
+        self._moment = gui.add_markdown("no tick yet")
+        self._slider = gui.add_slider("Tick", 0, 1, 1, 0)
+        self._slider.on_update(lambda _: None if self._changing else self.go(self._slider.value))
+        self._live_button = gui.add_button("Live", disabled=True)
+        self._live_button.on_click(lambda _: self.go(None))
+        self._time_controls(gui, can)
+        self.answer = gui.add_markdown("")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Now"):
+            self._numbers = gui.add_markdown("")
+        with tabs.add_tab("Plot"):
+            self._span = gui.add_dropdown("Span", tuple(SPANS), initial_value="10 s")
+            self._span.on_update(lambda _: self._plot())
+            self._plots = SignalPlot(gui, columns, self._plot)
+        if "aim" in can:
+            with tabs.add_tab("Target"):
+                self._target = TargetTab(self, served.server, self._arm)
+        if "push" in can:
+            with tabs.add_tab("Push"):
+                PushTab(self, served.server, self._arm, scene)
+        with tabs.add_tab("Machine"):
+            machine_tab(self, gui, scene)
+        with tabs.add_tab("Events"):
+            if "break_when" in can:
+                self._condition = gui.add_text("Stop when", "")
+                gui.add_button("Set the breakpoint").on_click(lambda _: self._break())
+            self._list = EventList(gui, self.go)
+        if self._arm.missing:
+            gui.add_markdown(f"The arm's shapes are not shown. {self._arm.missing}")
+
+    @property
+    def hands(self) -> Hands:
+        """What can be done to the machine."""
+        return self._hands
+
+    @property
+    def browsers(self) -> int:
+        """Number of browsers that are connected."""
+        return len(self._served.server.get_clients())
+
+    def close(self) -> None:
+        """End the page."""
+        self._served.stop()
+
+    # What the machine does
+
+    def take(self, rows: Rows, dropped: int) -> None:
+        """Take rows of the machine, and the number of those that were dropped so far."""
+        with self.exclusive:
+            self._dropped = dropped
+            if len(rows):
+                self._history.add(rows)
+
+    def end(self, words: str) -> None:
+        """Show that the machine has ended."""
+        with self.exclusive:
+            self._over, self._shown = words, -1
+
+    def draw(self) -> None:
+        """Show what has come since the last call."""
+        with self.exclusive:
+            self._look_at_news()
+            if not self.browsers or not len(self._history.newest):
+                return
+            now = time.monotonic()
+            fresh = self._shown != self._history.count
+            if fresh and self._at is None:
+                self._arm.show(self._history.newest["q"][0])
+            if (fresh or self._shown < 0) and now - self._plotted_at >= PLOTTED:
+                self._shown, self._plotted_at = self._history.count, now
+                self._show()
+
+    def _look_at_news(self) -> None:
+        news = self._hands.news()
+        if news.state:
+            self._state, self._shown = news.state, -1
+        if news.paused is not None and "pause" in self._hands.can():
+            self._pause_button.label = "Play" if news.paused else "Pause"
+        if news.events:
+            self._events += news.events
+            del self._events[:-1000]
+            self._list.show(self._events)
+
+    def _show(self) -> None:
+        """Show the moment that is looked at."""
+        newest = self._history.newest
+        last = int(newest["tick"][0])
+        row = newest if self._at is None else self._history.near(self._at)
+        tick, scene = int(row["tick"][0]), self._scene
+        self._changing = True
+        try:
+            if self._slider.max != max(1, last):
+                self._slider.max = max(1, last)
+            self._slider.value = min(tick, max(1, last))
+        finally:
+            self._changing = False
+        self._live_button.disabled = self._at is None
+        words = [f"tick {tick}, {tick * scene.servo_period:.4f} s"]
+        if self._at is None:
+            words += filter(None, (self._over or self._state, self._speed(float(newest["t"][0]))))
+        else:
+            words.append("**in the past**")
+        if self._dropped:
+            words.append(f"{self._dropped} ticks not shown, this page was too slow for them")
+        self._moment.content = ", ".join(words)
+        if self._at is not None:
+            self._arm.show(row["q"][0])
+        columns = {
+            "q": row["q"][0],
+            "v": row["v"][0],
+            "gear": row["gear_torque"][0],
+            "current": row["current"][0],
+            "command": values_of(row, "measured.applied", scene)[0],
+            "counts": values_of(row, "measured.encoder_counts", scene)[0],
+        }
+        self._numbers.content = f"{UNITS}\n\n" + number_table(scene.joint_names, columns)
+        if self._at is None:
+            self._plot()
+
+    def _speed(self, t: float) -> str:
+        """Return how fast logical time passes, in words."""
+        now = time.monotonic()
+        since, before = self._mark
+        if now - since >= 0.5:
+            self._factor = max(0.0, t - before) / (now - since)
+            self._mark = now, t
+        return f"{self._factor:.3g} times real time" if self._factor else ""
+
+    def _plot(self) -> None:
+        with self.exclusive:
+            self._plots.show(self._history.since(SPANS[self._span.value], SAMPLES))
+
+    @property
+    def plotted(self) -> tuple[Any, ...]:
+        """Times [s] and the columns that are plotted over them."""
+        return self._plots.data
+
+    # What is done by hand
+
+    def go(self, tick: int | None) -> None:
+        """Show a tick of the past; None: the newest one, now and from now on."""
+        with self.exclusive:
+            newest = self._history.newest
+            if not len(newest):
+                return
+            self._at = None if tick is None or tick >= newest["tick"][0] else int(tick)
+            self._show()
+
+    def ask(self, what: str, *given: Any) -> str:
+        """Let the hands do something, and show the answer; empty: it was refused."""
+        try:
+            answer: str = getattr(self._hands, what)(*given)
+        except Refusal as reason:
+            self._refused(str(reason))
+            return ""
+        self.answer.content = answer
+        return answer
+
+    def _refused(self, reason: str) -> None:
+        with self.exclusive:
+            newest = self._history.newest
+            self.answer.content = as_code(reason)
+            self._events.append(
+                (int(newest["tick"][0]) if len(newest) else 0, f"refused: {reason}")
+            )
+            self._list.show(self._events)
+
+    def _time_controls(self, gui: Any, can: frozenset[str]) -> None:
+        if "pause" in can:
+            self._pause_button = gui.add_button("Pause")
+            self._pause_button.on_click(lambda _: self._switch())
+            gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: self._switch())
+        if "step" in can:
+            steps = gui.add_button_group("Step", tuple(STEPS))
+            steps.on_click(lambda event: self.ask("step", STEPS[event.target.value]))
+            for label, key, ticks in (("One tick on", "arrowright", 1), ("Ten on", "arrowup", 10)):
+                one = gui.add_command(label, hotkey=key)
+                one.on_trigger(lambda _, ticks=ticks: self.ask("step", ticks))
+        if "rate" in can:
+            rate = gui.add_dropdown("Times real time", tuple(RATES))
+            rate.on_update(lambda _: self.ask("rate", RATES[rate.value]))
+
+    def _switch(self) -> None:
+        pauses = self._pause_button.label == "Pause"
+        if self.ask("pause", pauses):
+            self._pause_button.label = "Play" if pauses else "Pause"
+            if not pauses:
+                self.go(None)
+
+    def _break(self) -> None:
+        self.ask("break_when", self._condition.value)

@@ -1,0 +1,76 @@
+"""Controls of the machine as a whole: power, reset, varied numbers, saved machines, gains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import Scene
+
+
+def machine_tab(page: Any, gui: Any, scene: Scene) -> None:
+    """Add the controls for what a page's hands can do, in the tab in whose context this is called.
+
+    Args:
+        page: a `LivePage`.
+        gui: of its server.
+        scene: the machine.
+    """
+    can = page.hands.can()
+    if "power" in can:
+        buttons = gui.add_button_group("Power", ("on", "off"))
+        buttons.on_click(lambda event: page.ask("power", event.target.value == "on"))
+    if "reset" in can:
+        gui.add_button("Reset").on_click(lambda _: page.ask("reset"))
+    if "set_varied" in can:
+        _add_varied(page, gui, scene)
+    if "save" in can:
+        name = gui.add_text("Name of a machine", "here")
+        both = gui.add_button_group("Machine", ("save", "restore"))
+        both.on_click(lambda event: page.ask(event.target.value, name.value))
+    if "set_gain" in can:
+        _add_gains(page, gui)
+    if not can & {"power", "reset", "set_varied", "save", "set_gain"}:
+        gui.add_markdown("This machine can only be watched.")
+
+
+def _add_varied(page: Any, gui: Any, scene: Scene) -> None:
+    numbers = dict(page.varied)
+    if not numbers:
+        gui.add_markdown("The scene lists no number as `varied`.")
+        return
+    with gui.add_folder("Varied numbers"):
+        for name, value in numbers.items():
+            box = gui.add_number(name, value, step=0.01 * abs(value) or 0.01)
+            box.on_update(lambda _, name=name, box=box: page.ask("set_varied", name, box.value))
+
+
+def _add_gains(page: Any, gui: Any) -> None:
+    with gui.add_folder("Gains of the servo"):
+        read = gui.add_button("Read")
+        choice = gui.add_dropdown("Gain", ("not read yet",))
+        box = gui.add_number("Value", 0.0, step=0.1)
+        known: dict[str, float] = {}
+
+        def show() -> None:
+            if choice.value in known:
+                box.value = known[choice.value]
+
+        def fill() -> None:
+            try:
+                known.update(page.hands.gains())
+            except Refusal as reason:
+                page.answer.content = str(reason)
+                return
+            if known:
+                names = tuple(sorted(known))
+                box.value = known[names[0]]
+                choice.options, choice.value = names, names[0]
+
+        def put() -> None:
+            if choice.value in known and page.ask("set_gain", choice.value, float(box.value)):
+                known[choice.value] = float(box.value)
+
+        read.on_click(lambda _: fill())
+        choice.on_update(lambda event: show() if event.client is not None else None)
+        gui.add_button("Set").on_click(lambda _: put())

@@ -1,0 +1,72 @@
+"""A running machine with a page: its rows go to a process of its own, so that no tick is late."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.page.hands import Hands
+from arm_emulator.runs.row_process import RowProcess
+
+PROCESS = "arm_emulator.page.live_process"
+
+
+class Watched:
+    """A plant that browsers watch from now on; use it in a `with` block.
+
+    Rows that find no room are dropped and counted; the machine never waits.
+
+    Attributes:
+        url: of the page, with its token; empty: there is none.
+
+    Args:
+        plant: the machine.
+        port: TCP port of the page (0: any that is free); None: no page.
+        hands: makes, in the page's process, what can be done to the machine. It is pickled.
+        files: descriptors that `hands` needs there.
+
+    Raises:
+        Refusal: viser is missing, or the port is taken.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        port: int | None,
+        hands: Callable[[], Hands] = Hands,
+        files: tuple[int, ...] = (),
+    ) -> None:
+        self._process: RowProcess | None = None
+        self.url = ""
+        if port is None:
+            return
+        task = {
+            "scene": plant.scene,
+            "port": port,
+            "hands": hands,
+            "varied": dict(plant.parameters),
+        }
+        self._process = RowProcess(plant, PROCESS, task, "page", waits=False, files=files)
+        self.url = str(self._process.ready)
+
+    def __enter__(self) -> Watched:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def take(self) -> None:
+        """Show the machine as it is now, after a change by hand."""
+        if self._process is not None:
+            self._process.take()
+
+    def close(self) -> None:
+        """End the page.
+
+        Raises:
+            Refusal: it had ended before.
+        """
+        process, self._process = self._process, None
+        if process is not None and isinstance(answer := process.close(), Refusal):
+            raise answer

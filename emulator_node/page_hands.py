@@ -1,0 +1,285 @@
+"""Hands of a page on the network: the services and topics that anybody has."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParametersAtomically,
+)
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import SetBool, Trigger
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.page.hands import Hands, News, Vector
+from arm_emulator.ros.node_shell import EVENT_QOS, STATE_SUB_QOS
+from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
+from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetVaried
+
+PATIENCE = 5.0  # s, wall: for an answer
+PHASES = ("running free", "waiting", "running", "paused", "stopped")
+KINDS = {
+    getattr(MachineEvent, name): name.removeprefix("KIND_").lower().replace("_", " ")
+    for name in dir(MachineEvent)
+    if name.startswith("KIND_")
+}
+OF_MOTION = {
+    getattr(MotionStatus, name): name.partition("_")[2].lower().replace("_", " ")
+    for name in dir(MotionStatus)
+    if name.startswith("STATE_")
+}
+OF_KINDS = {
+    getattr(MotionStatus, name): name.partition("_")[2].lower().replace("_", " ")
+    for name in dir(MotionStatus)
+    if name.startswith("KIND_")
+}
+
+
+@dataclass(frozen=True)
+class HandsOnNetwork:
+    """Makes the hands in the page's process.
+
+    Attributes:
+        namespace: of the emulator's node.
+        period: servo period [s].
+    """
+
+    namespace: str
+    period: float
+
+    def __call__(self) -> Hands:
+        """Return the hands."""
+        return RosHands(self.namespace, self.period)
+
+
+class RosHands(Hands):
+    """A node that calls services and publishes topics.
+
+    Args:
+        namespace: of all nodes.
+        period: servo period [s].
+    """
+
+    def __init__(self, namespace: str, period: float) -> None:
+        rclpy.init(args=[], domain_id=None, signal_handler_options=rclpy.SignalHandlerOptions.NO)
+        self._node = node = rclpy.create_node("page", namespace=namespace)
+        self._period, self._lock, self._news = period, threading.Lock(), News()
+        self._refusals: dict[str, str] = {}
+        self._phase = -1
+        self._clients: dict[str, Any] = {}
+        self._targets = node.create_publisher(PoseStamped, "tool_target", 1)
+        self._pushes = node.create_publisher(WrenchStamped, "external_wrench_in_world", 1)
+        subscribe = node.create_subscription
+        subscribe(EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS)
+        subscribe(MachineEvent, "emulator/events", self._on_event, EVENT_QOS)
+        subscribe(MotionStatus, "motion/status", self._on_motion, EVENT_QOS)
+        subscribe(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._executor.spin, name="hands", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the node."""
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    # What happens
+
+    def news(self) -> News:
+        """Return what has happened since the last call."""
+        with self._lock:
+            news, self._news = self._news, News()
+        return news
+
+    def _happened(self, tick: int, text: str) -> None:
+        with self._lock:
+            self._news.events.append((tick, text))
+
+    def _on_status(self, status: EmulatorStatus) -> None:
+        power = "" if status.powered else ", **no power**"
+        with self._lock:
+            self._news.state = PHASES[status.phase] + power
+            self._news.paused = status.phase == EmulatorStatus.PHASE_PAUSED
+            self._news.powered = status.powered
+        if status.phase != self._phase:
+            if status.phase == EmulatorStatus.PHASE_STOPPED:
+                self._happened(status.tick, "stopped: the motion diverged")
+            self._phase = status.phase
+
+    def _on_event(self, event: MachineEvent) -> None:
+        name = KINDS.get(event.kind, str(event.kind))
+        if event.kind == MachineEvent.KIND_POWER:
+            name = f"power {'on' if event.powered else 'off'}"
+        self._happened(event.tick, name)
+
+    def _on_motion(self, status: MotionStatus) -> None:
+        now = status.header.stamp
+        tick = round((now.sec + 1e-9 * now.nanosec) / self._period)
+        what = f"{OF_KINDS.get(status.kind, status.kind)} {status.number}"
+        reason = f": {status.reason}" if status.reason else ""
+        self._happened(tick, f"{what} {OF_MOTION.get(status.state, status.state)}{reason}")
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for one in message.status:
+            for pair in one.values:
+                if pair.key == "newest breakpoint" and self._refusals.get(pair.key) != pair.value:
+                    self._refusals[pair.key] = pair.value
+                    tick, _, why = pair.value.removeprefix("stopped at tick ").partition(": ")
+                    self._happened(int(tick), f"stopped: {why}")
+                if pair.key == "newest refusal" and self._refusals.get(one.name) != pair.value:
+                    self._refusals[one.name] = pair.value
+                    now = message.header.stamp
+                    tick = round((now.sec + 1e-9 * now.nanosec) / self._period)
+                    self._happened(tick, f"{one.name} refused: {pair.value}")
+
+    # What is done
+
+    def pause(self, on: bool) -> str:
+        """Let time stand still, or go on."""
+        return self._call("emulator/pause", SetBool, SetBool.Request(data=on))
+
+    def step(self, ticks: int) -> str:
+        """Let so many servo periods pass, each of which needs its command in lock-step."""
+        answer = ""
+        for _ in range(ticks):
+            answer = self._patiently(
+                lambda: self._call("emulator/step", Trigger, Trigger.Request())
+            )
+        return answer
+
+    def reset(self) -> str:
+        """Begin anew at tick 0, servo and motion controller too."""
+        answer = self._call("emulator/reset", Trigger, Trigger.Request())
+        for name in ("servo/reset", "motion_controller/reset"):
+            if self._client(name, Trigger).service_is_ready():
+                self._call(name, Trigger, Trigger.Request())
+        return answer
+
+    def power(self, on: bool) -> str:
+        """Switch the drives' power."""
+        return self._call("emulator/power", SetBool, SetBool.Request(data=on))
+
+    def set_varied(self, name: str, value: float) -> str:
+        """Set a number that the scene lists as varied."""
+        request = SetVaried.Request(name=name, value=value)
+        return f"{name} = {value:g} " + self._call("emulator/set_varied", SetVaried, request)
+
+    def push(self, link: str, force: Vector, moment: Vector) -> str:
+        """Let a force and a moment act on a link from now on."""
+        message = WrenchStamped()
+        message.header.frame_id = link
+        f, n = message.wrench.force, message.wrench.torque
+        f.x, f.y, f.z = force
+        n.x, n.y, n.z = moment
+        self._pushes.publish(message)
+        return f"{link} is pushed with {_words(force)} N, {_words(moment)} N m"
+
+    def aim(self, p_WT: Vector, wxyz: tuple[float, float, float, float]) -> str:
+        """Send the tool to a place and an orientation."""
+        message = PoseStamped()
+        p, turned = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z = p_WT
+        turned.w, turned.x, turned.y, turned.z = wxyz
+        self._targets.publish(message)
+        return f"the tool is sent to {_words(p_WT)} m"
+
+    def save(self, name: str) -> str:
+        """Keep the whole machine under a name."""
+        request = SaveState.Request(name=name)
+        return f"{name} kept, " + self._call("emulator/save_state", SaveState, request)
+
+    def restore(self, name: str) -> str:
+        """Go on from a machine that was kept."""
+        request = RestoreState.Request(name=name)
+        return f"{name} restored, " + self._call("emulator/restore_state", RestoreState, request)
+
+    def gains(self) -> dict[str, float]:
+        """Return the numbers of the servo's joints that can be changed."""
+        request = ListParameters.Request(prefixes=["joints"])
+        listed = self._result("servo/list_parameters", ListParameters, request)
+        names = list(listed.result.names)
+        request = GetParameters.Request(names=names)
+        values = self._result("servo/get_parameters", GetParameters, request).values
+        asked = DescribeParameters.Request(names=names)
+        about = self._result("servo/describe_parameters", DescribeParameters, asked).descriptors
+        return {
+            name: value.double_value
+            for name, value, one in zip(names, values, about, strict=True)
+            if value.type == ParameterType.PARAMETER_DOUBLE and not one.read_only
+        }
+
+    def set_gain(self, name: str, value: float) -> str:
+        """Change one of them."""
+        kind = ParameterType.PARAMETER_DOUBLE
+        one = Parameter(name=name, value=ParameterValue(type=kind, double_value=value))
+        request = SetParametersAtomically.Request(parameters=[one])
+        service = "servo/set_parameters_atomically"
+        result = self._result(service, SetParametersAtomically, request).result
+        if not result.successful:
+            raise Refusal("page", name, "be taken by the servo", value, result.reason)
+        return f"{name} = {value:g}"
+
+    def break_when(self, condition: str) -> str:
+        """Let time stand still as soon as a condition holds."""
+        request = BreakWhen.Request(condition=condition)
+        answer = self._call("emulator/break_when", BreakWhen, request)
+        return f"stops where {condition}, set {answer}" if condition else "stops nowhere"
+
+    def _client(self, name: str, kind: Any) -> Any:
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name)
+        return self._clients[name]
+
+    def _result(self, name: str, kind: Any, request: Any) -> Any:
+        """Return what a service answers.
+
+        Raises:
+            Refusal: it does not answer.
+        """
+        client, done = self._client(name, kind), threading.Event()
+        if not client.wait_for_service(timeout_sec=PATIENCE):
+            raise Refusal("page", f"service {name}", "be there", "no answer")
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(PATIENCE):
+            raise Refusal("page", f"service {name}", f"answer within {PATIENCE:g} s", "no answer")
+        return future.result()
+
+    def _call(self, name: str, kind: Any, request: Any) -> str:
+        """Return the message of a service that has succeeded.
+
+        Raises:
+            Refusal: it has not.
+        """
+        answer = self._result(name, kind, request)
+        if not answer.success:
+            raise Refusal(name, "request", "be possible now", answer.message)
+        return str(answer.message)
+
+    def _patiently(self, call: Callable[[], str]) -> str:
+        """Call again while the command that answers the tick is under way."""
+        for _ in range(100):
+            try:
+                return call()
+            except Refusal as no:
+                if "no motor command answers" not in str(no):
+                    raise
+                threading.Event().wait(0.01)
+        return call()
+
+
+def _words(vector: Vector) -> str:
+    return ", ".join(f"{one:.4g}" for one in vector)

@@ -1,0 +1,163 @@
+"""The page of a running network: what is done there stands in the bag, which re-drives it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import PATIENCE, chromium, opened, shows, tick_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from machines import CONFIG
+from test_by_hand import events_of
+
+from arm_emulator.cli.commands.check_bag import check_bag
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator_msgs.msg import MachineEvent
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
+pytest.importorskip("viser", reason="see requirements-peers.txt")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as one:
+        yield one
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """The three-axis arm with a number that can be set, and links that can be pushed."""
+    for name in ("urdf", "servo", "motion"):
+        (tmp_path / name).mkdir()
+    shutil.copy(CONFIG / "urdf/three_axis.urdf", tmp_path / "urdf")
+    for kind in ("servo", "motion"):
+        shutil.copy(CONFIG / kind / "three_axis.yaml", tmp_path / kind)
+    text = (CONFIG / "three_axis.yaml").read_text()
+    more = "external_wrench: true\nvaried: [joints.elbow.friction.viscous]\n"
+    (tmp_path / "three_axis.yaml").write_text(f"{text}\n{more}")
+    return tmp_path / "three_axis.yaml"
+
+
+def press(page: Any, button: str) -> None:
+    page.get_by_role("button", name=button, exact=True).click()
+
+
+def box(page: Any, label: str, place: int = 1) -> Any:
+    return page.locator(f"xpath=//*[text()='{label}']/following::input[{place}]")
+
+
+def fill(page: Any, label: str, value: str, place: int = 1) -> None:
+    one = box(page, label, place)
+    one.fill(value)
+    one.press("Enter")
+
+
+def paused_at(page: Any) -> int:
+    """Return the tick at which the answer of the machine states that it is paused."""
+    shows(page, "paused at tick")
+    found = re.search(r"paused at tick (\d+)", page.inner_text("body"))
+    assert found is not None
+    page.wait_for_function(f"/tick {found[1]},/.test(document.body.innerText)")
+    return int(found[1])
+
+
+def url_of(log: Path) -> str:
+    """Return the address that the emulator prints."""
+    found = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
+    return found[1] if found else ""
+
+
+def test_what_is_done_on_the_page_is_in_the_bag_and_repeats(
+    browser: Any, scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag, log = tmp_path / "bag", tmp_path / "log"
+    streams = {"page_port": 0, "record": bag}
+    with own_domain(), Bringup(str(scene), emulator=streams, log=log) as network:
+        waited = browser.new_page()  # gives a clock that lets playwright go on
+        for _ in range(PATIENCE // 100):
+            if url := url_of(log / "emulator.log"):
+                break
+            waited.wait_for_timeout(100)
+        waited.close()
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(url.partition("?")[0])
+        page = opened(browser, url, play="Pause")
+        press(page, "Pause")
+        tick = paused_at(page)
+        press(page, "+1")
+        shows(page, f"tick {tick + 1},")
+        page.locator("body").press("ArrowRight")
+        shows(page, f"tick {tick + 2},")
+        # All that can be done to the machine.
+        page.get_by_role("tab", name="Machine").click()
+        press(page, "off")
+        shows(page, "power off: motors at 0 V")
+        press(page, "on")
+        shows(page, "power on")
+        press(page, "save")
+        shows(page, "here kept")
+        fill(page, "Varied numbers", "0.75")
+        shows(page, "joints.elbow.friction.viscous = 0.75")
+        fill(page, "Varied numbers", "-1")
+        shows(page, "must be")
+        press(page, "restore")
+        shows(page, "here restored")
+        press(page, "Read")
+        sync_api.expect(box(page, "Gain")).to_have_value(re.compile("joints"), timeout=PATIENCE)
+        fill(page, "Value", "7.5")
+        press(page, "Set")
+        shows(page, "= 7.5")
+        page.get_by_role("tab", name="Push").click()
+        fill(page, "Force in the world [N]", "3", 2)
+        press(page, "Push")
+        shows(page, "forearm is pushed with 0, 3, 0 N")
+        page.get_by_role("tab", name="Target").click()
+        press(page, "Take the tool's place")
+        fill(page, "Place in the world [m]", "0.4", 1)
+        press(page, "Send the tool there")
+        shows(page, "the tool is sent to 0.4")
+        # Time goes on, and the arm moves.
+        page.get_by_role("tab", name="Events").click()
+        fill(page, "Stop when", "v.elbw > 1")
+        press(page, "Set the breakpoint")
+        shows(page, "condition must name signals")
+        fill(page, "Stop when", f"tick >= {tick + 700}")
+        press(page, "Set the breakpoint")
+        shows(page, "stops where tick >=")
+        press(page, "Play")
+        shows(page, f"stopped: tick >= {tick + 700}")
+        page.wait_for_function(f"/tick {tick + 700},/.test(document.body.innerText)")
+        press(page, "Play")
+        shows(page, "tool target 1 moving")
+        press(page, "Pause")
+        tick = paused_at(page)
+        # Every event is a button that leads to its moment; there is a way back.
+        page.get_by_role("button", name="set varied").click()
+        shows(page, "in the past")
+        assert tick_of(page) < tick
+        press(page, "Live")
+        shows(page, f"tick {tick},")
+        page.get_by_role("tab", name="Plot").click()
+        page.locator(".uplot canvas").first.wait_for()
+        page.screenshot(path=tmp_path / "live.png")
+        page.context.close()
+        assert network.stop()["emulator"] == 0
+    assert check_bag(bag, scene=str(scene)) == 0
+    assert "equal to the last bit" in capfd.readouterr().out
+    kinds = [event.kind for event in events_of(bag)]
+    assert kinds == [
+        MachineEvent.KIND_POWER,
+        MachineEvent.KIND_POWER,
+        MachineEvent.KIND_SET_VARIED,
+        MachineEvent.KIND_RESTORE,
+        MachineEvent.KIND_EXTERNAL_WRENCH,
+    ]

@@ -1,0 +1,136 @@
+"""Breakpoints: C stops at the tick at which Python's condition begins to hold."""
+
+from __future__ import annotations
+
+import random
+import time
+
+import numpy as np
+import pytest
+from draws import some
+from in_process import InProcess, in_process
+from network import PATIENCE
+from test_by_hand import CLOCKS, go_on, session_of
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.runs.breakpoint import Breakpoint
+from arm_emulator.runs.condition import Condition
+from arm_emulator_msgs.msg import MotorCommand
+from arm_emulator_msgs.srv import BreakWhen
+
+SIGNALS = (
+    "q.waist", "v.elbow", "current.shoulder", "theta_m.elbow", "gear_torque.waist", "energy",
+    "measured.encoder_counts.elbow", "measured.current.waist", "tool.x", "tool.y", "tool.z", "t",
+)  # fmt: skip
+
+
+def arithmetic(draw: random.Random, depth: int) -> str:
+    if depth == 0 or draw.random() < 0.3:
+        return draw.choice(SIGNALS) if draw.random() < 0.8 else f"{draw.uniform(-2.0, 2.0):.3g}"
+    one, other = arithmetic(draw, depth - 1), arithmetic(draw, depth - 1)
+    return draw.choice([
+        f"({one} + {other})", f"({one} - {other})", f"({one} * {other})", f"({one} / {other})",
+        f"abs({one})", f"sqrt({one})", f"min({one}, {other})", f"max({one}, {other}, 0.1)",
+    ])  # fmt: skip
+
+
+def formula(draw: random.Random, depth: int) -> str:
+    if depth == 0 or draw.random() < 0.3:
+        left = draw.choice(("v.*", "abs(q.*)")) if draw.random() < 0.2 else arithmetic(draw, 2)
+        return f"{left} {draw.choice(('<', '<=', '>', '>='))} {arithmetic(draw, 1)}"
+    one, other = formula(draw, depth - 1), formula(draw, depth - 1)
+    return draw.choice([
+        f"({one}) and ({other})", f"({one}) or ({other})", f"not ({one})",
+        f"({one}) implies ({other})",
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", some(range(100), 25))
+def test_it_stops_where_the_condition_begins_to_hold(seed: int) -> None:
+    draw = random.Random(seed)
+    scene = load_scene("three_axis")
+    volts = [draw.uniform(-20.0, 20.0) for _ in scene.joints]
+    text = formula(draw, 3)
+    session = Session(scene, "lockstep", "first_answer")
+    stops, condition = Breakpoint(session.plant, text), Condition(text, scene)
+    before = condition.holds(session)
+    for tick in range(60):
+        session.offer(tick, scene.joint_names, [one * np.cos(0.3 * tick) for one in volts])
+        session.advance()
+        now = condition.holds(session)
+        assert stops.take_hit() == (now and not before), (text, tick)
+        if now and not before:
+            assert stops.tick == session.tick
+        before = now
+    stops.close()
+
+
+def test_a_condition_that_is_no_condition_is_refused() -> None:
+    plant = Plant("three_axis")
+    for text, rule in (("v.elbw > 1", "name signals"), ("always v.elbow > 1", "one moment")):
+        with pytest.raises(Refusal, match=rule):
+            Breakpoint(plant, text)
+    deep = "+".join(["(1"] * 70) + ")" * 70
+    with pytest.raises(Refusal, match="must"):
+        Breakpoint(plant, f"{deep} > q.waist")
+
+
+def test_two_breakpoints_of_a_plant_do_not_know_each_other() -> None:
+    plant = Plant("three_axis")
+    early, late = Breakpoint(plant, "tick >= 3"), Breakpoint(plant, "tick >= 5")
+    hits = []
+    for tick in range(1, 8):
+        plant.exchange(np.zeros(3))
+        hits += [(tick, one.condition.text) for one in (early, late) if one.take_hit()]
+        if tick == 3:
+            early.close()
+    assert hits == [(3, "tick >= 3"), (5, "tick >= 5")]
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_the_network_stands_where_a_condition_begins_to_hold(clock: str) -> None:
+    with in_process(clock) as one:
+        session = session_of(one)
+        go_on(one, 20)
+        refused = one.call("emulator/break_when", BreakWhen.Request(condition="v.elbw > 1"))
+        assert not refused.success and "name signals" in refused.message
+        at = session.tick + (300 if clock == "realtime" else 30)
+        assert one.call("emulator/break_when", BreakWhen.Request(condition=f"tick >= {at}")).success
+        stand(one)
+        assert session.tick == at
+        assert session.plant.t == pytest.approx(at * session.scene.servo_period)
+        assert f"stopped at tick {at}" in str(one.nodes["emulator"]._diagnostics.values)
+        one.call("emulator/pause", False)
+        go_on(one, 20)
+        assert not session.paused, "it stops where it begins to hold, once"
+
+
+@pytest.mark.parametrize("what", ["events", "refusals"])
+def test_the_network_stands_at_changes_and_refusals(what: str) -> None:
+    with in_process("lockstep") as one:
+        session = session_of(one)
+        go_on(one, 20)
+        assert one.call("emulator/break_when", BreakWhen.Request(**{what: True})).success
+        go_on(one, 5)
+        assert not session.paused
+        if what == "events":
+            assert one.call("emulator/power", False).success
+        else:
+            one.send("motor_commands", MotorCommand(tick=session.tick, joint_names=["elbow"]))
+        assert session.paused
+        assert one.call("emulator/break_when", BreakWhen.Request()).success
+        one.call("emulator/pause", False)
+        assert one.call("emulator/power", True).success
+        go_on(one, 5)
+
+
+def stand(one: InProcess) -> None:
+    """Deliver until time stands still."""
+    deadline = time.monotonic() + PATIENCE
+    while not session_of(one).paused:
+        assert time.monotonic() < deadline
+        if not one.deliver():
+            time.sleep(1e-4)
