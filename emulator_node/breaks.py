@@ -13,7 +13,7 @@ from emulator_node.context import Context
 
 
 class Breaks:
-    """What stops the machine of a context.
+    """Reasons for which the machine of a context stops.
 
     Args:
         own: the context.

@@ -96,7 +96,7 @@ class RosHands(Hands):
         self._node.destroy_node()
         rclpy.try_shutdown()
 
-    # What happens
+    # News
 
     def news(self) -> News:
         """Return what has happened since the last call."""
@@ -145,7 +145,7 @@ class RosHands(Hands):
                     tick = round((now.sec + 1e-9 * now.nanosec) / self._period)
                     self._happened(tick, f"{one.name} refused: {pair.value}")
 
-    # What is done
+    # Actions
 
     def pause(self, on: bool) -> str:
         """Let time stand still, or go on."""

@@ -1,4 +1,4 @@
-"""What a page can do to a machine that goes on: hands, of which each door has its own."""
+"""Hands of a page on a machine that goes on; each door has its own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Vector = tuple[float, float, float]
 
 @dataclass
 class News:
-    """What has happened since the last look.
+    """Events and states since the last look.
 
     Attributes:
         state: how the machine is doing, in words; empty: as before.

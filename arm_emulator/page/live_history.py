@@ -11,7 +11,7 @@ MOST = 4000  # rows of the whole run
 
 
 class LiveHistory:
-    """What has come of a run.
+    """Rows of a run so far.
 
     When a machine begins anew at an earlier tick, its rows replace those before.
 

@@ -113,7 +113,7 @@ class LivePage:
 
     @property
     def hands(self) -> Hands:
-        """What can be done to the machine."""
+    # The machine
         return self._hands
 
     @property
@@ -218,7 +218,7 @@ class LivePage:
         """Times [s] and the columns that are plotted over them."""
         return self._plots.data
 
-    # What is done by hand
+    # Changes by hand
 
     def go(self, tick: int | None) -> None:
         """Show a tick of the past; None: the newest one, now and from now on."""

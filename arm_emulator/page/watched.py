@@ -18,7 +18,7 @@ class Watched:
     Rows that find no room are dropped and counted; the machine never waits.
 
     Attributes:
-        url: of the page, with its token; empty: there is none.
+        url: of the page, with its token; empty: no page.
 
     Args:
         plant: the machine.

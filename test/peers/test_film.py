@@ -38,7 +38,7 @@ def test_a_film_has_the_pictures_that_were_asked_for(tmp_path: Path) -> None:
         film(bag, file)
 
 
-def test_what_is_no_film_is_refused(tmp_path: Path) -> None:
+def test_other_kinds_sizes_and_times_are_refused(tmp_path: Path) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 20, runs=1)
     with pytest.raises(Refusal, match="end in a known kind"):
         check_film("film", tmp_path / "run.avi")

@@ -76,7 +76,7 @@ def url_of(log: Path) -> str:
     return found[1] if found else ""
 
 
-def test_what_is_done_on_the_page_is_in_the_bag_and_repeats(
+def test_the_bag_repeats_all_that_is_done_on_the_page(
     browser: Any, scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     bag, log = tmp_path / "bag", tmp_path / "log"
