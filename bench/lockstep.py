@@ -86,7 +86,7 @@ def _run(scene: str, only: tuple[str, ...]) -> dict[str, float]:
     with (
         own_domain(),
         Bringup(scene, start="first_answer", log=Path("out/bench/log"), only=only) as network,
-        _listener() as ticks,
+        listener() as ticks,
     ):
         users = {} if "servo" in only else {"servo": subprocess.Popen([sys.executable, EXAMPLE])}
         processes = {name: network.process(name) for name in only} | users
@@ -115,7 +115,7 @@ def _run(scene: str, only: tuple[str, ...]) -> dict[str, float]:
 
 
 @contextmanager
-def _listener() -> Iterator[Any]:
+def listener() -> Iterator[Any]:
     """Yield a function that returns the tick of the newest status, or of a new one."""
     import rclpy
 

@@ -22,6 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.hands import Hands, News, Vector
+from arm_emulator.ros.node_parameters import SETTABLE
 from arm_emulator.ros.node_shell import EVENT_QOS, STATE_SUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetVaried
@@ -218,7 +219,8 @@ class RosHands(Hands):
         return {
             name: value.double_value
             for name, value, one in zip(names, values, about, strict=True)
-            if value.type == ParameterType.PARAMETER_DOUBLE and not one.read_only
+            if value.type == ParameterType.PARAMETER_DOUBLE
+            and SETTABLE in one.additional_constraints
         }
 
     def set_gain(self, name: str, value: float) -> str:

@@ -100,9 +100,9 @@ class ServoNode(ManagedNode):
             one = declared(name)
             words = one.described if one else name.replace("_", " ")
             descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
-            describe(self, name, descriptor, one)
             if name.rsplit(".", 1)[-1] in SETTABLE:
                 self.settable.add(name)
+            describe(self, name, descriptor, one)
         self._next_config: ServoConfig | None = None  # from the next tick on
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "servo drives")

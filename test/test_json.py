@@ -41,6 +41,7 @@ ENDS: dict[str, list[list[str]]] = {
     "firmware": [["{}/none.yaml", "{}/none.elf"]],
     "fmu": [[ARM, "--out", "{}/arm.fmu", "--target", "native"], [ARM, "--out", "{}/arm.zip"]],
     "identify": [[ARM, "{}/none.csv"]],
+    "film": [["{}/none", "{}/run.gif"], ["{}/bag", "{}/run.avi"]],
     "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"], ["{}/bag", "{}/none"]],
     "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],
     "move": [["--joints", "waist"]],

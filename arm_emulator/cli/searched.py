@@ -20,6 +20,7 @@ from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.page.watched import Watched, stay
 from arm_emulator.runs.recorder import Recorder
 
 
@@ -44,16 +45,24 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     return case_with(one.variation, index, values)
 
 
-def record_case(simulator: Simulator, case: Case, kept: Kept) -> None:
-    """Simulate a run for who records it."""
+def record_case(simulator: Simulator, case: Case, kept: Kept, page: int | None = None) -> None:
+    """Simulate a run for who records it, or looks at its page at a port."""
     pieces = simulator.drive(case)
     next(pieces)
-    with Recorder(simulator.session.plant, kept, waits=True, stays=True):
+    plant = simulator.session.plant
+    with (
+        Recorder(plant, kept, waits=True, stays=page is None),
+        Watched(plant, page, waits=True) as watched,
+    ):
+        if page is not None:
+            print(f"page: {watched.url}", flush=True)
         try:
             for _ in pieces:
                 pass
         except Diverged as fault:
             output.line(str(fault))
+        if page is not None:
+            stay()
 
 
 def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:

@@ -56,12 +56,6 @@ class Desk:
             self._hands.due = max(0, self._hands.due - piece)
         self._hands.changed()
 
-    def stay(self) -> None:
-        """Let browsers look at a run that has ended, until Ctrl-C."""
-        print("page: until Ctrl-C", flush=True)
-        with contextlib.suppress(KeyboardInterrupt):
-            threading.Event().wait()
-
     def attend_always(self, session: Session) -> None:
         """Fulfil in a thread; its owner lets the session's time pass meanwhile."""
         assert self._near is not None
@@ -90,7 +84,9 @@ class Desk:
 
 
 @contextlib.contextmanager
-def watched(machine: Plant | Session, port: int | None, *, steps: bool = False) -> Iterator[Desk]:
+def watched(
+    machine: Plant | Session, port: int | None, *, steps: bool = False, waits: bool = False
+) -> Iterator[Desk]:
     """Serve a page with a machine in this block, and hands on it.
 
     The owner of a plant calls `attends` of the desk between two ticks; that of a session need not.
@@ -99,6 +95,7 @@ def watched(machine: Plant | Session, port: int | None, *, steps: bool = False) 
         machine: a plant, or a session.
         port: of the page (0: any that is free); None: no page.
         steps: whether the owner lets single ticks pass, see `MachineHands`.
+        waits: see `Watched`.
 
     Raises:
         Refusal: see `Watched`.
@@ -112,7 +109,7 @@ def watched(machine: Plant | Session, port: int | None, *, steps: bool = False) 
     with contextlib.closing(near):
         with contextlib.closing(far):
             there = _FarHands(far.fileno(), hands.can())
-            page = Watched(plant, port, there, (far.fileno(),))
+            page = Watched(plant, port, there, (far.fileno(),), waits)
         desk = Desk(hands, near)
         hands.changed = page.take
         with page:

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,8 @@ class LivePage:
                 self._target = TargetTab(self, served.server, self._arm)
         if "push" in can:
             with tabs.add_tab("Push"):
-                PushTab(self, served.server, self._arm, scene)
+                push = partial(self.ask, "push")
+                PushTab(self.exclusive, push, served.server, self._arm, scene)
         with tabs.add_tab("Machine"):
             machine_tab(self, gui, scene)
         with tabs.add_tab("Events"):
@@ -113,7 +115,7 @@ class LivePage:
 
     @property
     def hands(self) -> Hands:
-    # The machine
+        """Hands on the machine."""
         return self._hands
 
     @property
@@ -125,7 +127,7 @@ class LivePage:
         """End the page."""
         self._served.stop()
 
-    # What the machine does
+    # Rows and pictures
 
     def take(self, rows: Rows, dropped: int) -> None:
         """Take rows of the machine, and the number of those that were dropped so far."""

@@ -73,4 +73,4 @@ def _add_gains(page: Any, gui: Any) -> None:
 
         read.on_click(lambda _: fill())
         choice.on_update(lambda event: show() if event.client is not None else None)
-        gui.add_button("Set").on_click(lambda _: put())
+        box.on_update(lambda event: put() if event.client is not None else None)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from arm_emulator.machine.scene import Scene
 from arm_emulator.page.arm_scene import ArmScene
+from arm_emulator.page.hands import Vector
 
 SIZE = 0.2  # m, of the handle
 PAUSE = 0.1  # s, wall, between two forces of a drag: each is an event of the run
@@ -20,14 +22,19 @@ class PushTab:
     """Controls in the tab in whose context this is made.
 
     Args:
-        page: a page with `exclusive` and `ask`.
+        exclusive: lock of all that changes the page.
+        push: gets link, force [N] and moment [N m].
         server: of viser.
         arm: that is shown.
         scene: the machine.
     """
 
-    def __init__(self, page: Any, server: Any, arm: ArmScene, scene: Scene) -> None:
-        gui, self._page, self._server, self._arm = server.gui, page, server, arm
+    def __init__(
+        self, exclusive: Any, push: Callable[[str, Vector, Vector], object], server: Any,
+        arm: ArmScene, scene: Scene,
+    ) -> None:  # fmt: skip
+        gui, self._exclusive, self._push_with = server.gui, exclusive, push
+        self._server, self._arm = server, arm
         if not scene.external_wrench:
             gui.add_markdown("Nothing can push: the scene has no `external_wrench: true`.")
             return
@@ -47,18 +54,18 @@ class PushTab:
 
     def _push(self) -> None:
         force, moment = self._force.value, self._moment.value
-        self._page.ask("push", self._link.value, _floats(force), _floats(moment))
+        self._push_with(self._link.value, _floats(force), _floats(moment))
 
     def _let_go(self) -> None:
-        with self._page.exclusive:
+        with self._exclusive:
             self._force.value = self._moment.value = NONE
-            self._page.ask("push", self._link.value, NONE, NONE)
+            self._push_with(self._link.value, NONE, NONE)
             if self._handle is not None:
                 self._handle.position = tuple(self._arm.p_WL(self._link.value))
             self._show_arrow()
 
     def _switch(self) -> None:
-        with self._page.exclusive:
+        with self._exclusive:
             if self._handle is not None:
                 self._handle.remove()
                 self._handle = None
@@ -76,7 +83,7 @@ class PushTab:
 
     def _dragged(self) -> None:
         """Pull at the link as a spring between it and the handle."""
-        with self._page.exclusive:
+        with self._exclusive:
             pull = np.array(self._handle.position) - self._arm.p_WL(self._link.value)
             self._force.value = _floats(float(self._stiffness.value) * pull)
             self._show_arrow()

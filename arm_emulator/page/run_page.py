@@ -98,6 +98,16 @@ class RunPage:
         data: tuple[Any, ...] = self._chart.data
         return data
 
+    @property
+    def server(self) -> Any:
+        """The server of viser, for what is added to the picture."""
+        return self._server
+
+    @property
+    def arm(self) -> ArmScene:
+        """The arm that is shown."""
+        return self._arm
+
     def new_tab(self, name: str) -> Any:
         """Return a new tab as a context for its controls."""
         return self._tabs.add_tab(name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections.abc import Callable
 
 from arm_emulator.base.refusal import Refusal
@@ -12,10 +14,15 @@ from arm_emulator.runs.row_process import RowProcess
 PROCESS = "arm_emulator.page.live_process"
 
 
+def stay() -> None:
+    """Let browsers look at a run that has ended, until Ctrl-C."""
+    print("page: until Ctrl-C", flush=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()
+
+
 class Watched:
     """A plant that browsers watch from now on; use it in a `with` block.
-
-    Rows that find no room are dropped and counted; the machine never waits.
 
     Attributes:
         url: of the page, with its token; empty: no page.
@@ -25,6 +32,8 @@ class Watched:
         port: TCP port of the page (0: any that is free); None: no page.
         hands: makes, in the page's process, what can be done to the machine. It is pickled.
         files: descriptors that `hands` needs there.
+        waits: whether the machine waits for the page, as a run without a network may; else rows
+            that find no room are dropped and counted.
 
     Raises:
         Refusal: viser is missing, or the port is taken.
@@ -36,6 +45,7 @@ class Watched:
         port: int | None,
         hands: Callable[[], Hands] = Hands,
         files: tuple[int, ...] = (),
+        waits: bool = False,
     ) -> None:
         self._process: RowProcess | None = None
         self.url = ""
@@ -47,7 +57,7 @@ class Watched:
             "hands": hands,
             "varied": dict(plant.parameters),
         }
-        self._process = RowProcess(plant, PROCESS, task, "page", waits=False, files=files)
+        self._process = RowProcess(plant, PROCESS, task, "page", waits=waits, files=files)
         self.url = str(self._process.ready)
 
     def __enter__(self) -> Watched:

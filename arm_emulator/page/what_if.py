@@ -11,7 +11,10 @@ import numpy as np
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.motion.pose import Pose
+from arm_emulator.page.hands import Vector
+from arm_emulator.page.push_tab import PushTab
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
 from arm_emulator.runs.offline import OfflineRun
@@ -34,6 +37,11 @@ class WhatIf:
     def __init__(self, page: RunPage, line: Timeline[OfflineRun]) -> None:
         self._page, self._lines = page, {"the run": line}
         run, gui = line.run, page.gui
+        self._pushes: dict[str, ExternalWrench] = {}  # by link, to be set
+        with page.new_tab("Push"):
+            scene = run.session.scene
+            PushTab(page.exclusive, self._push, page.server, page.arm, scene)
+            self._pushed = gui.add_markdown("")
         with page.new_tab("What if"):
             self._which = gui.add_dropdown("Timeline", tuple(self._lines))
             self._which.on_update(lambda _: self._turn_to(self._which.value))
@@ -50,6 +58,12 @@ class WhatIf:
             self._button = gui.add_button("Go on from this moment")
             self._button.on_click(lambda _: self._go_on())
             self._answer = gui.add_markdown("")
+
+    def _push(self, link: str, force: Vector, moment: Vector) -> None:
+        """Let a wrench act from the moment on at which the run goes on."""
+        self._pushes[link] = ExternalWrench(force, moment, axes="world")
+        words = ", ".join(f"{one:.3g}" for one in force)
+        self._pushed.content = f"{link} will be pushed with {words} N: *Go on* in What if"
 
     def _turn_to(self, name: str) -> None:
         with self._page.exclusive:
@@ -114,6 +128,10 @@ class WhatIf:
         if factor != 1.0:
             line.change(f"position gains times {factor:g}", lambda one: _scale(one, factor))
             self._gains.value = 1.0
+        for link, wrench in self._pushes.items():
+            line.change(f"push {link}", partial(_push, link=link, wrench=wrench))
+        self._pushes = {}
+        self._pushed.content = ""
         for name, control in self._varied.items():
             value = float(control.value)
             if value != run.session.plant.parameters[name]:
@@ -123,6 +141,10 @@ class WhatIf:
 
 def _set(run: OfflineRun, name: str, value: float) -> None:
     run.session.set_varied(name, value)
+
+
+def _push(run: OfflineRun, link: str, wrench: ExternalWrench) -> None:
+    run.session.set_external_wrench(link, wrench)
 
 
 def _move(run: OfflineRun, by: np.ndarray[Any, np.dtype[np.float64]]) -> None:

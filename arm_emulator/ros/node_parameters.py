@@ -22,6 +22,8 @@ from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, pa
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.managed_node import ManagedNode
 
+SETTABLE = "set in every state of the node"
+
 
 def declare_parameters(node: ManagedNode, kind: type[Parameters]) -> Parameters:
     """Declare every field of the frozen dataclass `kind` on the node and return the values.
@@ -44,9 +46,9 @@ def declare_parameters(node: ManagedNode, kind: type[Parameters]) -> Parameters:
             additional_constraints=f"one of {', '.join(choices)}" if choices else "",
             dynamic_typing=True,
         )
-        describe(node, field.name, descriptor, field.metadata.get("number"))
         if field.metadata["settable"]:
             node.settable.add(field.name)
+        describe(node, field.name, descriptor, field.metadata.get("number"))
     return kind(**values)
 
 
@@ -118,7 +120,12 @@ def replaced(node: ManagedNode, config: Parameters, changes: Mapping[str, Any]) 
 def describe(
     node: ManagedNode, name: str, descriptor: ParameterDescriptor, one: Number | None
 ) -> None:
-    """Set a parameter's descriptor, with its range; None: it is not a number."""
+    """Set a parameter's descriptor, with its range; None: it is not a number.
+
+    Its constraints name those that may be set in every state, so `settable` is complete before.
+    """
+    if name in node.settable:
+        descriptor.additional_constraints = SETTABLE
     if one is not None:
         first, last = one.ends
         if one.whole:

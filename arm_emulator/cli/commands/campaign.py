@@ -34,7 +34,7 @@ from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import Splitter
 from arm_emulator.campaign.summary import Summary, summary_of
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep
+from arm_emulator.cli.options import Keep, PagePort
 from arm_emulator.cli.output import output
 from arm_emulator.cli.searched import case_of, print_findings, print_shrunk, record_case
 
@@ -53,6 +53,7 @@ def campaign(
     dry: bool = False,
     replay: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
+    page: PagePort = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
@@ -66,14 +67,14 @@ def campaign(
         workers: processes (default: one for each processor core).
         dask: scheduler of a Dask cluster, whose workers see the same files.
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
-        replay: simulate one run again, for --record and --rerun.
+        replay: simulate one run again, for --record, --rerun and --page.
         shrink: find the fewest changes and the shortest time with which a run still fails, and
             write them beside the results as campaign, scene and record.
     """
     kept.check("campaign")
-    if kept != NOTHING and replay is None:
+    if (kept != NOTHING or page is not None) and replay is None:
         rule = "come with --replay INDEX, which names the run"
-        raise Refusal("campaign", "--record and --rerun", rule, "no --replay")
+        raise Refusal("campaign", "--record, --rerun and --page", rule, "no --replay")
     one = load_campaign(file)
     if one.search is not None and count is not None:
         raise Refusal(
@@ -86,7 +87,7 @@ def campaign(
     check_count("campaign", "--workers", workers, 1, 4096)
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
-        return _replay(one, case_of(one, into, replay, "--replay"), kept)
+        return _replay(one, case_of(one, into, replay, "--replay"), kept, page)
     if shrink is not None:
         return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
     seconds, ready = seconds_per_run(one)
@@ -201,7 +202,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     })  # fmt: skip
 
 
-def _replay(one: Campaign, case: Case, kept: Kept) -> int:
+def _replay(one: Campaign, case: Case, kept: Kept, page: int | None) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
     simulator = Simulator(one)
     outcome = simulator.run(case)
@@ -215,8 +216,8 @@ def _replay(one: Campaign, case: Case, kept: Kept) -> int:
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
-    if kept != NOTHING:
-        record_case(simulator, case, kept)
+    if kept != NOTHING or page is not None:
+        record_case(simulator, case, kept, page)
     return 0
 
 

@@ -31,6 +31,7 @@ from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Micr
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.page.desk import watched
+from arm_emulator.page.watched import stay
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, off_target
@@ -84,7 +85,7 @@ def firmware(
             stops = Breakpoint(one.session.plant, stop_when, "firmware: --stop-when")
             open_.callback(stops.close)
             chip.break_at(stops.stop)
-        desk = open_.enter_context(watched(one.session.plant, page, steps=True))
+        desk = open_.enter_context(watched(one.session.plant, page, steps=True, waits=True))
         with ctrl_c_ends_at_once():
             if gdb is not None:
                 _wait_for_gdb(chip, gdb, firmware)
@@ -114,7 +115,7 @@ def firmware(
         if figures.faults:
             print(f"first fault       {chip.fault}")
         if page is not None:
-            desk.stay()
+            stay()
         return 0
 
 

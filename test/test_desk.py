@@ -1,0 +1,103 @@
+"""Hands of a page on machines of field buses and firmware: fulfilled between two ticks only."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing import Pipe
+
+import numpy as np
+import pytest
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.session import Session
+from arm_emulator.page.desk import Desk, _PipedHands
+from arm_emulator.page.machine_hands import MachineHands
+
+
+@contextmanager
+def asked(hands: MachineHands, ask: Callable[[_PipedHands], None]) -> Iterator[Desk]:
+    """Yield a desk at which a thread asks for something."""
+    near, far = Pipe()
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            ask(_PipedHands(far, hands.can()))
+        except BaseException as error:
+            failed.append(error)
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    yield Desk(hands, near)
+    worker.join()
+    assert not failed, failed
+
+
+def test_requests_are_fulfilled_between_two_ticks() -> None:
+    plant, answers = Plant("three_axis"), []
+    hands = MachineHands(plant, steps=True)
+
+    def ask(there: _PipedHands) -> None:
+        answers.append(there.pause(True))
+        answers.append(there.step(7))
+        while hands.due:  # until they have passed
+            time.sleep(1e-3)
+        with pytest.raises(Refusal, match="joint"):
+            there.set_varied("joints.elbow.motor.resistance", 2.0)
+        answers.append(there.power(False))
+        answers.append(there.pause(False))
+        assert [text for _, text in there.news().events] == ["power off"]
+
+    seen = []
+
+    def advance(ticks: int) -> None:
+        seen.append((ticks, hands.paused, plant.powered))
+        for _ in range(ticks):
+            plant.exchange(np.zeros(3))
+
+    with asked(hands, ask) as desk:
+        while "going on" not in answers:
+            desk.drive(advance, 2000)
+    assert answers == ["paused", "7 more", "power off", "going on"]
+    alone = [ticks for ticks, paused, _ in seen if paused]
+    assert alone == [7], "while it is paused the ticks that were asked for pass alone"
+    assert not plant.powered
+
+
+def test_a_desk_without_a_page_does_nothing() -> None:
+    desk, done = Desk(MachineHands(Plant("three_axis"))), []
+    assert desk.attends()
+    desk.drive(done.append, 12345)
+    assert done == [12345]
+
+
+def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
+    session = Session("three_axis", "lockstep", "first_answer")
+    hands, over = MachineHands(session), threading.Event()
+
+    def ask(there: _PipedHands) -> None:
+        there.power(False)
+        there.pause(True)
+        before = session.tick
+        assert there.can() == hands.can() and session.tick == before, "it stands"
+        there.pause(False)
+        over.set()
+
+    with asked(hands, ask) as desk:
+        thread = threading.Thread(target=desk.attend_always, args=[session])
+        thread.start()
+        while not over.is_set():
+            session.offer(session.tick, session.scene.joint_names, [1.0, 0.0, 0.0])
+            session.advance()
+        desk.close()
+        thread.join()
+    assert not session.powered
+
+
+def test_a_scene_has_the_hands_that_it_can_bear() -> None:
+    can = MachineHands(Plant("three_axis")).can()
+    assert {"pause", "power"} <= can and not {"push", "set_varied", "step", "aim"} & can
