@@ -154,6 +154,13 @@ class Oracle:
         placement = pin.updateFramePlacement(self.model, self.data, frame)
         return J[:, self._places], placement.rotation
 
+    def place(self, q: np.ndarray, link: str) -> np.ndarray:
+        """Origin of a link's frame in the world (3,) [m]."""
+        pin.forwardKinematics(self.model, self.data, self.configuration(q))
+        frame = self.model.getFrameId(link)
+        placement = pin.updateFramePlacement(self.model, self.data, frame)
+        return placement.translation.copy()
+
     def _in(self, values: np.ndarray) -> np.ndarray:
         """Pinocchio's order of joints, which goes by their names."""
         out = np.empty(len(values))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,12 @@ from machines import (
     write_scene,
 )
 
+from arm_emulator.analysis.link_loads import LinkLoads
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
+from arm_emulator.campaign.signals import tool_positions
+from arm_emulator.identification.inertia import dynamic
+from arm_emulator.identification.link_regressor import LinkRegressor
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.plant import Plant
@@ -186,3 +191,27 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
     again = Pose(*arm.forward(q)[::-1])
     rows = [law.update(law.coming.q, again).q for _ in range(1500)]
     assert (np.array(rows)[:, ~arm.to_tool] == end[~arm.to_tool]).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
+    tmp_path: Path, seed: int
+) -> None:
+    """What Python computes of a tree, in the scene's order of joints."""
+    scene = random_tree(tmp_path, seed, 8, gravity=GRAVITY)
+    oracle, rng = Oracle(scene), np.random.default_rng(seed)
+    loads, regressor = LinkLoads(scene), LinkRegressor(scene)
+    phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.links])
+    q, v, a = rng.normal(size=(3, 5, 8))
+    tau = regressor(q, v, a) @ phi
+    still = np.zeros(8)
+    for k in range(5):
+        M, nle = oracle.mass_matrix(q[k]), oracle.nle(q[k], v[k])
+        assert relative(loads.mass_matrix(q[k]), M) < TOLERANCE, "mass matrix"
+        assert relative(loads.weight(q[k]), oracle.nle(q[k], still)) < TOLERANCE, "weight"
+        assert relative(tau[k], M @ a[k] + nle) < TOLERANCE, "torques"
+    for link in scene.chain.carried:
+        tool = dataclasses.replace(scene, tool=link)
+        p = tool_positions(tool, q.T)
+        expected = [oracle.place(one, link) for one in q]
+        assert p.T == pytest.approx(np.array(expected), abs=1e-12), f"place of {link} [m]"
