@@ -63,8 +63,11 @@ def test_the_package_exports_the_plugin_of_descriptions() -> None:
     assert package.findtext("name") == library.get("path") == PLUGIN.split("/")[0]
     assert package.findtext("version") == ours.findtext("version")
     built = (PACKAGE / "CMakeLists.txt").read_text()
-    depends = {one.text for one in package.findall("depend")}
-    assert depends == set(re.findall(r"^find_package\((\w+)", built, re.M)) - {"ament_cmake"}
+    for depend, start in (("depend", "^"), ("test_depend", "^  ")):
+        depends = {one.text for one in package.findall(depend)}
+        found = set(re.findall(rf"{start}find_package\((\w+)", built, re.M)) - {"ament_cmake"}
+        controllers = {one for one in depends if str(one).endswith("_controller")}
+        assert depends - controllers == found
 
 
 @pytest.mark.parametrize(("period", "rate"), [(1e-3, 500), (2e-3, 500), (4e-3, 250), (5e-4, 500)])

@@ -46,13 +46,20 @@ std::string names(const Table& table) {
   return all;
 }
 
+// Throw unless the table has the name.
+template <class Table>
+void check_name(const std::string& where, const std::string& what, const std::string& name,
+                const Table& table) {
+  if (entry(table, name)) return;
+  std::string why = where;
+  why.append(": ").append(what).append(" must be known, got ").append(name);
+  throw Refused(why.append("; valid: ").append(names(table)));
+}
+
 template <class Table>
 void check_names(const std::string& where, const std::string& what,
                  const std::vector<hardware_interface::InterfaceInfo>& given, const Table& table) {
-  for (const auto& one : given)
-    if (!entry(table, one.name))
-      throw Refused(where + ": " + what + " must be known, got " + one.name +
-                    "; valid: " + names(table));
+  for (const auto& one : given) check_name(where, what, one.name, table);
 }
 
 constexpr std::array<std::pair<const char*, int>, 1> kPower = {{{"power", 0}}};
@@ -80,9 +87,7 @@ ArmSystem::CallbackReturn ArmSystem::on_init(
 void ArmSystem::check_interfaces() const {
   const std::string& where = info_.name;
   for (const auto& [name, value] : info_.hardware_parameters)
-    if (!entry(kParameters, name))
-      throw Refused(where + ": param must be known, got " + name +
-                    "; valid: " + names(kParameters));
+    check_name(where, "param", name, kParameters);
   if (!info_.hardware_parameters.count("scene"))
     throw Refused(where + ": scene must be given, FOLDER/NAME of a compiled scene, got nothing");
   if (info_.is_async)

@@ -1,4 +1,4 @@
-"""A controller manager and a joint_trajectory_controller of ros2_control, unchanged, move our arms.
+"""A controller manager of ros2_control, unchanged, with its own controllers moves our arms.
 
 The tests need ros2_control, built or installed, on AMENT_PREFIX_PATH.
 """
@@ -11,14 +11,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
+import yaml
 
 from arm_emulator.cli.commands.ros2_control import ros2_control
+from arm_emulator.design.ros2_control import PLUGIN
 from arm_emulator.machine.scene import load_scene
 
 PACKAGE = Path(__file__).resolve().parents[2] / "arm_emulator_hardware"
 PREFIXES = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if one]
-WANTED = ("controller_manager", "joint_trajectory_controller")
+WANTED = ("controller_manager", "joint_trajectory_controller", "forward_command_controller")
+MOCK = "mock_components/GenericSystem"
 TARGETS = {
     "three_axis": {"waist": 0.4, "shoulder": 0.8, "elbow": 1.0},
     "ur5": {
@@ -27,17 +31,20 @@ TARGETS = {
     },
 }  # fmt: skip
 SECONDS = 2.0
+CYCLES = 10_000
+CHECKS = "-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=undefined"
+# The middleware keeps memory until its process ends, and frees it by another size.
+QUIET = {"ASAN_OPTIONS": "detect_leaks=0:new_delete_type_mismatch=0:verify_asan_link_order=0"}
 
 absent = [one for one in WANTED if not any((at / "share" / one).is_dir() for at in PREFIXES)]
 pytestmark = pytest.mark.skipif(bool(absent), reason=f"not there: {', '.join(absent)}")
 
 
-@pytest.fixture(scope="module")
-def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Our package, installed."""
-    at = tmp_path_factory.mktemp("hardware")
+def install(at: Path, flags: str = "") -> Path:
+    """Build our package; return where it is installed."""
     for words in (
         ("-S", str(PACKAGE), "-B", str(at / "build"), f"-DCMAKE_INSTALL_PREFIX={at / 'install'}",
+         f"-DCMAKE_CXX_FLAGS={flags}",
          "-DCMAKE_EXE_LINKER_FLAGS=-Wl,--unresolved-symbols=ignore-in-shared-libs"),
         ("--build", str(at / "build")),
         ("--install", str(at / "build")),
@@ -52,21 +59,41 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Our package, installed."""
+    return install(tmp_path_factory.mktemp("hardware"))
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Our package with sanitizers in it."""
+    return install(tmp_path_factory.mktemp("sound"), CHECKS)
+
+
+@pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("scenes")
 
 
-def move(prefix: Path, description: Path, controllers: Path, target: Mapping[str, float]
-         ) -> subprocess.CompletedProcess[str]:  # fmt: skip
+def run(
+    prefix: Path, program: str, *words: object, seconds: float = 120.0, **more: str
+) -> subprocess.CompletedProcess[str]:
     paths = f"{prefix}:{os.environ['AMENT_PREFIX_PATH']}"
     libraries = f"{prefix / 'lib'}:{os.environ.get('LD_LIBRARY_PATH', '')}"
-    words = [f"{joint}={value}" for joint, value in target.items()]
+    free = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
     return subprocess.run(
-        [prefix / "lib/arm_emulator_hardware/trajectory", description, controllers, str(SECONDS),
-         *words],
-        capture_output=True, text=True, timeout=60, check=False,
-        env={**os.environ, "AMENT_PREFIX_PATH": paths, "LD_LIBRARY_PATH": libraries},
+        [prefix / "lib/arm_emulator_hardware" / program, *map(str, words)],
+        capture_output=True, text=True, timeout=seconds, check=False,
+        env={**free, "AMENT_PREFIX_PATH": paths, "LD_LIBRARY_PATH": libraries, **more},
     )  # fmt: skip
+
+
+def move(
+    prefix: Path, description: Path, controllers: Path, target: Mapping[str, float],
+    rows: Path | None = None,
+) -> subprocess.CompletedProcess[str]:  # fmt: skip
+    words = [f"{joint}={value}" for joint, value in target.items()]
+    return run(prefix, "trajectory", description, controllers, SECONDS, rows or "-", *words)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -84,6 +111,71 @@ def test_a_trajectory_is_followed_with_equal_bits(prefix: Path, folder: Path, na
         assert word == joint.name and start == pytest.approx(joint.start, abs=1e-9)
         # A gear that carries the arm's weight is wound up by some tenths of a mrad.
         assert np.allclose([true, measured], TARGETS[name][word], atol=1.5e-3), line
+
+
+def test_mock_components_have_no_error_and_we_have_that_of_the_drives(
+    prefix: Path, folder: Path, tmp_path: Path
+) -> None:
+    """The line of the plugin is all that differs."""
+    name = "three_axis"
+    ros2_control(name, into=folder)
+    text = (folder / f"{name}.urdf").read_text()
+    (tmp_path / "mock.urdf").write_text(text.replace(PLUGIN, MOCK))
+    table: dict[str, npt.NDArray[np.float64]] = {}
+    for what, description in (("ours", folder / f"{name}.urdf"), ("mock", tmp_path / "mock.urdf")):
+        rows = tmp_path / what
+        done = move(prefix, description, folder / f"{name}_controllers.yaml", TARGETS[name], rows)
+        assert done.returncode == 0, done.stderr
+        joints = len(TARGETS[name])
+        table[what] = np.array(
+            [[float(word) for word in line.split()] for line in rows.read_text().splitlines()]
+        ).reshape(-1, joints, 4)
+    position, velocity, effort, true = (table["ours"][..., k] for k in range(4))
+    reference = table["mock"][..., 0]
+    assert not table["mock"][..., 2].any(), "a mock needs no torque"
+    # A mock is at its command a cycle later, and so is our arm at the soonest.
+    late = np.abs(true - reference).max(axis=0)
+    assert np.all(late > 1e-5) and np.all(late < 5e-3)
+    # Held by its motors against gravity, at rest at the end.
+    assert np.abs(effort[-1]).max() > 1.0 and np.abs(velocity[-1]).max() < 1e-2
+    wound = np.abs(position - true)[-1]
+    assert 1e-5 < wound.max() < 5e-3
+
+
+def with_turns(folder: Path, name: str) -> Path:
+    """Return parameters of a manager with controllers for each loop of the drives."""
+    parameters = yaml.safe_load((folder / f"{name}_controllers.yaml").read_text())
+    manager = parameters["controller_manager"]["ros__parameters"]
+    forwarded = {loop: (list(TARGETS[name]), loop) for loop in ("position", "velocity", "effort")}
+    forwarded["power"] = [f"{name}_power"], "power"
+    for controller, (joints, interface) in forwarded.items():
+        manager[controller] = {"type": "forward_command_controller/ForwardCommandController"}
+        parameters[controller] = {
+            "ros__parameters": {"joints": joints, "interface_name": interface}
+        }
+    file = folder / f"{name}_turns.yaml"
+    file.write_text(yaml.safe_dump(parameters))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("name", "cycles"), [("three_axis", CYCLES), ("ur5", CYCLES // 4)], ids=["three_axis", "ur5"]
+)
+def test_controllers_take_turns_and_power_is_cut(
+    folder: Path, name: str, cycles: int, sound: Path
+) -> None:
+    ros2_control(name, into=folder)
+    controllers = with_turns(folder, name)
+    words = folder / f"{name}.urdf", controllers, name, cycles, 1, *TARGETS[name]
+    runs = [run(sound, "switches", *words, seconds=550.0, **QUIET) for _ in range(2)]
+    assert runs[0].returncode == 0, runs[0].stdout + runs[0].stderr
+    assert "ERROR: AddressSanitizer" not in runs[0].stderr
+    assert "runtime error" not in runs[0].stderr
+    assert runs[1].stdout == runs[0].stdout
+    got = dict(line.split() for line in runs[0].stdout.splitlines())
+    assert int(got["switches"]) > 0.5 * cycles / 40 and got["not_finite"] == "0"
+    assert int(got["cuts"]) == cycles // 970
+    assert 0.01 < float(got["fastest"]) < 10.0
 
 
 @pytest.mark.parametrize(
