@@ -25,7 +25,7 @@ def main() -> None:
     """Serve the page until the run is over; hand the run the page's address at first."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    os.nice(5)
+    os.nice(10)
     task = pickle.load(sys.stdin.buffer)
     try:
         ring = SharedRing(task["memory"], task["kind"])
