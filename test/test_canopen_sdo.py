@@ -20,6 +20,7 @@ from canopen_master import (
 )
 
 from arm_emulator.doors.fieldbus.canopen_node import Frame
+from arm_emulator.doors.fieldbus.drives import REALS
 from arm_emulator.doors.fieldbus.eds import eds
 from arm_emulator.machine.scene import Scene, load_scene
 
@@ -208,7 +209,7 @@ def test_data_sheet_reports_every_entry(scene: Scene) -> None:
         assert section["PDOMapping"] == str(int(one.rx or one.tx))
         if not one.bits:
             continue
-        if one.type == "REAL32":
+        if one.type in REALS:
             assert float(section.get("DefaultValue", "0")) == 0.0 and "LowLimit" not in section
             continue
         span = _RANGES[int(section["DataType"], 0)]

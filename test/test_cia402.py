@@ -39,7 +39,15 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command_line import main
 from arm_emulator.doors.fieldbus.declared import COUNT, FIRST
-from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, Aborted, Drives, Entry, dictionary
+from arm_emulator.doors.fieldbus.drives import (
+    CANOPEN,
+    ETHERCAT,
+    REALS,
+    Aborted,
+    Drives,
+    Entry,
+    dictionary,
+)
 from arm_emulator.machine.plant import Plant
 from arm_emulator.servo.servo import load_servo_config
 
@@ -91,11 +99,12 @@ def expected_abort(one: Entry | None, known_object: bool, raw: bytes, value: int
     return 0x06090032 if value < one.least else 0
 
 
+FAULTS = range(0x2010, 0x2014)
 OF_PARTS = range(FIRST, FIRST + COUNT)
-# Objects with rules beside the range: mappings, histories, stores, modes, methods, inputs that not
-# every motor has.
+# Objects with rules beside the range: mappings, histories, stores, faults, modes, methods, inputs
+# that not every motor has.
 SPECIAL = {0x1003, 0x1010, 0x1011, 0x1C12, 0x1C13, MODE, 0x6098, *range(0x1600, 0x1604)} | {
-    *range(0x1A00, 0x1A04), *OF_PARTS
+    *FAULTS, *range(0x1A00, 0x1A04), *OF_PARTS
 }  # fmt: skip
 
 
@@ -405,6 +414,7 @@ def dictionary_rows() -> list[str]:
         signed = one.type.startswith("I")
         whole = one.least == (-(1 << one.bits - 1) if signed else 0)
         whole &= one.most == (1 << one.bits - signed) - 1
+        whole |= one.type in REALS
         bounds = "" if whole or "w" not in one.access else f"{one.least} to {one.most}"
         cells = (where, name, one.type, one.access, pdo, one.unit, first, bounds)
         rows.append(f"| {' | '.join(cells)} |")

@@ -72,7 +72,7 @@ def test_the_dictionary_describes_itself(master: Master) -> None:
         if one.bits:
             assert bits == one.bits, "its size"
             size = bits // 8
-            signed = one.type.startswith("INTEGER")
+            signed = one.least < 0
             values = [
                 int.from_bytes(
                     reported[10 + k * size : 10 + (k + 1) * size], "little", signed=signed

@@ -102,11 +102,12 @@ class EtherCat:
 
 
 REQUESTS = 1000
-# Not the bus's own objects, nor texts, which only a mailbox sends in its first reply.
+# Not the bus's own objects, nor values that only a mailbox sends in its first reply: texts, and
+# those of more than four bytes.
 BOTH = [
     one
     for one in dictionary()
-    if one.buses == ETHERCAT | CANOPEN and one.bits and not 0x1003 <= one.index < 0x2000
+    if one.buses == ETHERCAT | CANOPEN and 0 < one.bits <= 32 and not 0x1003 <= one.index < 0x2000
 ]
 ABORT = 0x80
 

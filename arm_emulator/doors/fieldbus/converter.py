@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.doors.fieldbus.fault_registers import PER_FAULT, FaultRegisters
 from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
 from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.core_calls import ARM
@@ -27,7 +28,8 @@ from arm_emulator.machine.session import Session
 
 MAP_VERSION = 2
 # First addresses of the blocks of registers.
-MACHINE, MEASURED, COMMANDED, SETTINGS, JOINTS = 0, 1000, 2000, 3000, 10000
+MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS = 0, 1000, 2000, 3000, 4000, 10000
+FAULT_NAMES = 20000
 PER_JOINT = 48  # registers of a joint's description
 
 # Bits of the status.
@@ -118,7 +120,11 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
             for k, name in enumerate(further_inputs(scene))
         ),
         Block(SETTINGS, 1, 0, "watchdog, 0: none", "uint16", "ms", True),
+        Block(FAULTS, 1, 0, "faults F", "uint16", "1"),
     ]
+    for k, fault in enumerate(scene.faults):
+        name = f"magnitude of {fault.varied.name}, 0: off"
+        rows.append(Block(FAULTS + 1 + 4 * k, 4, 0, name, "float64", "", True))
     for joint in range(N):
         at = JOINTS + PER_JOINT * joint
         for count, name, kind, unit in (
@@ -135,6 +141,10 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
         ):
             rows.append(Block(at, count, 0, f"joint {joint}: {name}", kind, unit))
             at += count
+    rows += [
+        Block(FAULT_NAMES + PER_FAULT * k, PER_FAULT, 0, f"fault {k}: name", "UTF-8", "")
+        for k in range(len(scene.faults))
+    ]
     return tuple(rows)
 
 
@@ -173,21 +183,28 @@ class Converter:
         if measured > COMMANDED - MEASURED:
             rule = f"fill at most {COMMANDED - MEASURED} registers with measurements"
             raise Refusal(scene.where, "joints and their sensors", rule, measured)
+        largest = min((JOINTS - FAULTS - 1) // 4, (0x10000 - FAULT_NAMES) // PER_FAULT)
+        if len(scene.faults) > largest:
+            raise Refusal(scene.where, "faults", f"be at most {largest}", len(scene.faults))
         self._outputs = measured_outputs(scene)
         self.session = session
+        self._faults = FaultRegisters(session)
         self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
         self._N = N
         self._fixed = {
             MACHINE: [MAP_VERSION, N, *_words(">I", session.period_ns)],
             JOINTS: [word for joint in range(N) for word in self._description(joint)],
+            FAULT_NAMES: self._faults.names(),
         }
         self._sizes = {
             MACHINE: 4,
             MEASURED: measured,
             COMMANDED: 1 + inputs,
             SETTINGS: 1,
+            FAULTS: 1 + 4 * len(scene.faults),
             JOINTS: PER_JOINT * N,
+            FAULT_NAMES: PER_FAULT * len(scene.faults),
         }
         self.on_commands: Callable[[], object] = lambda: None
         self._watchdog = watchdog
@@ -236,6 +253,8 @@ class Converter:
             words = [POWER * self.session.powered, *(word & 0xFFFF for word in self._command)]
         elif base == SETTINGS:
             words = [self._watchdog]
+        elif base == FAULTS:
+            words = [len(self.session.scene.faults), *self._faults.magnitudes()]
         else:
             words = self._fixed[base]
         return words[at : at + count]
@@ -271,6 +290,9 @@ class Converter:
         base, at = self._block(address, len(words))
         if base == SETTINGS:
             self._watchdog = words[0]
+            return
+        if base == FAULTS and at:
+            self._faults.take(at - 1, words)
             return
         if base != COMMANDED:
             raise ModbusException(Code.ADDRESS)

@@ -98,7 +98,10 @@ TYPES = {
     7: "UNSIGNED32",
     8: "REAL32",
     9: "VISIBLE_STRING",
+    17: "REAL64",
 }
+# Layouts of numbers that are not whole.
+REALS = {"REAL32": "<f", "REAL64": "<d"}
 _SIGNED = ("INTEGER8", "INTEGER16", "INTEGER32")
 
 
@@ -223,7 +226,9 @@ class Drives:
         self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
         rows = rows_of(scene)
         places, inputs = declared.places(scene, UNITS), declared.input_rows(scene)
-        self._kept = names, places, inputs  # they must outlive the drives
+        faults = [_text(one.varied.name) for one in scene.faults]
+        fault = DRIVES.ffi.new("char *[]", faults)
+        self._kept = names, places, inputs, faults, fault  # they must outlive the drives
         self._machine = DRIVES.new(
             "drives_machine",
             joints=len(self._joints),
@@ -242,6 +247,10 @@ class Drives:
             inputs=len(declared.TAKEN),
             place=places,
             input=inputs,
+            get_parameter=plant.core.arm_get_parameter,
+            set_parameter=plant.core.arm_set_parameter,
+            faults=len(faults),
+            fault=fault,
         )
         self.pointer = self.calls.drives_new(self._machine)
         self._room = DRIVES.ffi.new("uint8_t[]", 256)
@@ -323,9 +332,10 @@ class Drives:
         Raises:
             Aborted: see `upload`.
         """
-        if self._entries[index, sub].type != "REAL32":
+        layout = REALS.get(self._entries[index, sub].type)
+        if layout is None:
             return self.read(drive, index, sub)
-        (value,) = struct.unpack("<f", self.upload(drive, index, sub))
+        (value,) = struct.unpack(layout, self.upload(drive, index, sub))
         return float(value)
 
     def write(self, drive: int, index: int, value: int, sub: int = 0) -> None:
@@ -340,12 +350,13 @@ class Drives:
             raise Aborted(index, sub, code)
 
     def give(self, drive: int, index: int, value: float) -> None:
-        """Write a number to an entry of type REAL32.
+        """Write a number to an entry of type REAL32 or REAL64.
 
         Raises:
             Aborted: see `download`.
         """
-        self.download(drive, index, 0, struct.pack("<f", value))
+        layout = REALS[self._entries[index, 0].type]
+        self.download(drive, index, 0, struct.pack(layout, value))
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""

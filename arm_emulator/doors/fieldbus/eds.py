@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 from arm_emulator.doors.fieldbus.canopen_node import Node
-from arm_emulator.doors.fieldbus.drives import CANOPEN, TYPES, Entry, dictionary
+from arm_emulator.doors.fieldbus.drives import CANOPEN, REALS, TYPES, Entry, dictionary
 
 _CODES = {name: code for code, name in TYPES.items()}
 _MANDATORY = (0x1000, 0x1001, 0x1018)
@@ -96,7 +96,8 @@ def _variable(node: Node, section: str, one: Entry, name: str) -> Iterable[str]:
     yield f"PDOMapping={int(one.rx or one.tx)}"
     signed = one.type.startswith("INTEGER")
     half = 1 << max(one.bits - 1, 0)
-    if one.bits and (one.least, one.most) != ((-half, half - 1) if signed else (0, 2 * half - 1)):
+    whole = one.bits and one.type not in REALS
+    if whole and (one.least, one.most) != ((-half, half - 1) if signed else (0, 2 * half - 1)):
         yield f"LowLimit={_number(one.least, signed)}"
         yield f"HighLimit={_number(one.most, signed)}"
     if one.unit:
@@ -116,7 +117,7 @@ def _default(node: Node, one: Entry) -> str:
     cob = one.index == 0x1014 or (one.sub == 1 and one.index & 0xFE00 in (0x1400, 0x1800))
     if cob:
         return f"$NODEID+0x{value - node.number:X}"
-    if one.type == "REAL32":
-        return repr(*struct.unpack("<f", raw))
+    if one.type in REALS:
+        return repr(*struct.unpack(REALS[one.type], raw))
     signed = one.type.startswith("INTEGER")
     return _number(int.from_bytes(raw, "little", signed=signed), signed)

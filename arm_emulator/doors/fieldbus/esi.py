@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives, Entry
+from arm_emulator.doors.fieldbus.drives import ETHERCAT, REALS, Drives, Entry
 
 # As in core/ethercat_sii.hpp.
 MAILBOX = 256
@@ -22,6 +22,7 @@ _TYPES = {
     "UNSIGNED16": "UINT",
     "UNSIGNED32": "UDINT",
     "REAL32": "REAL",
+    "REAL64": "LREAL",
 }
 
 
@@ -138,7 +139,7 @@ def _info(row: ET.Element, entries: list[Entry]) -> None:
             item = _add(info, "SubItem")
             _add(item, "Name", entry.name)
             where = _add(item, "Info")
-        elif entry.type != "REAL32":
+        elif entry.type not in REALS:
             _add(where, "MinValue", str(entry.least))
             _add(where, "MaxValue", str(entry.most))
         _add(where, "DefaultValue", str(entry.standard))

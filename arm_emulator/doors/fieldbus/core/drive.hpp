@@ -9,6 +9,7 @@
 #include "declared_values.hpp"
 #include "drive_defaults.hpp"
 #include "drives.h"
+#include "fault_window.hpp"
 #include "inner_loops.hpp"
 #include "modes/modes.hpp"
 #include "stopping.hpp"
@@ -25,12 +26,14 @@ class Drive {
       : axis_(joint, machine),
         loops_(joint.servo),
         declared_(machine, number, all),
+        faults_(machine),
         supply_(machine.supply_voltage),
         number_(number) {
     axis_.values.set_text(0x1008, machine.device_name);
     axis_.values.set_text(0x1009, "1.0");
     axis_.values.set_text(0x100A, "1.0");
     set_defaults(axis_, number_);
+    faults_.begin(axis_.values);
   }
 
   const Values& values() const { return axis_.values; }
@@ -42,7 +45,8 @@ class Drive {
   // Read or write an entry: 0, or the abort code of an SDO server; a refused access changes
   // nothing.
   std::uint32_t read(std::uint16_t index, std::uint8_t sub, std::span<std::byte> out,
-                     std::size_t& size) const {
+                     std::size_t& size) {
+    if (index == FaultWindow::kMagnitude) faults_.show(axis_.values);
     return axis_.values.read(index, sub, out, size);
   }
   std::uint32_t write(std::uint16_t index, std::uint8_t sub, std::span<const std::byte> in) {
@@ -97,6 +101,7 @@ class Drive {
     values.restore();
     values.mapping_locked = locked;
     set_defaults(axis_, number_);
+    faults_.begin(axis_.values);
     machine_.begin();
     mode_.choose(0);
     axis_.shift = axis_.targets = 0;
@@ -175,6 +180,10 @@ class Drive {
         return abort_code::cannot_store;  // there is nowhere to store them
       case 0x1011:
         return value == load ? abort_code::none : abort_code::cannot_store;
+      case FaultWindow::kNumber:
+        return faults_.choose(axis_.values, value);
+      case FaultWindow::kMagnitude:
+        return faults_.set(axis_.values, value);
       case 0x6060:
         if (value && !(get<0x6502>() >> (value - 1) & 1)) return abort_code::out_of_range;
         break;
@@ -382,6 +391,7 @@ class Drive {
   Axis axis_;
   InnerLoops loops_;
   const DeclaredValues declared_;
+  const FaultWindow faults_;
   const double supply_;  // V
   const int number_;
 

@@ -58,6 +58,11 @@ typedef struct drives_machine {
   const int32_t* place;
   /* Rows of arm_command.further, by joint and input; -1: the motor does not take it. */
   const int32_t* input;
+  /* Faults of the scene: the varied numbers that are their magnitudes. */
+  int (*get_parameter)(const arm_machine*, const char* name, double* value);
+  int (*set_parameter)(arm_machine*, const char* name, double value);
+  int32_t faults, reserved_last;
+  const char* const* fault; /* names, in the order of the scene */
 } drives_machine;
 
 /* Return the drives in Switch on disabled, the machine as it is; null: it makes no sense. What the
@@ -82,7 +87,7 @@ int64_t drives_tick(const drives* all);
 /* Read or write an entry of a drive, little-endian. Returns 0 or the abort code of an SDO server; a
  * refused access changes nothing. `size` gets the bytes that the entry has, also where `room` is
  * too small for them (0x05040005). */
-uint32_t drives_read(const drives* all, int32_t drive, uint16_t index, uint8_t sub, void* out,
+uint32_t drives_read(drives* all, int32_t drive, uint16_t index, uint8_t sub, void* out,
                      uint32_t room, uint32_t* size);
 uint32_t drives_write(drives* all, int32_t drive, uint16_t index, uint8_t sub, const void* in,
                       uint32_t size);
@@ -94,7 +99,7 @@ uint32_t drives_write_number(drives* all, int32_t drive, uint16_t index, uint8_t
 typedef struct drives_entry {
   uint16_t index;
   uint8_t sub, last_sub; /* last_sub: of its object */
-  uint16_t type;         /* of CiA 301: 2 INTEGER8 ... 8 REAL32, 9 VISIBLE_STRING */
+  uint16_t type;         /* of CiA 301: 2 INTEGER8 ... 8 REAL32, 9 VISIBLE_STRING, 17 REAL64 */
   uint16_t bits;         /* 0: text */
   uint8_t access;        /* 0 constant, 1 read, 2 write, 3 both */
   uint8_t pdo;           /* bits: 1 may be mapped to receive, 2 to transmit */

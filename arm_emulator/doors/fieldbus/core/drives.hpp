@@ -94,6 +94,8 @@ drives* drives_new(const drives_machine* machine) {
       (machine->joint || !machine->joints) && machine->readings >= 0 && machine->further >= 0 &&
       machine->units >= 0 && machine->outputs == std::ssize(fieldbus::kReported) &&
       machine->inputs == std::ssize(fieldbus::kTaken) && machine->place && machine->input &&
+      machine->get_parameter && machine->set_parameter && machine->faults >= 0 &&
+      machine->faults <= 0xFFFF && (machine->fault || !machine->faults) &&
       (machine->bus == DRIVES_ETHERCAT || machine->bus == DRIVES_CANOPEN);
   if (!sound) return nullptr;
   drives* all = new drives(*machine);
@@ -113,8 +115,8 @@ int drives_periods(drives* all, std::int64_t periods) {
 }
 std::int64_t drives_tick(const drives* all) { return all ? all->tick() : 0; }
 
-std::uint32_t drives_read(const drives* all, std::int32_t drive, std::uint16_t index,
-                          std::uint8_t sub, void* out, std::uint32_t room, std::uint32_t* size) {
+std::uint32_t drives_read(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_t sub,
+                          void* out, std::uint32_t room, std::uint32_t* size) {
   if (!size) return fieldbus::abort_code::general;
   *size = 0;
   if (!has(all, drive) || (!out && room)) return fieldbus::abort_code::general;

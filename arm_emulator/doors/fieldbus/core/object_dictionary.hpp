@@ -43,6 +43,11 @@ struct Table {
     one.pdo = pdo;
     one.unit = unit;
     one.standard = standard;
+    if (type == Type::real64) {  // any bits
+      one.least = std::numeric_limits<std::int64_t>::min();
+      one.most = std::numeric_limits<std::int64_t>::max();
+      return *this;
+    }
     const int value_bits = one.bits ? one.bits : 1;
     one.least = is_signed(type) ? -(std::int64_t{1} << (value_bits - 1)) : 0;
     one.most = (std::int64_t{1} << (is_signed(type) ? value_bits - 1 : value_bits)) - 1;
@@ -201,6 +206,10 @@ constexpr Table make_table() {
   t.add(0x2004, 0, "Brake closed", unsigned8, ro, tx);
   t.add(0x2005, 0, "Motor current", integer32, ro, tx, "mA");
   t.add(0x2006, 0, "Motor command", integer32, ro, tx, "mV, mA");
+  t.add(0x2010, 0, "Faults of the scene", unsigned16, ro);
+  t.add(0x2011, 0, "Number of the chosen fault", unsigned16, rw);
+  t.add(0x2012, 0, "Name of the chosen fault", visible_string, ro);
+  t.add(0x2013, 0, "Magnitude of the chosen fault", real64, rw);
 
   // --------------------------------------------------------------------- what parts declare
   for (std::size_t k = 0, j = 0; k < std::size(kTaken) || j < std::size(kReported);) {

@@ -16,6 +16,7 @@ enum class Type : std::uint16_t {
   unsigned32 = 0x07,
   real32 = 0x08,
   visible_string = 0x09,
+  real64 = 0x11,
 };
 constexpr std::uint16_t bits_of(Type type) {
   switch (type) {
@@ -31,6 +32,8 @@ constexpr std::uint16_t bits_of(Type type) {
     case Type::unsigned32:
     case Type::real32:
       return 32;
+    case Type::real64:
+      return 64;
     case Type::visible_string:
       break;
   }

@@ -19,7 +19,7 @@ struct Mapped {
 };
 
 inline constexpr int kLongestPdo = 64;  // bytes on EtherCAT; CANopen: 8
-inline constexpr int kLongestText = 64;
+inline constexpr int kLongestText = 256;
 
 class Values {
  public:
@@ -59,12 +59,10 @@ class Values {
     return reinterpret_cast<const std::byte*>(&value_[slot]);
   }
 
-  // Texts of 0x1008 to 0x100A.
+  // Show a text, which must outlive the values.
   void set_text(std::uint16_t index, const char* text) {
-    char (&to)[kLongestText] = text_[index - 0x1008];
-    std::size_t length = 0;
-    for (; text[length] && length < kLongestText - 1; ++length) to[length] = text[length];
-    to[length] = 0;
+    for (Text& one : text_)
+      if (one.index == index) one.text = text;
   }
 
   // Whether the mapping of process data is in use: on EtherCAT all of it, on CANopen that of PDOs
@@ -81,9 +79,9 @@ class Values {
     const std::byte* from = place(slot);
     size = one.bits / 8U;
     if (!one.bits) {
-      const char* text = text_[index - 0x1008];
-      from = reinterpret_cast<const std::byte*>(text);
-      size = std::strlen(text);
+      for (const Text& text : text_)
+        if (text.index == index) from = reinterpret_cast<const std::byte*>(text.text);
+      size = std::strlen(reinterpret_cast<const char*>(from));
     }
     if (out.size() < size) return abort_code::memory;
     std::memcpy(out.data(), from, size);
@@ -256,7 +254,11 @@ class Values {
 
   Bus bus_;
   std::int64_t value_[kSlots] = {};
-  char text_[3][kLongestText] = {};
+  struct Text {
+    std::uint16_t index;
+    const char* text = "";
+  };
+  Text text_[4] = {{0x1008}, {0x1009}, {0x100A}, {0x2012}};
 };
 
 }  // namespace fieldbus
