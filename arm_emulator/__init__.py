@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from arm_emulator.machine.diverged import Diverged as Diverged
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
-    from arm_emulator.machine.fleet import FleetState as FleetState
     from arm_emulator.machine.fleet_control import FleetControl as FleetControl
     from arm_emulator.machine.fleet_frame import FleetFrame as FleetFrame
+    from arm_emulator.machine.fleet_state import FleetState as FleetState
     from arm_emulator.machine.measured import Measured as Measured
     from arm_emulator.machine.plant import Plant as Plant
     from arm_emulator.machine.plant_state import PlantState as PlantState
@@ -53,7 +53,7 @@ _MODULES = {
     "Fleet": "machine.fleet",
     "FleetControl": "machine.fleet_control",
     "FleetFrame": "machine.fleet_frame",
-    "FleetState": "machine.fleet",
+    "FleetState": "machine.fleet_state",
     "JacobianController": "motion.jacobian",
     "Kinematics": "motion.kinematics",
     "LinearMachine": "analysis.linearised",

@@ -5,66 +5,38 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS
-from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Turns, in_turn
-from arm_emulator.build.c_header import NULL, CData, pointer
+from arm_emulator.base.turns import in_turn
+from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,
     PIECE,
     Commands,
-    by_joint,
     commands_of,
-    options_of,
-    refusal_of,
 )
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.chosen_arms import chosen_arms
-from arm_emulator.machine.compiler import fleet_library_of
-from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
+from arm_emulator.machine.core_calls import ARM, FLEET, REFUSED
 from arm_emulator.machine.core_machine import Borrowed
+from arm_emulator.machine.core_machines import CoreMachines
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.fleet_frame import FleetFrame
 from arm_emulator.machine.inputs import check_inputs, further_rows
-from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
-from arm_emulator.machine.varied import varied_number
-
-LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
 
-@dataclass(frozen=True, eq=False)
-class FleetState(ByValue):
-    """True states of all arms: a row each, and in a row the joints, base to tool."""
-
-    t: Array  # (count,) s; arms that have diverged stay where they are
-    energy: Array  # (count,) J
-    current: Array  # (count, N) A
-    theta_m: Array  # rad, motor angle
-    omega_m: Array  # rad/s, motor speed
-    q: Array  # rad or m, link side
-    v: Array  # rad/s or m/s, link side
-    gear_torque: Array  # N m or N, on the link
-
-
-class Fleet(Turns):
+class Fleet(CoreMachines):
     """Arms of one structure. They are independent: each moves as a `Plant` alone.
 
     Lanes of vector registers round differently than a single arm: after a step the results differ
@@ -102,35 +74,19 @@ class Fleet(Turns):
         v: ArrayLike | None = None,
         workers: int | None = None,
     ) -> None:
-        super().__init__()
-        self.scene = scene = scene_of(scene, "Fleet")
-        self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
-        self._N = N = len(scene.joints)
         if workers is None:
             workers = len(os.sched_getaffinity(0))
         workers = check_count("Fleet", "workers", workers, 1, 4096)
-        self.core = fleet_library_of(scene)
-        self.lanes = int(self.core.arm_fleet_lanes())
-        self.link_angle_per_count = link_angle_per_count(scene)
-        values = np.tile([one.value for one in scene.varied], (self._count, 1))
-        options = options_of(scene, np.ascontiguousarray(values, np.float64))
-        self._fleet = self.core.arm_fleet_new(options, self._count)
+        super().__init__(scene_of(scene, "Fleet"), count)
         self._shares = Shares(self._count, self.lanes, workers)
-        self._commands = np.tile(commands_of(scene), (self._count, 1))
+        self._commands = np.tile(commands_of(self.scene), (self._count, 1))
         self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
-        self._place = MeasuredPlace(scene, self._count)
-        self._powered = np.zeros(self._count, np.uint8)
-        self._measurement = FLEET.new(
-            "arm_fleet_measurement", powered=self._powered, **self._place.arrays
-        )
-        self._began = np.zeros((2, self._count, N))
         self.reset(q=q, v=v, varied=varied)
 
     def __del__(self) -> None:
-        fleet, self._fleet = getattr(self, "_fleet", None), None
-        if fleet:
+        if hasattr(self, "_shares"):
             self._shares.end()
-            self.core.arm_fleet_delete(fleet)
+        super().__del__()
 
     def __repr__(self) -> str:
         return f"<Fleet of {self._count} {self.scene.name}>"
@@ -160,9 +116,6 @@ class Fleet(Turns):
             for arm in range(self._count):
                 self.core.arm_begin_threads(self.core.arm_fleet_machine(self._fleet, arm))
 
-    def __len__(self) -> int:
-        return self._count
-
     def __getitem__(self, arm: int) -> Plant:
         """Return one of the arms as a `Plant`; they share the state."""
         arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1)
@@ -181,43 +134,6 @@ class Fleet(Turns):
         return (self[arm] for arm in range(self._count))
 
     @in_turn
-    def reset(
-        self,
-        arms: ArrayLike | None = None,
-        *,
-        q: ArrayLike | None = None,
-        v: ArrayLike | None = None,
-        varied: Mapping[str, ArrayLike] | None = None,
-    ) -> None:
-        """Set arms to logical time 0, the motors to match the links.
-
-        No current flows, and the gears carry no torque.
-
-        Args:
-            arms: a mask (count,) or indices; None: all.
-            q: link positions, (N,) for all of these or a row each, or (count, N), of which the rows
-                of other arms are not read [rad or m]; the scene's start if None.
-            v: link speeds alike [rad/s or m/s]; zero if None.
-            varied: values of varied numbers by name, one for all of these or one each, or
-                (count,); those that are not named stay.
-
-        Raises:
-            Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
-                arms are as before.
-        """
-        where, mask = "Fleet.reset", chosen_arms("Fleet.reset", arms, self._count)
-        of_q, of_v = start_bounds(self.scene)
-        at = self._rows(self.scene.start if q is None else q, mask, where, of_q)
-        speed = self._rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
-        if not isinstance(varied, Mapping | None):
-            raise Refusal(where, "varied", "be values by name", varied)
-        columns = {n: self._column(where, n, values, mask) for n, values in (varied or {}).items()}
-        for name, column in columns.items():
-            self._set_parameter(name, column, mask)
-        self.core.arm_fleet_reset(self._fleet, _bytes(mask), pointer(at), pointer(speed))
-        self._began[0, mask], self._began[1, mask] = at[mask], speed[mask]
-
-    @in_turn
     def advance(self, command: Commands, steps: int) -> Array:
         """Take `steps` integration steps with the commands of the motors held.
 
@@ -234,7 +150,7 @@ class Fleet(Turns):
         """
         where = "Fleet.advance"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        q: Array = self._run(self._as_commands(command, where)[np.newaxis], steps)[0]
+        q: Array = self._run(self._arguments.commands(command, where)[np.newaxis], steps)[0]
         return q
 
     def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
@@ -251,11 +167,11 @@ class Fleet(Turns):
             Refusal: wrong shape, not finite, or an input that no motor has; nothing has changed.
         """
         where = "Fleet.exchange"
-        rows = self._as_commands(command, where)
+        rows = self._arguments.commands(command, where)
         tick = check_count(where, "tick", tick, -1)
         check_inputs(where, self.scene, further)
         given = {
-            name: self._as_commands(one, where, ANY_COMMAND.named(name))
+            name: self._arguments.commands(one, where, ANY_COMMAND.named(name))
             for name, one in further.items()
         }
         others = further_rows(where, self.scene, given, self._count)
@@ -289,7 +205,7 @@ class Fleet(Turns):
                 has changed.
         """
         where = "Fleet.step"
-        rows = self._as_commands(command, where)
+        rows = self._arguments.commands(command, where)
         periods = check_count(where, "periods", periods, 0, 10**9)
         out = self._frame(where, out)
         self._commands["value"] = rows
@@ -362,14 +278,6 @@ class Fleet(Turns):
                 raise self._refusal(where, "")
         return out
 
-    def _refusal(self, where: str, otherwise: str) -> Refusal:
-        """Return the refusal of a call for one of the arms."""
-        arm = self.core.arm_fleet_refused(self._fleet)
-        machine = self.core.arm_fleet_machine(self._fleet, arm)
-        why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
-        self.core.arm_fleet_give_back(self._fleet, arm)
-        return why
-
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""
         longest = max(1, PIECE * self.lanes // self._worth(1))
@@ -417,153 +325,10 @@ class Fleet(Turns):
 
     @property
     @in_turn
-    def powered(self) -> NDArray[np.bool_]:
-        """Whether the drives of each arm have power (count,); without it every command is 0.
-
-        It can be set, for all arms or for each.
-        """
-        self._measure()
-        powered = self._powered.astype(bool)
-        powered.flags.writeable = False  # an element set in a copy would stop no arm
-        return powered
-
-    @powered.setter
-    def powered(self, on: ArrayLike) -> None:
-        if np.ndim(on) == 0:
-            on = np.full(self._count, as_flag(on, "Fleet", "powered"))
-        flags = np.asarray(on)
-        if flags.dtype != np.bool_ or flags.shape != (self._count,):
-            rule = f"be True or False, or ({self._count},) of them"
-            raise Refusal("Fleet", "powered", rule, on)
-        with self.turn:
-            self.core.arm_fleet_power(self._fleet, _bytes(flags))
-
-    @property
-    @in_turn
-    def measured(self) -> Measured:
-        """Readings of the sensors of all arms at their newest ticks, as a copy.
-
-        As `Plant.measured`, with arrays (count, N).
-        """
-        self._measure()
-        return self._place.read()
-
-    def _measure(self) -> None:
-        self.core.arm_fleet_measure(self._fleet, self._measurement)
-
-    @property
-    @in_turn
-    def parameters(self) -> dict[str, Array]:
-        """The numbers that the scene lists as varied, by name, with each arm's value (count,)."""
-        values = {one.name: np.zeros(self._count) for one in self.scene.varied}
-        for name, column in values.items():
-            self.core.arm_fleet_get_parameter(self._fleet, name.encode(), pointer(column))
-        return values
-
-    @in_turn
-    def set_parameter(self, name: str, values: ArrayLike, *, arms: ArrayLike | None = None) -> None:
-        """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
-
-        Args:
-            name: of the number.
-            values: one for all of these arms, one each, or (count,).
-            arms: a mask (count,) or indices; None: all.
-
-        Raises:
-            Refusal: the scene does not list it as varied, wrong shape, or a value out of its range;
-                nothing has changed.
-        """
-        where = "Fleet.set_parameter"
-        mask = chosen_arms(where, arms, self._count)
-        self._set_parameter(name, self._column(where, name, values, mask), mask)
-
-    def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
-        given = _bytes(mask), name.encode(), pointer(column)
-        if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
-            raise self._refusal("Fleet.set_parameter", "another value")
-
-    @in_turn
-    def set_external_wrench(
-        self, link: str, wrench: ExternalWrench, *, arms: ArrayLike | None = None
-    ) -> None:
-        """Let a force and a moment act on a link of arms, see `Plant.set_external_wrench`.
-
-        Args:
-            link: any link of the URDF that moves.
-            wrench: what acts; each vector (3,) for all of these arms, or (count, 3), of which the
-                rows of other arms are not used.
-            arms: a mask (count,) or indices; None: all.
-
-        Raises:
-            Refusal: see there; nothing has changed.
-        """
-        where = "Fleet.set_external_wrench"
-        mask = chosen_arms(where, arms, self._count)
-        joint, moved = on_moving_link(self.scene, where, link, wrench, self._count)
-        rows = ARM.rows("arm_wrench", self._count)
-        rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
-        for name in ("point", "force", "moment"):
-            rows[name] = getattr(moved, name)
-        places = _bytes(mask), joint, ARM.pointer("arm_wrench", rows)
-        self.core.arm_fleet_set_external_wrench(self._fleet, *places)
-
-    @in_turn
-    def save(self) -> bytes:
-        """Return the whole state of the arms as bytes."""
-        size = self._count * self.core.arm_saved_size()
-        saved = np.zeros(size, np.uint8)
-        self.core.arm_fleet_save(self._fleet, pointer(saved), size)
-        return saved.tobytes()
-
-    @in_turn
-    def restore(self, saved: bytes, *, arms: ArrayLike | None = None) -> None:
-        """Continue from what `save` of a fleet of as many arms has returned, to the last bit.
-
-        Args:
-            saved: of all arms.
-            arms: those that are restored: a mask (count,) or indices; None: all.
-
-        Raises:
-            Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
-                nothing has changed.
-        """
-        where, mask = "Fleet.restore", chosen_arms("Fleet.restore", arms, self._count)
-        size = self._count * self.core.arm_saved_size()
-        if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
-            raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
-        if self.core.arm_fleet_restore(self._fleet, _bytes(mask), bytes(saved), size) == REFUSED:
-            raise self._refusal(where, "another one")
-
-    @property
-    @in_turn
-    def state(self) -> FleetState:
-        """The true states now, as a copy. An arm's own can be set: ``fleet[k].state = ...``."""
-        shape = self._count, self._N
-        numbers = {name: np.zeros(shape) for name in ROWS}
-        of_arm = {name: np.zeros(self._count) for name in ("t", "energy")}
-        self._look(**numbers, **of_arm)
-        for rows in (*numbers.values(), *of_arm.values()):
-            rows.flags.writeable = False
-        return FleetState(**numbers, **of_arm)
-
-    @property
-    @in_turn
-    def faults(self) -> NDArray[np.int32]:
-        """The joint at which each arm diverged (count,); -1: it goes on."""
-        faults = np.zeros(self._count, np.int32)
-        self._look(fault=faults)
-        return faults
-
-    @property
-    @in_turn
     def diverged(self) -> dict[int, Diverged]:
         """Reasons for which arms have stopped, by their index."""
         found = {int(arm): self[int(arm)].diverged for arm in np.flatnonzero(self.faults >= 0)}
         return {arm: why for arm, why in found.items() if why is not None}
-
-    def _look(self, **to: NDArray[Any]) -> None:
-        places = {PLACES.get(name, name): rows for name, rows in to.items()}
-        self.core.arm_fleet_get_truth(self._fleet, FLEET.new("arm_fleet_truth", **places))
 
     def _run(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
@@ -589,50 +354,6 @@ class Fleet(Turns):
         worth = rows[..., 0].size * steps
         self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
 
-    def _column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
-        """Return the values of a varied number (count,), checked for those of the mask."""
-        one = varied_number(self.scene.varied, name, where)
-        given = one.number.numbers(where, values)
-        column = np.full(self._count, one.value, np.float64)
-        many = int(mask.sum())
-        if given.shape not in ((), (many,), (self._count,)):
-            shapes = " or ".join(f"({n},)" for n in sorted({many, self._count}))
-            raise Refusal(where, name, f"have shape {shapes} or ()", given.shape)
-        column[mask] = given[mask] if given.shape == (self._count,) else given
-        one.number.check(where, column)
-        return column
-
-    def _as_commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
-        given = by_joint(command, self.scene, where)
-        if given is not command:
-            columns = [bound.numbers(where, one) for one in given]  # type: ignore[attr-defined]
-            if any(one.shape not in ((), (self._count,)) for one in columns):
-                shapes = [one.shape for one in columns]
-                rule = f"have shape () or ({self._count},) for each joint"
-                raise Refusal(where, bound.name, rule, shapes)
-            given = np.column_stack([np.broadcast_to(one, self._count) for one in columns])
-        return self._rows(given, None, where, bound)
-
-    def _rows(
-        self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number
-    ) -> Array:
-        """Return a row for each arm, checked; those of other arms than the mask's are 0."""
-        given = bound.numbers(where, values)
-        shape = (self._count, self._N)
-        many = self._count if mask is None else int(mask.sum())
-        if given.shape not in ((self._N,), (many, self._N), shape):
-            shapes = " or ".join(f"({n}, {self._N})" for n in sorted({many, self._count}))
-            raise Refusal(where, bound.name, f"have shape ({self._N},) or {shapes}", given.shape)
-        if mask is None and given.shape == shape:
-            rows = given
-        elif mask is None or mask.all():
-            rows = np.ascontiguousarray(np.broadcast_to(given, shape))
-        else:
-            rows = np.zeros(shape)
-            rows[mask] = given[mask] if given.shape == shape else given
-        bound.check(where, rows)
-        return rows
-
 
 def _again(scene: Scene, count: int, workers: int) -> Fleet:
     """Return a fleet like one that was pickled, before its state."""
@@ -643,7 +364,3 @@ def _give_back(way: weakref.WeakMethod[Callable[[int], None]], arm: int) -> None
     give_back = way()
     if give_back is not None:
         give_back(arm)
-
-
-def _bytes(mask: NDArray[np.bool_]) -> CData:
-    return pointer(np.ascontiguousarray(mask).view(np.uint8))

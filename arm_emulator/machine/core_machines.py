@@ -1,0 +1,274 @@
+"""Many machines of one compiled core: all that is asked of them and set between their steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from arm_emulator.base.count import check_count
+from arm_emulator.base.given import as_flag
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.build.c_header import CData, pointer
+from arm_emulator.machine.call_arguments import options_of, refusal_of
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.chosen_arms import chosen_arms
+from arm_emulator.machine.compiler import fleet_library_of
+from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
+from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.fleet_arguments import FleetArguments
+from arm_emulator.machine.fleet_state import FleetState
+from arm_emulator.machine.measured import Measured, MeasuredPlace
+from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
+from arm_emulator.machine.scene import Scene
+
+LARGEST_FLEET = 10**6  # arms; some 10 kB each
+
+
+class CoreMachines(Turns):
+    """Machines as the core keeps them: their numbers, their true states, outside forces.
+
+    How they go on under commands is `Fleet`'s.
+
+    Attributes:
+        scene: of all machines.
+        core: the compiled core (core/boundary/arm_fleet.h).
+        lanes: machines that advance together.
+        link_angle_per_count: meaning of one encoder count at the link (N,) [rad or m].
+
+    Args:
+        scene: of all machines.
+        count: of machines.
+
+    Raises:
+        Refusal: the scene's core cannot be compiled, or no such count.
+    """
+
+    def __init__(self, scene: Scene, count: int) -> None:
+        super().__init__()
+        self.scene = scene
+        self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
+        self._N = len(scene.joints)
+        self._arguments = FleetArguments(scene, self._count)
+        self.core = fleet_library_of(scene)
+        self.lanes = int(self.core.arm_fleet_lanes())
+        self.link_angle_per_count = link_angle_per_count(scene)
+        values = np.tile([one.value for one in scene.varied], (self._count, 1))
+        options = options_of(scene, np.ascontiguousarray(values, np.float64))
+        self._fleet = self.core.arm_fleet_new(options, self._count)
+        self._place = MeasuredPlace(scene, self._count)
+        self._powered = np.zeros(self._count, np.uint8)
+        self._measurement = FLEET.new(
+            "arm_fleet_measurement", powered=self._powered, **self._place.arrays
+        )
+        self._began = np.zeros((2, self._count, self._N))
+
+    def __del__(self) -> None:
+        fleet, self._fleet = getattr(self, "_fleet", None), None
+        if fleet:
+            self.core.arm_fleet_delete(fleet)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @in_turn
+    def reset(
+        self,
+        arms: ArrayLike | None = None,
+        *,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        varied: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Set arms to logical time 0, the motors to match the links.
+
+        No current flows, and the gears carry no torque.
+
+        Args:
+            arms: a mask (count,) or indices; None: all.
+            q: link positions, (N,) for all of these or a row each, or (count, N), of which the rows
+                of other arms are not read [rad or m]; the scene's start if None.
+            v: link speeds alike [rad/s or m/s]; zero if None.
+            varied: values of varied numbers by name, one for all of these or one each, or
+                (count,); those that are not named stay.
+
+        Raises:
+            Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
+                arms are as before.
+        """
+        where, mask = "Fleet.reset", chosen_arms("Fleet.reset", arms, self._count)
+        of_q, of_v = start_bounds(self.scene)
+        at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
+        speed = self._arguments.rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
+        if not isinstance(varied, Mapping | None):
+            raise Refusal(where, "varied", "be values by name", varied)
+        columns = {
+            n: self._arguments.column(where, n, values, mask)
+            for n, values in (varied or {}).items()
+        }
+        for name, column in columns.items():
+            self._set_parameter(name, column, mask)
+        self.core.arm_fleet_reset(self._fleet, mask_bytes(mask), pointer(at), pointer(speed))
+        self._began[0, mask], self._began[1, mask] = at[mask], speed[mask]
+
+    @property
+    @in_turn
+    def powered(self) -> NDArray[np.bool_]:
+        """Whether the drives of each arm have power (count,); without it every command is 0.
+
+        It can be set, for all arms or for each.
+        """
+        self._measure()
+        powered = self._powered.astype(bool)
+        powered.flags.writeable = False  # an element set in a copy would stop no arm
+        return powered
+
+    @powered.setter
+    def powered(self, on: ArrayLike) -> None:
+        if np.ndim(on) == 0:
+            on = np.full(self._count, as_flag(on, "Fleet", "powered"))
+        flags = np.asarray(on)
+        if flags.dtype != np.bool_ or flags.shape != (self._count,):
+            rule = f"be True or False, or ({self._count},) of them"
+            raise Refusal("Fleet", "powered", rule, on)
+        with self.turn:
+            self.core.arm_fleet_power(self._fleet, mask_bytes(flags))
+
+    @property
+    @in_turn
+    def measured(self) -> Measured:
+        """Readings of the sensors of all arms at their newest ticks, as a copy.
+
+        As `Plant.measured`, with arrays (count, N).
+        """
+        self._measure()
+        return self._place.read()
+
+    def _measure(self) -> None:
+        self.core.arm_fleet_measure(self._fleet, self._measurement)
+
+    @property
+    @in_turn
+    def parameters(self) -> dict[str, Array]:
+        """The numbers that the scene lists as varied, by name, with each arm's value (count,)."""
+        values = {one.name: np.zeros(self._count) for one in self.scene.varied}
+        for name, column in values.items():
+            self.core.arm_fleet_get_parameter(self._fleet, name.encode(), pointer(column))
+        return values
+
+    @in_turn
+    def set_parameter(self, name: str, values: ArrayLike, *, arms: ArrayLike | None = None) -> None:
+        """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
+
+        Args:
+            name: of the number.
+            values: one for all of these arms, one each, or (count,).
+            arms: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: the scene does not list it as varied, wrong shape, or a value out of its range;
+                nothing has changed.
+        """
+        where = "Fleet.set_parameter"
+        mask = chosen_arms(where, arms, self._count)
+        self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
+
+    def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
+        given = mask_bytes(mask), name.encode(), pointer(column)
+        if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
+            raise self._refusal("Fleet.set_parameter", "another value")
+
+    @in_turn
+    def set_external_wrench(
+        self, link: str, wrench: ExternalWrench, *, arms: ArrayLike | None = None
+    ) -> None:
+        """Let a force and a moment act on a link of arms, see `Plant.set_external_wrench`.
+
+        Args:
+            link: any link of the URDF that moves.
+            wrench: what acts; each vector (3,) for all of these arms, or (count, 3), of which the
+                rows of other arms are not used.
+            arms: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: see there; nothing has changed.
+        """
+        where = "Fleet.set_external_wrench"
+        mask = chosen_arms(where, arms, self._count)
+        joint, moved = on_moving_link(self.scene, where, link, wrench, self._count)
+        rows = ARM.rows("arm_wrench", self._count)
+        rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
+        for name in ("point", "force", "moment"):
+            rows[name] = getattr(moved, name)
+        places = mask_bytes(mask), joint, ARM.pointer("arm_wrench", rows)
+        self.core.arm_fleet_set_external_wrench(self._fleet, *places)
+
+    @in_turn
+    def save(self) -> bytes:
+        """Return the whole state of the arms as bytes."""
+        size = self._count * self.core.arm_saved_size()
+        saved = np.zeros(size, np.uint8)
+        self.core.arm_fleet_save(self._fleet, pointer(saved), size)
+        return saved.tobytes()
+
+    @in_turn
+    def restore(self, saved: bytes, *, arms: ArrayLike | None = None) -> None:
+        """Continue from what `save` of a fleet of as many arms has returned, to the last bit.
+
+        Args:
+            saved: of all arms.
+            arms: those that are restored: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
+                nothing has changed.
+        """
+        where, mask = "Fleet.restore", chosen_arms("Fleet.restore", arms, self._count)
+        size = self._count * self.core.arm_saved_size()
+        if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
+            raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
+        if (
+            self.core.arm_fleet_restore(self._fleet, mask_bytes(mask), bytes(saved), size)
+            == REFUSED
+        ):
+            raise self._refusal(where, "another one")
+
+    @property
+    @in_turn
+    def state(self) -> FleetState:
+        """The true states now, as a copy. An arm's own can be set: ``fleet[k].state = ...``."""
+        shape = self._count, self._N
+        numbers = {name: np.zeros(shape) for name in ROWS}
+        of_arm = {name: np.zeros(self._count) for name in ("t", "energy")}
+        self._look(**numbers, **of_arm)
+        for rows in (*numbers.values(), *of_arm.values()):
+            rows.flags.writeable = False
+        return FleetState(**numbers, **of_arm)
+
+    @property
+    @in_turn
+    def faults(self) -> NDArray[np.int32]:
+        """The joint at which each arm diverged (count,); -1: it goes on."""
+        faults = np.zeros(self._count, np.int32)
+        self._look(fault=faults)
+        return faults
+
+    def _look(self, **to: NDArray[Any]) -> None:
+        places = {PLACES.get(name, name): rows for name, rows in to.items()}
+        self.core.arm_fleet_get_truth(self._fleet, FLEET.new("arm_fleet_truth", **places))
+
+    def _refusal(self, where: str, otherwise: str) -> Refusal:
+        """Return the refusal of a call for one of the arms."""
+        arm = self.core.arm_fleet_refused(self._fleet)
+        machine = self.core.arm_fleet_machine(self._fleet, arm)
+        why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
+        self.core.arm_fleet_give_back(self._fleet, arm)
+        return why
+
+
+def mask_bytes(mask: NDArray[np.bool_]) -> CData:
+    """Return a mask of arms as the core takes it."""
+    return pointer(np.ascontiguousarray(mask).view(np.uint8))
