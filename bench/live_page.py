@@ -38,11 +38,10 @@ def network(scene: str, page: bool) -> Iterator[Bringup]:
         yield one
 
 
-def url_of() -> str:
-    """Return the address that the emulator prints."""
+def url_of(log: Path) -> str:
+    """Return the address that the emulator prints into its log."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
-        log = LOG / "with/emulator.log"
         found = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
         if found:
             return found[1]
@@ -76,7 +75,7 @@ def factor(scene: str, page: bool) -> float:
         one = open_.enter_context(network(scene, page))
         ticks = open_.enter_context(listener())
         if page:
-            open_.enter_context(client(url_of()))
+            open_.enter_context(client(url_of(LOG / "with/emulator.log")))
         while ticks() < 500:
             if one.ended() is not None:
                 raise RuntimeError(f"a node ended: {one.ended()}")
@@ -125,7 +124,7 @@ def main() -> None:
 
 def soak(scene: str, minutes: float) -> None:
     """Print the memory of a page's process ten times while a client is connected."""
-    with network(scene, page=True) as one, client(url_of()) as got:
+    with network(scene, page=True) as one, client(url_of(LOG / "with/emulator.log")) as got:
         process = page_process(one.process("emulator").pid)
         print("| after [min] | memory [MB] | to the browser [MB] |\n|---|---|---|")
         for turn in range(11):

@@ -6,6 +6,8 @@ It needs requirements-peers.txt and Chromium.
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,8 +29,9 @@ PATIENCE = 200_000  # ms, of software rendering
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
-def draw(folder: Path) -> Path:
-    """Draw the page into a folder, and return the picture's path.
+@contextmanager
+def in_chromium(url: str, size: Any = SIZE) -> Iterator[Any]:
+    """Open a page in Chromium without a window, of a size, in this block.
 
     Raises:
         Refusal: Chromium is missing.
@@ -38,6 +41,24 @@ def draw(folder: Path) -> Path:
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         raise Refusal("page", "Chromium", "be installed", "none")
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, headless=True, args=FLAGS)
+        shown = browser.new_page(viewport=size)
+        shown.set_default_timeout(PATIENCE)
+        shown.goto(url)
+        # The browser's remark on software rendering.
+        shown.locator(".mantine-Notification-closeButton").first.click()
+        shown.locator(".mantine-Notification-closeButton").first.wait_for(state="detached")
+        yield shown
+        browser.close()
+
+
+def draw(folder: Path) -> Path:
+    """Draw the page into a folder, and return the picture's path.
+
+    Raises:
+        Refusal: Chromium is missing.
+    """
     line = Timeline(load_offline_run("ur5"))
     line.advance(200)
     line.change("target", partial(new_target, offset=np.array([-0.1, 0.35, 0.15])))
@@ -46,18 +67,10 @@ def draw(folder: Path) -> Path:
     page = RunPage(Subject.of(line, LAST), lambda: (TermsNow({}, {}), []))
     file = folder / "look.png"
     try:
-        with sync_playwright() as play:
-            browser = play.chromium.launch(executable_path=chromium, headless=True, args=FLAGS)
-            shown = browser.new_page(viewport=SIZE)
-            shown.set_default_timeout(PATIENCE)
-            shown.goto(page.url)
+        with in_chromium(page.url) as shown:
             shown.get_by_role("tab", name="Plot").click()
             shown.locator(".uplot canvas").first.wait_for()
-            # The browser's remark on software rendering.
-            shown.locator(".mantine-Notification-closeButton").first.click()
-            shown.locator(".mantine-Notification-closeButton").first.wait_for(state="detached")
             shown.screenshot(path=file)
-            browser.close()
     finally:
         page.close()
     return file

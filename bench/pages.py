@@ -129,6 +129,12 @@ def _look(scratch: Path) -> Path:
     return page_picture.draw(scratch)
 
 
+def _live_page(scratch: Path) -> Path:
+    from bench import live_page_picture
+
+    return live_page_picture.draw(scratch)
+
+
 def _campaign(scratch: Path) -> Path:
     words = ["campaign", "examples/campaign.yaml", "--into", str(scratch)]
     subprocess.run([sys.executable, "-m", "arm_emulator", *words], check=True, cwd=ROOT)
@@ -144,6 +150,7 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "fig4.png": _fig4,
     "kuka_kr300_run_B.png": _kuka,
     "kinds_of_moves.png": _kinds_of_moves,
+    "live_page.png": _live_page,
     "look.png": _look,
     "manutec_r3.png": _manutec,
     "tool_paths.png": _tool_paths,
