@@ -2,39 +2,34 @@
 
 from __future__ import annotations
 
-import fnmatch
 import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.number import Number, numbers_of
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.base.text_file import read_bytes
 from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
-from arm_emulator.campaign.distributions import parse_distribution
+from arm_emulator.campaign.drawn_gains import with_gain, with_gains
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.scenario import Scenario, read_scenario
 from arm_emulator.campaign.search import read_method
 from arm_emulator.campaign.search.method import Method
-from arm_emulator.campaign.variation import (
-    SAMPLINGS,
-    Variation,
-    Varying,
-    correlation_of,
-)
+from arm_emulator.campaign.variation import SAMPLINGS, Variation, correlation_of
+from arm_emulator.campaign.varying_numbers import DRAWN, correlated, varying_numbers
 from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.runs.gains import check_fit
-from arm_emulator.servo.servo_config import ServoConfig, check_rates, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 from arm_emulator.version import VERSION
 
 COUNT = Number("count", at_least=1, at_most=10**12, whole=True, text="runs at most")
@@ -44,13 +39,11 @@ WIDTH = Number("width", at_least=1e-9, at_most=1.0, default=0.0,
                text="of the intervals of all shares of failures, at which it may end")  # fmt: skip
 CONFIDENCE = Number("confidence", above=0.5, at_most=0.999999, default=0.95, text="of intervals")
 WALL = Number("seconds", "s", above=0.0, at_most=1e9, default=math.inf, text="of wall time")
-CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
 ALL = 1000  # runs of a campaign that states no count
 KEYS = (
     *("scene", "set", "controller", "scenario", "vary", "correlate", "sampling", "faults"),
     *("requirements", "measures", "count", "stop", "seed", "search"),
 )
-DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
 
 
 @dataclass(frozen=True)
@@ -119,17 +112,20 @@ class Campaign:
         servo, drawn = self.servo, {name.split(".")[0] for name in values}
         known = self.nominal if values else None  # what does not vary is not read anew
         changed = {key for key in DRAWN if key in self.data and (known is None or key in drawn)}
+        set_by_number = self._with_numbers(values) if known and "faults" in changed else None
+        if set_by_number is not None:
+            changed.remove("faults")
         data = _unshared({key: self.data[key] for key in changed})
         for name, value in values.items():
             section = name.split(".")[0]
             if section == "controller":
-                servo = _with_gain(servo, name, value, self.where)
+                servo = with_gain(servo, name, value, self.where)
             elif section in changed:
                 _put(data, name.split("."), value)
         root = Section(data, self.where)
         root.has("controller")
         scenario = known[0] if known else None
-        faults = known[1] if known else {}
+        faults = set_by_number or (known[1] if known else {})
         if scenario is None or "scenario" in changed:
             section_of = root.required_section("scenario")
             scenario = read_scenario(section_of, self.scene, self.file.parent)
@@ -137,6 +133,34 @@ class Campaign:
         if "faults" in changed:
             faults = _faults(root, self.scene)
         return scenario, faults, servo
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[str, list[str]]]:
+        """Fault and path in it of each number of faults that varies."""
+        found = {}
+        for one in self.variation.numbers:
+            section, _, rest = one.name.partition(".")
+            of = [name for name in self.nominal[1] if rest.startswith(f"{name}.")]
+            if section == "faults" and of:
+                fault = max(of, key=len)
+                found[one.name] = fault, rest[len(fault) + 1 :].split(".")
+        return found
+
+    def _with_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
+        """Return the faults with other numbers; None: their section must be read."""
+        faults = dict(self.nominal[1])
+        for name, value in values.items():
+            if not name.startswith("faults."):
+                continue
+            fault, path = self._places.get(name, ("", []))
+            one = faults[fault].with_number(path, value) if fault else None
+            if one is None:
+                return None
+            faults[fault] = one
+        for name, one in faults.items():
+            if one is not self.nominal[1][name]:
+                one.check(self.scene, f"{self.where}: faults.{name}")
+        return faults
 
 
 def load_campaign(file: Path) -> Campaign:
@@ -154,7 +178,7 @@ def load_campaign(file: Path) -> Campaign:
         controller.has(kind)
     scene_file = files["scene"]
     servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
-    servo = _with_gains(servo, controller, file.name)
+    servo = with_gains(servo, controller, file.name)
     patterns = _patterns(root)
     scene = _scene(root, scene_file, [one for one in patterns if one.split(".")[0] not in DRAWN])
     check_fit(scene, servo, motion)
@@ -163,8 +187,8 @@ def load_campaign(file: Path) -> Campaign:
     used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
     used |= _named_files(data, file.parent)
     sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
-    numbers = _numbers(root, patterns, scene, servo, data)
-    pairs = _pairs(root, [one.name for one in numbers])
+    numbers = varying_numbers(root, patterns, scene, servo, data)
+    pairs = correlated(root, [one.name for one in numbers])
     correlation = correlation_of(pairs, numbers, file.name)
     levels = Variation(numbers, "random", bytes(32), 1).levels
     count = count or (levels if levels > 1 else ALL)
@@ -326,95 +350,6 @@ def _faults(root: Section, scene: Scene) -> dict[str, Fault]:
         found[name].check(scene, f"{root.where}: faults.{name}")
     section.finish()
     return found
-
-
-def _with_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
-    """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
-    *path, key = name.split(".")
-    joint = ".".join(path[2:])
-    of_joint = next((one for one in servo.joints if one.name == joint), None)
-    numbers = {} if of_joint is None else numbers_of(type(of_joint))
-    if path[:2] != ["controller", "joints"] or of_joint is None:
-        valid = ", ".join(f"controller.joints.{one}" for one in servo.joint_names)
-        raise Refusal(where, name, "be a number of the servo", name, valid)
-    if key not in numbers:
-        raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
-    changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
-    check_rates(changed, servo.period, f"{where}: controller")
-    return replace(servo, joints=tuple(changed if one is of_joint else one for one in servo.joints))
-
-
-def _with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
-    joints = controller.section("joints")
-    for joint in () if joints is None else joints.keys():
-        section = joints.required_section(joint)  # type: ignore[union-attr]
-        for key in section.keys():
-            name = f"controller.joints.{joint}.{key}"
-            servo = _with_gain(servo, name, section.value(key), where)
-    return servo
-
-
-def _numbers(
-    root: Section,
-    patterns: Sequence[str],
-    scene: Scene,
-    servo: ServoConfig,
-    data: Mapping[str, Any],
-) -> list[Varying]:
-    """Return what varies, in the order of the file."""
-    known = {one.name: (one.number.unit, one.value) for one in scene.varied}
-    for section in DRAWN[:2]:
-        known |= {f"{section}.{name}": ("", value) for name, value in leaves(data.get(section))}
-    for joint in servo.joints:
-        for name, number in numbers_of(type(joint)).items():
-            value = getattr(joint, name)
-            known[f"controller.joints.{joint.name}.{name}"] = number.unit, value
-    section_of_vary = root.section("vary")
-    found: dict[str, Varying] = {}
-    for pattern in patterns:
-        assert section_of_vary is not None
-        quantity = f"vary.{pattern}"
-        given = parse_distribution(section_of_vary.value(pattern), root.where, quantity)
-        names = fnmatch.filter(known, pattern)
-        if not names:
-            prefix = pattern.split(".")[0]
-            valid = ", ".join(name for name in known if name.startswith(prefix)) or "none"
-            raise Refusal(root.where, quantity, "name existing numbers", pattern, valid)
-        for name in names:
-            if name in found:
-                raise Refusal(root.where, quantity, "name each number once", name)
-            unit, value = known[name]
-            found[name] = Varying(name, unit, given, float(value))
-    return list(found.values())
-
-
-def _pairs(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
-    pairs = []
-    for place, entry in enumerate(root.entries("correlate")):
-        root.put(f"correlate.{place}", entry)
-        one = root.required_section(f"correlate.{place}")
-        patterns = one.entries("between")
-        of = [name for name in names if any(fnmatch.fnmatch(name, str(p)) for p in patterns)]
-        missing = [str(p) for p in patterns if not fnmatch.filter(names, str(p))]
-        if missing or len(of) < 2:
-            got = ", ".join(missing) or ", ".join(of) or "none"
-            raise one.refusal("between", "name two numbers that vary", got, ", ".join(names))
-        pairs.append((of, one.number(CORRELATION)))
-        one.finish()
-    return pairs
-
-
-def leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
-    """Yield all numbers below a section, by their dotted names."""
-    items: Any = ()
-    if isinstance(data, dict):
-        items = data.items()
-    elif isinstance(data, list):
-        items = enumerate(data)
-    elif isinstance(data, int | float) and not isinstance(data, bool):
-        yield path, float(data)
-    for key, value in items:
-        yield from leaves(value, f"{path}.{key}" if path else str(key))
 
 
 def _unshared(data: Any) -> Any:

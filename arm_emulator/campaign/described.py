@@ -12,6 +12,7 @@ from arm_emulator.campaign.distributions import KINDS
 from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.scenario import AT, SECONDS
 from arm_emulator.campaign.search import METHODS
+from arm_emulator.campaign.varying_numbers import CORRELATION
 from arm_emulator.machine.scene import load_scene
 
 
@@ -58,7 +59,7 @@ def _numbers() -> str:
         "stop.seconds": campaign_file.WALL,
         "scenario.seconds": SECONDS,
         "scenario.targets.N.at, scenario.moves.N.at": AT,
-        "correlate.N.by": campaign_file.CORRELATION,
+        "correlate.N.by": CORRELATION,
     }
     return _table(("key", "what it is"), ((f"`{name}`", one.described) for name, one in of.items()))
 

@@ -7,11 +7,11 @@ and ends. Files, refusals, docs and what can vary follow from it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from arm_emulator.base.number import number
+from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.section import Section
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
@@ -24,10 +24,12 @@ class Fault:
     Attributes:
         kind: its name in files.
         varied: numbers of the scene that it sets, which must be data of the machine.
+        vectors: bounds of its attributes that are vectors.
     """
 
     kind: ClassVar[str] = ""
     varied: ClassVar[tuple[str, ...]] = ()
+    vectors: ClassVar[Mapping[str, Number]] = {}
 
     at: float = number("s", at_least=0.0, text="when it begins")
     lasting: float = number("s", above=0.0, default=math.inf, text="how long; to the end if absent")
@@ -50,6 +52,27 @@ class Fault:
     def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
         """Return what a scene file that has these keys lacks for it, as `load_scene` takes it."""
         return {}
+
+    def with_number(self, path: Sequence[str], value: float) -> Self | None:
+        """Return it with another number, as if it had been read so.
+
+        Args:
+            path: name of a number; or of a vector, and the place in it.
+            value: of the number.
+
+        Returns:
+            None: no such number, or a value out of its range, which `read` refuses.
+        """
+        key, *place = path
+        bound = self.vectors.get(key) if place else numbers_of(type(self)).get(key)
+        if bound is None or not bound.holds(value):
+            return None
+        taken: Any = bound.take("", value)
+        if place:
+            entries = list(getattr(self, key))
+            entries[int(place[0])] = taken
+            taken = tuple(entries)
+        return replace(self, **{key: taken})
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse what this scene cannot have.

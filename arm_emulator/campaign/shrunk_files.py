@@ -11,8 +11,9 @@ import yaml
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
-from arm_emulator.campaign.campaign_file import DRAWN, Campaign, leaves, used_files
+from arm_emulator.campaign.campaign_file import Campaign, used_files
 from arm_emulator.campaign.shrinking import Shrunk
+from arm_emulator.campaign.varying_numbers import DRAWN, leaves
 from arm_emulator.machine.overrides import override
 
 GAINS = "controller.joints."

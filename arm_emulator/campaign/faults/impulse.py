@@ -30,6 +30,7 @@ class Impulse(Fault):
     """
 
     kind: ClassVar[str] = "impulse"
+    vectors: ClassVar[Mapping[str, Number]] = {"impulse": _IMPULSE, "point": POINT}
 
     lasting: float = number("s", above=0.0, at_most=1.0, default=1e-9, text="contact")
     link: str

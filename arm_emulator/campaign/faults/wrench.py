@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from arm_emulator.base.bound import FORCE, MOMENT, POINT
+from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
@@ -27,6 +28,7 @@ class Wrench(Fault):
     """
 
     kind: ClassVar[str] = "wrench"
+    vectors: ClassVar[Mapping[str, Number]] = {"force": FORCE, "moment": MOMENT, "point": POINT}
 
     link: str
     force: tuple[float, ...] = NONE
@@ -37,9 +39,8 @@ class Wrench(Fault):
     @classmethod
     def others(cls, section: Section) -> dict[str, Any]:
         """Return link, vectors and axes."""
-        bounds = {"force": FORCE, "moment": MOMENT, "point": POINT}
         vectors = {
-            name: section.vector(bound.named(name)) or NONE for name, bound in bounds.items()
+            name: section.vector(bound.named(name)) or NONE for name, bound in cls.vectors.items()
         }
         axes = section.choice("axes", AXES, default="world")
         return {"link": section.text("link"), "axes": axes, **vectors}
