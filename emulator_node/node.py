@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.base.parameters import parameter
+from arm_emulator.machine.build_facts import build_facts
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
@@ -121,6 +122,7 @@ class EmulatorNode(ManagedNode):
             if config.clock == "realtime"
             else Session(scene, config.clock, config.start, standing=True)
         )
+        diagnostics.values |= build_facts(session.plant)
         watched = self._watch(session, config.page_port)
         self.cleanup.callback(watched.close)
         view = View(session, config.rerun_file, config.rerun_port)

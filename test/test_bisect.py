@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from draws import FULL, some
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
@@ -24,6 +25,7 @@ from arm_emulator.bags.first_difference import FirstDifference, Side, first_diff
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine import compiler
+from arm_emulator.machine.build_facts import build_facts, other_builds
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.session import Session
@@ -39,6 +41,7 @@ KINDS = {
     "/motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
     "/emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
     "/emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
+    "/diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
 VARIED = "joints.elbow.friction.viscous"
 Plant = Callable[[Session, int], None]
@@ -110,6 +113,8 @@ def record(
             send("/emulator/events", tick=session.tick, powered=session.powered, machine=1,
                  number=events, kind=kind, state=array("B", session.plant.save()))  # fmt: skip
 
+        build = [KeyValue(key=key, value=one) for key, one in build_facts(session.plant).items()]
+        send("/diagnostics", status=[DiagnosticStatus(name="emulator", values=build)])
         report()
         for tick in range(TICKS):
             unseen(session, tick)
@@ -144,7 +149,7 @@ def test_equal_runs_are_equal(plain: tuple[Path, States], scene: Path, tmp_path:
         assert first_difference(Side.of(plain[0], str(scene), 1), other) == (None, TICKS + 1)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", some(range(20), 5))
 def test_a_bit_of_the_state(
     seed: int, plain: tuple[Path, States], scene: Path, tmp_path: Path
 ) -> None:
@@ -177,7 +182,7 @@ def test_a_bit_of_the_state(
         assert before[row].tobytes() == getattr(plain[1][when], row).tobytes(), "the step's inputs"
 
 
-@pytest.mark.parametrize("seed", range(18))
+@pytest.mark.parametrize("seed", some(range(18), 3))
 def test_a_bit_of_a_command(
     seed: int, plain: tuple[Path, States], scene: Path, tmp_path: Path
 ) -> None:
@@ -198,7 +203,7 @@ def test_a_bit_of_a_command(
     assert np.flatnonzero(one["command"] != other["command"]).tolist() == [joint]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", some(range(8), 3))
 def test_a_bit_of_a_number(seed: int, scene: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(200 + seed)
     when, value = int(rng.integers(0, TICKS)), float(rng.uniform(0.4, 0.6))
@@ -256,7 +261,7 @@ def test_code_of_a_part(
     assert code in text
     file.write_text(text.replace(code, other))
     monkeypatch.setattr(compiler, "CORE", tmp_path / "core")
-    assert_found(plain, scene)
+    assert_found(plain, scene, "compiled from ")
 
 
 @pytest.mark.parametrize("flags", ["-O1 -fno-associative-math", *(["-O0", "-O2 -mno-fma"] * FULL)])
@@ -264,14 +269,24 @@ def test_a_compiler_flag(
     flags: str, plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiler, "FLAGS", (*compiler.FLAGS, *flags.split()))
-    assert_found(plain, scene)
+    other = f"no further flag (record), {flags} (present)"
+    assert_found(plain, scene, f"compiled with {other}")
 
 
-def assert_found(plain: tuple[Path, States], scene: Path) -> None:
-    """The present machine differs from the record first where its states do."""
-    difference, _ = first_difference(
-        Side.of(plain[0], str(scene), -1), replace(Side.of(plain[0], str(scene), -1), again=True)
-    )
+@pytest.mark.skipif(not FULL or shutil.which("clang++") is None, reason="a second compiler")
+def test_another_compiler(
+    plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CXX", "clang++")
+    assert_found(plain, scene, "compiled by GCC")
+
+
+def assert_found(plain: tuple[Path, States], scene: Path, build: str) -> None:
+    """The present machine differs first where its states do; its other build is named."""
+    one = Side.of(plain[0], str(scene), -1)
+    difference, _ = first_difference(one, two := replace(one, again=True))
+    (named,) = other_builds(("record", "present"), one.build, two.build)
+    assert named.startswith(build)
     assert_first(difference, plain[1], again(scene))
 
 

@@ -25,6 +25,7 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.build_facts import build_facts
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.plant import Plant
@@ -88,6 +89,11 @@ class Side:
         joints = self.scene.joint_names
         recorded = (one for one in recorded_ticks(self.topics, joints) if one.run == self.run)
         return _computed(self, recorded) if self.again else recorded
+
+    @property
+    def build(self) -> dict[str, str]:
+        """Facts of the build that has computed it, as far as they are recorded."""
+        return build_facts(Plant(self.scene)) if self.again else self.topics.build
 
     def machine(self) -> RecordedMachine:
         """Return the machine of the run, at tick 0."""

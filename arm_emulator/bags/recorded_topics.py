@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.machine.build_facts import COMPILED_WITH
 from arm_emulator.machine.scene import Scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.message_types import definition_of, fields
@@ -120,6 +121,17 @@ class RecordedTopics:
             rule = f"name the scene with the joints {', '.join(state.joint_names)}"
             raise Refusal("check-bag", "--scene", rule, "none", ", ".join(fitting) or None)
         return fitting[0]
+
+    @property
+    def build(self) -> dict[str, str]:
+        """Facts of the emulator's build that it has reported, see `build_facts`."""
+        for _, array in self.read("diagnostics"):
+            for status in array.status:
+                if status.name.split("/")[-1] == "emulator":
+                    values = {pair.key: pair.value for pair in status.values}
+                    if COMPILED_WITH in values:
+                        return values
+        return {}
 
     @property
     def missing(self) -> Iterator[str]:

@@ -138,6 +138,14 @@ def fingerprint(unit: Unit, target: str) -> str:
     return f"0x{_digest(unit.saves_as or unit, target)[:16]}u"
 
 
+def sources_digest(unit: Unit) -> str:
+    """Return a digest of a unit's sources, without flags and compiler."""
+    digest = hashlib.sha256(unit.source.encode())
+    for folder in unit.folders:
+        digest.update(_digest_of(folder))
+    return digest.hexdigest()[:12]
+
+
 def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
     with _compiled(unit, target, cache) as library:
         if folder is None:

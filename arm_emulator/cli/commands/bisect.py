@@ -14,6 +14,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Commit, RunNumber, SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.machine.build_facts import other_builds
 
 
 @command(of_ros=True)
@@ -57,7 +58,11 @@ def bisect(
         two = Side.of(other, other_scene or scene, other_run)
     names = (bag.name, "driven again" if other is None else other.name)
     found, equal = first_difference(one, two)
-    output.facts({"sides": names, "equal_ticks": equal, "difference": _facts(found)})
+    builds = other_builds(names, one.build, two.build)
+    facts = {"sides": names, "equal_ticks": equal, "difference": _facts(found), "builds": builds}
+    output.facts(facts)
+    for sentence in builds:
+        output.line(f"other builds: {sentence}")
     if found is None:
         output.line(f"equal to the last bit in what both have recorded: {equal} ticks")
         return 0
