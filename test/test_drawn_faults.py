@@ -92,3 +92,10 @@ def test_a_draw_is_refused_as_a_file_is(
     with pytest.raises(Refusal) as read:
         loaded(tmp_path, written({name: value}))
     assert str(drawn.value) == str(read.value)
+
+
+def test_numbers_of_faults_have_units(campaign: Campaign) -> None:
+    units = {one.name.removeprefix("faults."): one.unit for one in campaign.variation.numbers}
+    expected = {"push.force.2": "N", "push.moment.0": "N m", "push.point.1": "m", "push.at": "s",
+                "push.again.impulse.0": "N s", "drop.mass": "kg", "slip.magnitude": ""}  # fmt: skip
+    assert {name: units[name] for name in expected} == expected

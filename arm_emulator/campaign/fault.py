@@ -53,6 +53,12 @@ class Fault:
         """Return what a scene file that has these keys lacks for it, as `load_scene` takes it."""
         return {}
 
+    @classmethod
+    def unit_of(cls, key: str) -> str:
+        """Return the unit of a number or a vector."""
+        one = numbers_of(cls).get(key) or cls.vectors.get(key)
+        return one.unit if one else ""
+
     def with_number(self, path: Sequence[str], value: float) -> Self | None:
         """Return it with another number, as if it had been read so.
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Columns = Mapping[str, Array]
 HOLDS, FAILS, INK, LIGHT = "#4878a8", "#d1495b", "#22313f", "#dfe5ea"
-MOST_LINES, MOST_POINTS, MOST_AXES = 600, 4000, 10
+MOST_LINES, MOST_POINTS, MOST_AXES = 150, 4000, 10  # lines: of each kind
 _STYLE = {
     "font.size": 9.5,
     "font.family": "sans-serif",
@@ -181,7 +181,9 @@ def _cloud(axis: Axes, x: Array, y: Array) -> None:
 
 
 def coordinates(columns: Columns, varying: Sequence[str], failed: Array, least: Array) -> Figure:
-    """Draw runs as lines over all varied numbers, the failed ones on top.
+    """Draw runs as lines over all varied numbers, failed and others in turns.
+
+    So neither kind hides the other, however many there are of each.
 
     Args:
         columns: of the results.
@@ -194,15 +196,16 @@ def coordinates(columns: Columns, varying: Sequence[str], failed: Array, least: 
     names = [*varying[:MOST_AXES]]
     figure, (axis,) = _figure(10.2, 3.6, 1, 1)
     order = np.argsort(-least, kind="stable")
-    bad = order[failed[order]][-MOST_LINES // 2 :]
+    bad = order[failed[order]][-MOST_LINES:]
     good = order[~failed[order]]
-    good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES // 2)).astype(int)]
+    good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES)).astype(int)]
     heights = np.array([_scaled(columns[name]) for name in names])
-    for runs, color, alpha in ((good, HOLDS, 0.16), (bad, FAILS, 0.35)):
-        lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in runs]
-        axis.add_collection(
-            LineCollection(lines, colors=color, alpha=alpha, linewidths=0.9, rasterized=True)
-        )
+    drawn = np.random.default_rng(0).permutation(np.concatenate([bad, good]))
+    lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in drawn]
+    colors = [FAILS if failed[run] else HOLDS for run in drawn]
+    axis.add_collection(
+        LineCollection(lines, colors=colors, alpha=0.4, linewidths=0.8, rasterized=True)
+    )
     for place, name in enumerate(names):
         axis.axvline(place, color="#9aa7b2", linewidth=0.8)
         low, high = float(np.min(columns[name])), float(np.max(columns[name]))

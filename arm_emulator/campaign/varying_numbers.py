@@ -10,6 +10,7 @@ from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.distributions import parse_distribution
+from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.variation import Varying
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig
@@ -27,8 +28,13 @@ def varying_numbers(
 ) -> list[Varying]:
     """Return what varies, in the order of the file."""
     known = {one.name: (one.number.unit, one.value) for one in scene.varied}
-    for section in DRAWN[:2]:
-        known |= {f"{section}.{name}": ("", value) for name, value in leaves(data.get(section))}
+    for name, value in leaves(data.get("scenario")):
+        known[f"scenario.{name}"] = "", value
+    faults = root.section("faults")
+    for fault in () if faults is None else faults.keys():
+        kind = known_faults()[data["faults"][fault]["kind"]]
+        for name, value in leaves(data["faults"][fault]):
+            known[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
     for joint in servo.joints:
         for name, number in numbers_of(type(joint)).items():
             value = getattr(joint, name)
