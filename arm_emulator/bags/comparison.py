@@ -29,6 +29,7 @@ class Comparison:
         others: topics that are not compared.
         difference: the first one; None: all is equal to the last bit.
         hints: what may explain it.
+        about: further facts of the bag, such as the bag that it forked from.
     """
 
     scene: str
@@ -39,6 +40,7 @@ class Comparison:
     others: list[str]
     difference: str | None
     hints: list[str]
+    about: dict[str, str]
 
 
 def compare(path: Path, scene_name: str | None = None) -> Comparison:
@@ -79,4 +81,5 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
         others=sorted(set(bag.topics) - taken),
         difference=difference,
         hints=[] if difference is None else list(topics.hints(scene)),
+        about=bag.about,
     )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import open_file
-from arm_emulator.base.yaml_file import parse_yaml
+from arm_emulator.base.yaml_file import parse_yaml, read_yaml
 from arm_emulator.ros.bag_metadata import Span, Topic, qos_from_yaml
 
 try:
@@ -58,6 +58,16 @@ class Bag:
         self.complete = True
         self._files = files_of(path)
         self.spans = [self._scan(file) for file in self._files]
+
+    @property
+    def about(self) -> dict[str, str]:
+        """Further facts that its writer has put into its metadata."""
+        file = self.path / "metadata.yaml"
+        if not file.is_file():
+            return {}
+        body = read_yaml(file).get("rosbag2_bagfile_information")
+        facts = body.get("custom_data") if isinstance(body, dict) else None
+        return {str(k): str(v) for k, v in facts.items()} if isinstance(facts, dict) else {}
 
     def _scan(self, file: Path) -> Span:
         begin, end, count = 2**63 - 1, 0, 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from rclpy.qos import (
 
 METADATA_VERSION = 9  # of rosbag2 in Jazzy
 NANOSECONDS = 1_000_000_000
+PARENT, FORKED_AT = "parent", "forked at tick"  # further facts of a bag
 _POLICIES: dict[str, type[IntEnum]] = {
     "history": HistoryPolicy,
     "reliability": ReliabilityPolicy,
@@ -64,8 +65,10 @@ def text_of(metadata: dict[str, Any]) -> bytes:
     return yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False).encode()
 
 
-def metadata_of(topics: Collection[Topic], spans: Collection[Span]) -> dict[str, Any]:
-    """Return the metadata of a bag."""
+def metadata_of(
+    topics: Collection[Topic], spans: Collection[Span], about: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Return the metadata of a bag; `about` has further facts."""
     filled = [span for span in spans if span.messages]
     begin = min((span.begin for span in filled), default=0)
     end = max((span.end for span in filled), default=0)
@@ -98,7 +101,7 @@ def metadata_of(topics: Collection[Topic], spans: Collection[Span]) -> dict[str,
         "compression_mode": "",
         "relative_file_paths": [span.file for span in spans],
         "files": [{"path": s.file, **summary(s.begin, s.end, s.messages)} for s in spans],
-        "custom_data": None,
+        "custom_data": dict(about) if about else None,
         "ros_distro": "jazzy",
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +44,15 @@ class BagWriter:
 
     Args:
         folder: the bag, which must not exist.
+        about: further facts for its metadata.
 
     Raises:
         Refusal: it exists, or cannot be made.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, about: Mapping[str, str] | None = None) -> None:
         self.folder = folder
+        self._about = dict(about or {})
         self.whole = False
         self._file = folder / f"{folder.resolve().name}_0.mcap"
         self._topics: dict[int, Topic] = {}
@@ -178,7 +180,7 @@ class BagWriter:
     def _reported(self) -> dict[str, Any]:
         count = sum(topic.count for topic in self.topics)
         span = Span(self._file.name, self._begin, self._end, count)
-        return metadata_of(self.topics, [span])
+        return metadata_of(self.topics, [span], self._about)
 
     def _keep_room(self) -> None:
         """Reserve room for metadata, in case the disk becomes full."""

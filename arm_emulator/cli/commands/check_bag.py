@@ -9,6 +9,7 @@ from arm_emulator.bags.comparison import compare
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
 
 
 @command(of_ros=True)
@@ -24,6 +25,8 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
     tally, left_out, difference = found.tally, found.left_out, found.difference
     clock = "" if found.lockstep else " in real time"
     output.line(f"scene {found.scene}{clock}: {tally.compared}")
+    if parent := found.about.get(PARENT):
+        output.line(f"forked from {parent} at tick {found.about.get(FORKED_AT)}")
     output.line(f"compared: {'; '.join(f'{name} ({of})' for name, of in found.fields.items())}")
     for line in left_out:
         output.line(f"not compared: {line}")
@@ -39,6 +42,7 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
             "counts": dataclasses.asdict(tally),
             "not_compared": left_out,
             "topics_not_compared": found.others,
+            "about": found.about,
         }
     )
     if difference is not None:
