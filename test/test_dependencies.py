@@ -20,7 +20,7 @@ WHEELS = {
     "serial": "pyserial",
 }
 # Imported where they are there, and done without where they are not.
-OPTIONAL = {"control_msgs"}
+OPTIONAL = {"control_msgs", "simulation_interfaces"}
 
 
 def packages() -> list[str]:
@@ -70,7 +70,7 @@ def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
 
 
 # Requirements of the wheel without ROS are named in requirements*.txt, and follow from these.
-BROUGHT = {"coal": "pin", "lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
+BROUGHT = {"PIL": "matplotlib", "coal": "pin", "lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
 NAMES = {"pinocchio": "pin", "yaml": "PyYAML", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}
 NAMES |= {"can": "python-can", "elftools": "pyelftools", "_cffi_backend": "cffi"}
 OF_ROS = re.compile(r"\w+_(msgs|srvs|interfaces)|rclpy|ament_index_python|launch(_ros)?")

@@ -61,7 +61,7 @@ JOINTS: dict[str, list[tuple[dict[str, Any], float]]] = {
           "counterbalance": {"base_distance": 0.4, "link_distance": 0.15, "angle": 0.6,
                              "force": -50.0, "length": 0.4, "gas_column": 0.3},
           "end_stops": {"lower": -0.005, "upper": 0.005, "stiffness": 3e3, "damping": 5.0}}, 20.0),
-        ({"friction": {"viscous": 0.5},
+        ({"friction": {"viscous": 0.5}, "drag": {"coefficient": 2.0},
           "counterbalance": {"base_distance": 0.4, "link_distance": 0.15, "angle": -0.8,
                              "force": 300.0, "length": 0.5, "stiffness": 400.0},
           "torque_table": {"angles": [-1.0, -0.01, 0.01, 1.0], "torques": [2.0, -1.0, 3.0, 0.5]}},

@@ -37,6 +37,7 @@ OURS = {
     "doctor": "its outcome is that of the machine; test_doctor.py",
     "ethercat": "needs a network interface; test_ethercat.py",
     "explain": "needs the reader's bag; test_recorded_machine.py",
+    "film": "needs the reader's bag, and a graphics driver; test/peers/test_film.py",
     "firmware": "needs a cross compiler; test/peers",
     "identify": "needs the reader's record; test_identification.py",
     "look": "runs until Ctrl-C; test/peers/test_page.py",
