@@ -13,9 +13,11 @@ from scipy import stats
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.forking import ForkingRun
+from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results
 from arm_emulator.campaign.search.splitting import Splitting
 from arm_emulator.campaign.splitter import Splitter
+from arm_emulator.campaign.summary import summary_of
 
 DRIFTS = {
     "scene": "three_axis",
@@ -106,9 +108,21 @@ def test_a_failure_that_no_level_leads_to_is_reported():
     assert not leads and "No level led" in method.finding("g", levels, []).about
 
 
-def test_a_fork_with_the_noise_of_its_run_is_that_run(tmp_path):
+MOVES = {
+    "scenario": {
+        "seconds": 0.3,
+        "moves": [
+            {"at": 0.0, "by": [0.01, -0.02, 0.03]},
+            {"at": 0.1, "by": [-0.02, 0.01, 0.02]},
+        ],
+    },
+}
+
+
+@pytest.mark.parametrize("change", [{}, MOVES], ids=["targets", "moves"])
+def test_a_fork_with_the_noise_of_its_run_is_that_run(tmp_path, change):
     """Faults that have begun and ended, power, servo and counts with it; whatever is between."""
-    one = ForkingRun(read(tmp_path))
+    one = ForkingRun(read(tmp_path, DRIFTS | change))
     one.begin(3, 5)
     whole = one.reach(-math.inf)[1]
     state = bits(one)
@@ -152,7 +166,8 @@ class Here:
 
 
 def test_a_search_goes_on_and_has_the_same_end(tmp_path):
-    one = read(tmp_path)
+    rare = {**DRIFTS["faults"], "edges": {**DRIFTS["faults"]["edges"], "magnitude": 0.015}}
+    one = read(tmp_path, DRIFTS | {"faults": rare})
     results = Results(tmp_path / "results", one)
     first = Splitter(one, results, Here, lambda _: None).run()
     for name in ("pilot", "0003"):  # as if it had been interrupted
@@ -162,6 +177,18 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     assert len(seen) == 2, "what was there was not done again"
     ((name, mean, low, high, _),) = first[0].rows
     assert name == "counts" and low <= mean <= high
+    rows = first[1].rows
+    assert [row[0] for row in rows] == [
+        *(f"level {k + 1}" for k in range(len(rows) - 1)),
+        "failure",
+    ]
+    assert all(row[3] <= row[2] <= row[4] for row in rows)
+    margins = [row[1] for row in rows]
+    assert margins == sorted(margins, reverse=True) and margins[-1] == 0.0 and len(rows) > 1
+    columns = results.columns()
+    report = write_report(one, results, columns, summary_of(one, columns), first).read_text()
+    for row in rows:
+        assert f"<td>{row[0]}<td class=n>{row[1]:.4g}<td class=n>{row[2]:.4g}" in report
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def write_report(
     Args:
         campaign: which one.
         results: their folder.
-        columns: all columns of these, with a run at least.
+        columns: all columns of these; without a run where the findings are of forks.
         summary: of these.
         findings: of a search.
     """
@@ -60,11 +60,11 @@ def write_report(
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     least = _least(columns, list(names))
     drawn: dict[str, bytes] = {}
-    if names:
+    if names and summary.count:
         drawn["margins"] = pictures.png(pictures.margins(columns, names))
-    if names and varying:
+    if names and varying and summary.count:
         drawn["influences"] = pictures.png(pictures.influences(columns, varying, names))
-    if len(varying) > 1:
+    if len(varying) > 1 and summary.count:
         order = _by_influence(columns, varying, list(names))
         lines = pictures.coordinates(columns, order, columns[FAILED], least)
         drawn["coordinates"] = pictures.png(lines)
@@ -117,10 +117,23 @@ def _page(
     yield f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>"
     method = campaign.search
     of_all = "" if method else f"of {campaign.count} "
-    yield f"<h1>{name}</h1><p class=lead>{summary.count} {of_all}runs of "
+    runs = f"{summary.count} {of_all}runs" if summary.count else "Runs and forks of runs"
+    yield f"<h1>{name}</h1><p class=lead>{runs} of "
     yield f"{scenario.seconds:g} s of <b>{html.escape(campaign.scene.name)}</b>, "
     how = f"searched by {method.kind}" if method else campaign.variation.sampling
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
+    if summary.count:
+        yield from _cards(campaign, summary, columns)
+    for one in findings:
+        yield from _finding(one)
+    if summary.count:
+        yield from _of_runs(campaign, results, summary, columns, least, drawn)
+    yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
+    yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
+
+
+def _cards(campaign: Campaign, summary: Summary, columns: pictures.Columns) -> Iterable[str]:
+    method, scenario = campaign.search, campaign.nominal[0]
     yield "<div class=cards>"
     share = summary.shares[-1]
     kind = "bad" if share.hits else "good"
@@ -133,8 +146,16 @@ def _page(
     yield _card(str(int(np.count_nonzero(np.isfinite(columns[DIVERGED])))), "diverged")
     yield _card(f"{summary.count * scenario.seconds:g} s", "simulated")
     yield "</div>"
-    for one in findings:
-        yield from _finding(one)
+
+
+def _of_runs(
+    campaign: Campaign,
+    results: Results,
+    summary: Summary,
+    columns: pictures.Columns,
+    least: NDArray[np.float64],
+    drawn: dict[str, bytes],
+) -> Iterable[str]:
     yield from _requirements(campaign, summary)
     titles = {
         "sensitivity": "Sensitivity, drawn",
@@ -147,10 +168,8 @@ def _page(
         yield f"<h2>{titles[picture]}</h2><img alt='{titles[picture]}' "
         yield f"src='data:image/png;base64,{data}'>"
     yield from _worst(campaign, results, columns, least)
-    if not method:
+    if campaign.search is None:
         yield from _quantiles(summary)
-    yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
-    yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
 
 
 def _finding(one: Finding) -> Iterable[str]:

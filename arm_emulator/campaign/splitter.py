@@ -68,6 +68,8 @@ class Splitter:
             for number in numbers:
                 found.append(Repetition(**json.loads(_file(self._folder, number).read_text())))
         findings = [self._method.finding(self._method.of, pilot["levels"], found)]
+        if found:
+            findings.append(self._method.of_levels(pilot["levels"], found))
         _write(self._results.folder / FOUND, [asdict(one) for one in findings])
         return findings
 

@@ -53,10 +53,18 @@ class Process(Protocol[State]):
 
 @dataclass(frozen=True)
 class Repetition:
-    """An estimate of the probability, and the runs and parts of runs that it took."""
+    """An estimate of the probability, and the runs and parts of runs that it took.
+
+    Attributes:
+        probability: the product of the shares.
+        runs: runs, and forks of runs.
+        shares: of the runs at each level that reach the next, the failure last; it ends where none
+            does.
+    """
 
     probability: float
     runs: int
+    shares: Sequence[float] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +149,7 @@ class Splitting(Method):
             number: of the repetition, from 1 on.
         """
         rng, N = np.random.default_rng([seed, number]), int(self.per_level)
-        first, p, runs, starts = number * N, 1.0, 0, list[Any]()
+        first, shares, runs, starts = number * N, list[float](), 0, list[Any]()
         for level in (*levels, 0.0):
             seeds, reached = _seeds(rng, N), list[Any]()
             for k in range(N):
@@ -149,12 +157,12 @@ class Splitting(Method):
                 runs += 1
                 if process.reach(level)[0]:
                     reached.append(None if level == 0.0 else process.fork())
-            p *= len(reached) / N
+            shares.append(len(reached) / N)
             if not reached:
                 break
             if level != 0.0:
                 starts = _chosen(reached, N, rng)
-        return Repetition(p, runs)
+        return Repetition(math.prod(shares), runs, shares)
 
     def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
         """Return what repetitions have found."""
@@ -174,6 +182,22 @@ class Splitting(Method):
         percent = f"{100 * self.confidence:g} %"
         head = "requirement", "probability", f"low end ({percent})", f"high end ({percent})", "runs"
         return Finding("Rare failures", about, head, ((of, mean, low, high, runs),))
+
+    def of_levels(self, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+        """Return the levels, with the shares of runs that reached each from the one before."""
+        rows = []
+        for k, level in enumerate((*levels, 0.0)):
+            shares = np.array([one.shares[k] for one in found if k < len(one.shares)])
+            name = "failure" if k == len(levels) else f"level {k + 1}"
+            if len(shares):
+                spread = float(np.mean(shares)), float(np.min(shares)), float(np.max(shares))
+                rows.append((name, level, *spread, len(shares)))
+        about = (
+            f"Margins at which runs are forked, {int(self.per_level)} a level and repetition, and "
+            "shares of them that come so far. Shares near 0 call for more runs per level."
+        )
+        head = "", "margin", "share", "least", "most", "repetitions"
+        return Finding("Levels", about, head, tuple(rows))
 
 
 def _seeds(rng: np.random.Generator, count: int) -> list[int]:

@@ -102,7 +102,7 @@ def campaign(
         _print(summary, digest_of(columns), results.folder)
     else:
         print_findings(findings, digest_of(columns), summary.count, results.folder)
-    if summary.count:
+    if summary.count or findings:
         output.line(f"report  {write_report(one, results, columns, summary, findings)}")
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
