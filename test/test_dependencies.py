@@ -70,7 +70,8 @@ def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
 
 
 # Requirements of the wheel without ROS are named in requirements*.txt, and follow from these.
-BROUGHT = {"PIL": "matplotlib", "coal": "pin", "lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
+BROUGHT = {"coal": "pin", "lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
+BROUGHT |= {"PIL": "matplotlib"}
 NAMES = {"pinocchio": "pin", "yaml": "PyYAML", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}
 NAMES |= {"can": "python-can", "elftools": "pyelftools", "_cffi_backend": "cffi"}
 OF_ROS = re.compile(r"\w+_(msgs|srvs|interfaces)|rclpy|ament_index_python|launch(_ros)?")
