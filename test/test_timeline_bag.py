@@ -94,7 +94,7 @@ def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert f"forked from {tmp_path / 'fork'} at tick 210" in capsys.readouterr().out
 
 
-def test_what_is_no_fork_is_refused(tmp_path: Path) -> None:
+def test_a_line_that_has_not_forked_is_refused(tmp_path: Path) -> None:
     run = load_offline_run("three_axis")
     line = Timeline(run)
     line.advance(3)

@@ -197,7 +197,7 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
 def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
     tmp_path: Path, seed: int
 ) -> None:
-    """What Python computes of a tree, in the scene's order of joints."""
+    """Python computes them in the order of joints of the scene."""
     scene = random_tree(tmp_path, seed, 8, gravity=GRAVITY)
     oracle, rng = Oracle(scene), np.random.default_rng(seed)
     loads, regressor = LinkLoads(scene), LinkRegressor(scene)
