@@ -34,6 +34,7 @@ from arm_emulator.runs.gains import load_gains
 HERE = Path(__file__).resolve().parent
 SECONDS = 60.0 if FULL else 6.0  # of the motion
 DRIVES, BYTES = 6, 14
+MAILBOX = 256  # bytes, core/ethercat_sii.hpp
 ROW = 1 + 2 * DRIVES * BYTES  # of a log: whether the frame came back in time, outputs, inputs
 
 pytestmark = [
@@ -139,6 +140,20 @@ def ur5(lockstep: bool = True) -> Segment:
 # -------------------------------------------------------------------------------------- dictionary
 
 
+def listed(name: str, objects: list[int]) -> set[int]:
+    """Objects that a master lists: ethercrab 0.7.1 drops the last one of each part but the first.
+
+    It subtracts the two bytes of the list's type from every part; only the first one has them
+    (ETG.1000.6, 5.6.3.3.3).
+    """
+    if name != "ethercrab":
+        return set(objects)
+    heads = 6 + 2 + 4  # bytes of mailbox, CoE and SDO information
+    first, later = (MAILBOX - heads - 2) // 2, (MAILBOX - heads) // 2
+    ends = [*range(first + later, len(objects), later), len(objects)]
+    return set(objects) - ({objects[end - 1] for end in ends} if len(objects) > first else set())
+
+
 @pytest.mark.parametrize("name", MASTERS)
 def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
     name: str, cable: Cable, tmp_path: Path
@@ -153,7 +168,8 @@ def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
     assert [one[0] for one in reported["slaves"]] == ["arm_emulator drive"] * DRIVES, (
         "slaves by name"
     )
-    assert {int(one) for one in reported["objects"]} == {one.index for one in entries}, "objects"
+    objects = sorted({one.index for one in entries})
+    assert {int(one) for one in reported["objects"]} == listed(name, objects), "objects"
     read = {key: bytes.fromhex(value) for key, value in reported["values"].items()}
     for one in entries:
         value = drives.upload(0, one.index, one.sub)

@@ -101,7 +101,8 @@ async fn scan(master: &MainDevice<'_>, entries: &str) -> Result<(), Error> {
             0 => first.sdo_read::<heapless::String<128>>(index, sub).await?.into_bytes().to_vec(),
             1 => vec![first.sdo_read::<u8>(index, sub).await?],
             2 => first.sdo_read::<u16>(index, sub).await?.to_le_bytes().to_vec(),
-            _ => first.sdo_read::<u32>(index, sub).await?.to_le_bytes().to_vec(),
+            4 => first.sdo_read::<u32>(index, sub).await?.to_le_bytes().to_vec(),
+            _ => first.sdo_read::<u64>(index, sub).await?.to_le_bytes().to_vec(),
         };
         let hex: String = value.iter().map(|byte| format!("{byte:02x}")).collect();
         values.push(format!("\"{index}:{sub}\": \"{hex}\""));
