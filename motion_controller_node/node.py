@@ -21,14 +21,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose as PoseOfMessage
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.bound import BRAKE_CLOSED, POSITION, VELOCITY
 from arm_emulator.base.joint_order import JointOrder
@@ -37,13 +33,9 @@ from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.follow_goal import tolerances_of
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.instructor import Instructor
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
 from arm_emulator.motion.motion_report import Kind, State
-from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.tolerances import Tolerances
-from arm_emulator.motion.tool_path import check_number_of_poses
 from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
@@ -54,7 +46,6 @@ from arm_emulator.ros.node_parameters import (
 )
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
-    COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
     EVENT_QOS,
     NANOSECONDS,
@@ -68,6 +59,7 @@ from arm_emulator.ros.node_shell import (
 from arm_emulator_msgs.msg import MotionStatus, ServoState
 from motion_controller_node.follow_action import FollowAction, installed
 from motion_controller_node.jog_topics import JogTopics
+from motion_controller_node.order_topics import OrderTopics
 
 _MOVABLE = BRAKE_CLOSED.named("movable")
 
@@ -124,11 +116,7 @@ class MotionControllerNode(ManagedNode):
             ),
         )
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
-        self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
-        self.create_subscription(
-            JointTrajectory, "joint_trajectory", self._on_joint_trajectory, COMMAND_SUB_QOS
-        )
-        self.create_subscription(Path, "tool_path", self._on_tool_path, COMMAND_SUB_QOS)
+        self._orders = OrderTopics(self, self._instructor, self._take, lambda: self._controller)
         self._jogs = JogTopics(
             self,
             self._instructor,
@@ -214,21 +202,6 @@ class MotionControllerNode(ManagedNode):
         if self.active:
             self._diagnostics.ok("waiting for joint_states")
 
-    def _on_tool_target(self, message: PoseStamped) -> None:
-        def take() -> None:
-            self._check_frame("tool_target", message.header)
-            time_ns = time_of("tool_target", message.header.stamp)
-            self._instructor.add(time_ns, _pose(message.pose, "tool_target"))
-
-        self._take(Kind.TOOL_TARGET, message.header, take)
-
-    def _on_joint_trajectory(self, message: JointTrajectory) -> None:
-        self._take(
-            Kind.JOINT_TRAJECTORY,
-            message.header,
-            lambda: self._add_trajectory(message, lambda t: t),
-        )
-
     def _on_goal(self, goal: Any) -> int:
         """Accept a goal of the action; return its number among the trajectories.
 
@@ -243,7 +216,9 @@ class MotionControllerNode(ManagedNode):
         names = () if kinematics is None else kinematics.joint_names
 
         def take() -> None:
-            self._add_trajectory(trajectory, lambda default: tolerances_of(goal, names, default))
+            self._orders.add_trajectory(
+                trajectory, lambda default: tolerances_of(goal, names, default)
+            )
 
         refusal = self._take(Kind.JOINT_TRAJECTORY, trajectory.header, take)
         if refusal is not None:
@@ -253,29 +228,6 @@ class MotionControllerNode(ManagedNode):
     def _on_cancel(self, number: int) -> None:
         self._instructor.cancel(number)
         self._report_status()
-
-    def _add_trajectory(
-        self, message: JointTrajectory, tolerances: Callable[[Tolerances], Tolerances]
-    ) -> None:
-        check_number_of_points(len(message.points))
-        stamp_ns = time_of("joint_trajectory", message.header.stamp)
-        points = [trajectory_point(i, point) for i, point in enumerate(message.points)]
-        names = list(message.joint_names)
-        self._instructor.add_trajectory(self._controller, names, points, stamp_ns, tolerances)
-
-    def _on_tool_path(self, message: Path) -> None:
-        def take() -> None:
-            check_number_of_poses(len(message.poses))
-            for header in (message.header, *(one.header for one in message.poses)):
-                self._check_frame("tool_path", header)
-            stamp_ns = time_of("tool_path", message.header.stamp)
-            times = [time_of("tool_path", one.header.stamp) for one in message.poses]
-            # Planners put one stamp on all poses, or none: such stamps carry no times.
-            given = times if len(set(times)) > 1 else None
-            poses = [_pose(one.pose, "tool_path") for one in message.poses]
-            self._instructor.add_path(self._controller, poses, stamp_ns, given)
-
-        self._take(Kind.TOOL_PATH, message.header, take)
 
     def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
         """Hand over an order, and publish its result; return the reason of a refusal."""
@@ -296,12 +248,6 @@ class MotionControllerNode(ManagedNode):
             self._diagnostics.publish()
         self._report_status()
         return refusal
-
-    def _check_frame(self, topic: str, header: Header) -> None:
-        bases = list(dict.fromkeys(("world", *self._root())))
-        if header.frame_id not in ("", *bases):
-            rule, valid = "be the arm's base", ", ".join(bases)
-            raise Refusal(topic, "header.frame_id", rule, header.frame_id, valid)
 
     def _on_servo_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
         self._servo_reports = info.current_count > 0
@@ -435,28 +381,6 @@ class MotionControllerNode(ManagedNode):
         response.message = "all tool targets are dropped, the arm holds its position"
         return response
 
-    def _root(self) -> tuple[str, ...]:
-        return (self._controller.kinematics.base,) if self._controller is not None else ()
-
-
-def trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
-    """Return a point of a trajectory from its message.
-
-    Raises:
-        Refusal: a time that is not well-formed.
-    """
-    time = point.time_from_start
-    if time.nanosec >= NANOSECONDS:
-        where, got = f"points[{i}].time_from_start", f"{time.nanosec} ns"
-        raise Refusal("joint_trajectory", where, "have less than 1e9 ns", got)
-    return TrajectoryPoint(
-        int(time.sec) * NANOSECONDS + int(time.nanosec),
-        point.positions,
-        point.velocities,
-        point.accelerations,
-        point.effort,
-    )
-
 
 def _stamp_or_0(header: Header) -> int:
     """Return the logical time of a header [ns], 0 for an invalid one."""
@@ -464,11 +388,6 @@ def _stamp_or_0(header: Header) -> int:
         return time_of("header", header.stamp)
     except Refusal:
         return 0
-
-
-def _pose(pose: PoseOfMessage, where: str) -> Pose:
-    p, o = pose.position, pose.orientation
-    return Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w), where)
 
 
 def _plural(kind: Kind) -> str:

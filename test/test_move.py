@@ -28,7 +28,7 @@ def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path
         assert code == 0 and facts["states"] == ["accepted", "moving", "reached"], errors
         code, out, _ = run("status", "--json")
         facts = json.loads(out)
-        assert code == 0 and facts["target"]["state"] == "reached"
+        assert code == 0 and facts["target"]["state"] == "reached", out
         assert abs(facts["joints"]["waist"] - 0.2) < 2e-3, "the joint is where it was sent"
         assert {one["level"] for one in facts["nodes"].values()} == {"ok"}
 

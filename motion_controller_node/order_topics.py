@@ -1,0 +1,126 @@
+"""Orders by topics: tool targets, joint trajectories and tool paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import Pose as PoseOfMessage
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.controller import Controller
+from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
+from arm_emulator.motion.motion_report import Kind
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.tolerances import Tolerances
+from arm_emulator.motion.tool_path import check_number_of_poses
+from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, NANOSECONDS, time_of
+
+
+class OrderTopics:
+    """Takes targets, trajectories and paths.
+
+    Args:
+        node: node of the topics.
+        instructor: follows them.
+        take: calls a function for a message, and publishes its result.
+        controller: returns the controller; None: no robot description so far.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        instructor: Instructor,
+        take: Callable[[Kind, Header, Callable[[], None]], Any],
+        controller: Callable[[], Controller | None],
+    ) -> None:
+        self._instructor, self._take, self._controller = instructor, take, controller
+        for kind, topic, callback in (
+            (PoseStamped, "tool_target", self._on_tool_target),
+            (JointTrajectory, "joint_trajectory", self._on_joint_trajectory),
+            (Path, "tool_path", self._on_tool_path),
+        ):
+            node.create_subscription(kind, topic, callback, COMMAND_SUB_QOS)
+
+    def add_trajectory(
+        self,
+        message: JointTrajectory,
+        tolerances: Callable[[Tolerances], Tolerances] = lambda default: default,
+    ) -> None:
+        """Hand a trajectory over.
+
+        Args:
+            message: the trajectory.
+            tolerances: returns its tolerances, given the default ones.
+
+        Raises:
+            Refusal: it cannot be followed.
+        """
+        check_number_of_points(len(message.points))
+        stamp_ns = time_of("joint_trajectory", message.header.stamp)
+        points = [_trajectory_point(i, point) for i, point in enumerate(message.points)]
+        names = list(message.joint_names)
+        self._instructor.add_trajectory(self._controller(), names, points, stamp_ns, tolerances)
+
+    def _on_tool_target(self, message: PoseStamped) -> None:
+        def take() -> None:
+            self._check_frame("tool_target", message.header)
+            time_ns = time_of("tool_target", message.header.stamp)
+            self._instructor.add(time_ns, _pose(message.pose, "tool_target"))
+
+        self._take(Kind.TOOL_TARGET, message.header, take)
+
+    def _on_joint_trajectory(self, message: JointTrajectory) -> None:
+        self._take(Kind.JOINT_TRAJECTORY, message.header, lambda: self.add_trajectory(message))
+
+    def _on_tool_path(self, message: Path) -> None:
+        def take() -> None:
+            check_number_of_poses(len(message.poses))
+            for header in (message.header, *(one.header for one in message.poses)):
+                self._check_frame("tool_path", header)
+            stamp_ns = time_of("tool_path", message.header.stamp)
+            times = [time_of("tool_path", one.header.stamp) for one in message.poses]
+            # Planners put one stamp on all poses, or none: such stamps carry no times.
+            given = times if len(set(times)) > 1 else None
+            poses = [_pose(one.pose, "tool_path") for one in message.poses]
+            self._instructor.add_path(self._controller(), poses, stamp_ns, given)
+
+        self._take(Kind.TOOL_PATH, message.header, take)
+
+    def _check_frame(self, topic: str, header: Header) -> None:
+        controller = self._controller()
+        root = () if controller is None else (controller.kinematics.base,)
+        bases = list(dict.fromkeys(("world", *root)))
+        if header.frame_id not in ("", *bases):
+            rule, valid = "be the arm's base", ", ".join(bases)
+            raise Refusal(topic, "header.frame_id", rule, header.frame_id, valid)
+
+
+def _trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
+    """Return a point of a trajectory from its message.
+
+    Raises:
+        Refusal: a time that is not well-formed.
+    """
+    time = point.time_from_start
+    if time.nanosec >= NANOSECONDS:
+        where, got = f"points[{i}].time_from_start", f"{time.nanosec} ns"
+        raise Refusal("joint_trajectory", where, "have less than 1e9 ns", got)
+    return TrajectoryPoint(
+        int(time.sec) * NANOSECONDS + int(time.nanosec),
+        point.positions,
+        point.velocities,
+        point.accelerations,
+        point.effort,
+    )
+
+
+def _pose(pose: PoseOfMessage, where: str) -> Pose:
+    p, o = pose.position, pose.orientation
+    return Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w), where)
