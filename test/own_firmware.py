@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import library
 from arm_emulator.cli.command_line import main
+from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.machine.plant import Plant
@@ -96,3 +98,23 @@ def command(
         main()
     printed = capfd.readouterr()
     return int(end.value.code or 0), printed.out, printed.err
+
+
+def builder(folder: Path) -> Callable[..., Path]:
+    """Return what builds the template with our servo's numbers, or other code, as a library."""
+    (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
+    made: dict[tuple[str, ...], Path] = {}
+
+    def built(source: str = "", *flags: str) -> Path:
+        if (source, *flags) not in made:
+            file = folder / f"mine_{len(made)}.c"
+            file.write_text(source or (FOLDER / "template/mine.c").read_text())
+            library, objects = file.with_suffix(".so"), []
+            for one in [file] if source else [file, FOLDER / "servo.c"]:
+                objects.append(file.with_suffix(f".{one.stem}.o"))
+                compile_c(objects[-1], *flags, "-c", str(one))
+            run_c([*find_compiler(), "-shared", *map(str, objects), "-o", str(library)])
+            made[source, *flags] = library
+        return made[source, *flags]
+
+    return built

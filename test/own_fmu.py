@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fmu_client import OK, Fmu, Instance
+from fmu_client import OK, Fmu, Instance, rich_machine
+
+from arm_emulator.doors.fmu.export import export
+from arm_emulator.machine.scene import Scene, load_scene
 
 NAMES = 'hip\'s "<1>"', "lift"
 
@@ -43,3 +47,15 @@ def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
     one.start()
     assert one.step(periods * PERIOD) == OK, one.printed
     return one
+
+
+def own_scene(folder: Path) -> Scene:
+    """Return a machine with all kinds of parts and all faults of lines."""
+    faults = [f"*.{kind}" for kind in LINES]
+    return load_scene(rich_machine(folder, NAMES, faults=faults))
+
+
+def own_unit(scene: Scene, folder: Path) -> Fmu:
+    """Return its unit."""
+    export(scene, folder / "rich.fmu", "native")
+    return Fmu(folder / "rich.fmu", folder / "unpacked")

@@ -23,6 +23,7 @@ from own_firmware import (
     SERVO,
     WARNINGS,
     N,
+    builder,
     command,
     compile_c,
     random_table,
@@ -34,7 +35,6 @@ from sensor_msgs.msg import JointState
 from arm_emulator.build.c_header import pointer
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.firmware import Firmware
 from arm_emulator.machine.session import Session
@@ -53,24 +53,7 @@ MOTION_TICKS = round(SERVO.motion_period / SERVO.period)
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Build the template with our servo's numbers for three_axis, or other code, as a library."""
-    folder = tmp_path_factory.mktemp("built")
-    (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
-    made: dict[tuple[str, ...], Path] = {}
-
-    def built(source: str = "", *flags: str) -> Path:
-        if (source, *flags) not in made:
-            file = folder / f"mine_{len(made)}.c"
-            file.write_text(source or (FOLDER / "template/mine.c").read_text())
-            library, objects = file.with_suffix(".so"), []
-            for one in [file] if source else [file, FOLDER / "servo.c"]:
-                objects.append(file.with_suffix(f".{one.stem}.o"))
-                compile_c(objects[-1], *flags, "-c", str(one))
-            run_c([*find_compiler(), "-shared", *map(str, objects), "-o", str(library)])
-            made[source, *flags] = library
-        return made[source, *flags]
-
-    return built
+    return builder(tmp_path_factory.mktemp("built"))
 
 
 def states_of(run: TableRun, ticks: int) -> dict[int, bytes]:

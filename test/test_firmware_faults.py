@@ -16,37 +16,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import some
-from own_firmware import NAMES, NO_TABLE, SERVO, code, command, compile_c, run_c
+from own_firmware import NO_TABLE, builder, code, command
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.machine.firmware import Doing, Firmware
 from arm_emulator.runs import guarded
-from arm_emulator.servo.c import FOLDER
 
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Build the template with our servo's numbers for three_axis, or other code, as a library."""
-    folder = tmp_path_factory.mktemp("built")
-    (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
-    made: dict[tuple[str, ...], Path] = {}
-
-    def built(source: str = "", *flags: str) -> Path:
-        if (source, *flags) not in made:
-            file = folder / f"mine_{len(made)}.c"
-            file.write_text(source or (FOLDER / "template/mine.c").read_text())
-            library, objects = file.with_suffix(".so"), []
-            for one in [file] if source else [file, FOLDER / "servo.c"]:
-                objects.append(file.with_suffix(f".{one.stem}.o"))
-                compile_c(objects[-1], *flags, "-c", str(one))
-            run_c([*find_compiler(), "-shared", *map(str, objects), "-o", str(library)])
-            made[source, *flags] = library
-        return made[source, *flags]
-
-    return built
+    return builder(tmp_path_factory.mktemp("built"))
 
 
 STEP = "out->joint[1].value = in->measured->tick"

@@ -16,16 +16,25 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import FULL, some
-from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse, rich_machine
+from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse
 from fuzz.cores import environment
-from own_fmu import LINES, MASS, NAMES, PERIOD, STIFFNESS, moved, random_inputs, set_all
+from own_fmu import (
+    MASS,
+    NAMES,
+    PERIOD,
+    STIFFNESS,
+    moved,
+    own_scene,
+    own_unit,
+    random_inputs,
+    set_all,
+)
 
 from arm_emulator.build.c_header import Library
-from arm_emulator.doors.fmu.export import export
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene import Scene
 
 TEST = Path(__file__).resolve().parent
 
@@ -38,15 +47,12 @@ MEASURED = (
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    faults = [f"*.{kind}" for kind in LINES]
-    return load_scene(rich_machine(tmp_path_factory.mktemp("rich"), NAMES, faults=faults))
+    return own_scene(tmp_path_factory.mktemp("rich"))
 
 
 @pytest.fixture(scope="module")
 def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
-    folder = tmp_path_factory.mktemp("unit")
-    export(scene, folder / "rich.fmu", "native")
-    return Fmu(folder / "rich.fmu", folder / "unpacked")
+    return own_unit(scene, tmp_path_factory.mktemp("unit"))
 
 
 @pytest.fixture

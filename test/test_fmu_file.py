@@ -12,7 +12,7 @@ import pytest
 from draws import FULL
 from fmu_client import Fmu, rich_machine
 from fuzz.cores import random_machine
-from own_fmu import LINES, NAMES
+from own_fmu import own_scene, own_unit
 from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
@@ -29,15 +29,12 @@ from arm_emulator.machine.scene import Scene, load_scene
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    faults = [f"*.{kind}" for kind in LINES]
-    return load_scene(rich_machine(tmp_path_factory.mktemp("rich"), NAMES, faults=faults))
+    return own_scene(tmp_path_factory.mktemp("rich"))
 
 
 @pytest.fixture(scope="module")
 def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
-    folder = tmp_path_factory.mktemp("unit")
-    export(scene, folder / "rich.fmu", "native")
-    return Fmu(folder / "rich.fmu", folder / "unpacked")
+    return own_unit(scene, tmp_path_factory.mktemp("unit"))
 
 
 # Of joints: in URDFs, whose XML has no other control characters than those.

@@ -7,37 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_firmware import NAMES, SCENE, SERVO, N, code, compile_c, random_table, row_at, run_c
+from own_firmware import (
+    NAMES,
+    SCENE,
+    N,
+    builder,
+    code,
+    random_table,
+    row_at,
+)
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.machine.firmware import Firmware
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import load_target_table
-from arm_emulator.servo.c import FOLDER
 
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Build the template with our servo's numbers for three_axis, or other code, as a library."""
-    folder = tmp_path_factory.mktemp("built")
-    (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
-    made: dict[tuple[str, ...], Path] = {}
-
-    def built(source: str = "", *flags: str) -> Path:
-        if (source, *flags) not in made:
-            file = folder / f"mine_{len(made)}.c"
-            file.write_text(source or (FOLDER / "template/mine.c").read_text())
-            library, objects = file.with_suffix(".so"), []
-            for one in [file] if source else [file, FOLDER / "servo.c"]:
-                objects.append(file.with_suffix(f".{one.stem}.o"))
-                compile_c(objects[-1], *flags, "-c", str(one))
-            run_c([*find_compiler(), "-shared", *map(str, objects), "-o", str(library)])
-            made[source, *flags] = library
-        return made[source, *flags]
-
-    return built
+    return builder(tmp_path_factory.mktemp("built"))
 
 
 def test_targets_hold_from_their_row_to_the_next(
