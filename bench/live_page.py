@@ -51,7 +51,10 @@ def url_of(log: Path) -> str:
 
 @contextmanager
 def client(url: str) -> Iterator[list[int]]:
-    """Take all that a page sends in this block; yield the numbers of bytes."""
+    """Take all that a page sends in this block; yield the numbers of bytes.
+
+    A page sends the first picture alone to a connection without a camera, as this one.
+    """
     from websockets.sync.client import connect
 
     got: list[int] = []
