@@ -187,8 +187,8 @@ class ManagedNode(LifecycleNode):
 
     def _stand(self) -> None:
         self.active = False
-        running = [one for one in self._own_entities() if one in [*self.timers]]
-        self._stopped = [one for one in running if not one.is_canceled()]
+        own = [one for one in self.timers if one not in self._before]
+        self._stopped = [one for one in own if not one.is_canceled()]
         for timer in self._stopped:
             timer.cancel()
 
