@@ -16,13 +16,14 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 GENERATED = re.compile(r"^<!-- generated: (\w+)(?: (\S+))? -->$", re.M)
+DOOR = re.compile(r"^<!-- door: (.+?) \| (.+) -->$", re.M)
 LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
 # Pages of the site for the pages at the top of the repository.
 TOP = {
@@ -65,6 +66,13 @@ def _help(_: str) -> str:
     return "\n\n".join(sections)
 
 
+def _command_keys(_: str) -> str:
+    from arm_emulator.cli.command import command_names, load_command
+
+    rows = (f"| `{name}` | {one.keys} |" for name in command_names() if (one := load_command(name)))
+    return "\n".join(("| command | keys |", "|---|---|", *rows))
+
+
 def _code(place: str) -> str:
     file = ROOT / place
     if not file.is_file():
@@ -79,6 +87,20 @@ def _interfaces(place: str) -> str:
     return "\n\n".join(
         f"### {file.stem}\n\n```text\n{file.read_text().rstrip()}\n```" for file in files
     )
+
+
+def _doors(_: str) -> str:
+    """Return a row for each page that states what its door offers, in a comment `door: ...`."""
+    rows = []
+    for page in sorted(DOCS.rglob("*.md"), key=lambda one: (one.parent.name, one), reverse=True):
+        if stated := DOOR.search(page.read_text()):
+            at = posixpath.relpath(page.relative_to(DOCS).as_posix(), "reference")
+            rows.append(f"| [{stated[1]}]({at}) | {stated[2]} |")
+    if not rows:
+        raise Missing("pages of doors")
+    heads = ("door", "control law", "time", "measurements", "true state", "record",
+             "needs beside Python and a compiler")  # fmt: skip
+    return "\n".join((f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *rows))
 
 
 def _of_campaigns(what: str) -> str:
@@ -102,7 +124,9 @@ def _of_parts(table: str) -> Callable[[str], str]:
 
 GENERATORS: dict[str, Callable[[str], str]] = {
     "campaign": _of_campaigns,
+    "command_keys": _command_keys,
     "commands": _help,
+    "doors": _doors,
     "faults": _of_parts("faults"),
     "file": _code,
     "inputs": _of_parts("inputs"),
@@ -178,13 +202,32 @@ def source_page(target: str) -> str:
 
 
 def with_pages(nav: Any) -> Any:
-    """Return a navigation in which a pattern of pages is the list of those pages."""
-    if isinstance(nav, str):
-        found = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.glob(nav))
-        return found if "*" in nav else nav
-    if isinstance(nav, dict):
-        return {title: with_pages(below) for title, below in nav.items()}
-    return [with_pages(below) for below in nav]
+    """Return a navigation in which a pattern is the list of its pages that no other entry names."""
+    named = set(_entries(nav))
+
+    def listed(one: Any) -> Any:
+        if isinstance(one, dict):
+            return {title: listed(below) for title, below in one.items()}
+        if isinstance(one, list):
+            return [page for below in one for page in _as_list(listed(below))]
+        found = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.glob(one))
+        return [page for page in found if page not in named] if "*" in one else one
+
+    return listed(nav)
+
+
+def _as_list(one: Any) -> list[Any]:
+    return one if isinstance(one, list) else [one]
+
+
+def _entries(nav: Any) -> Iterator[str]:
+    """Yield the pages and patterns of a navigation."""
+    below = nav.values() if isinstance(nav, dict) else _as_list(nav)
+    for one in below:
+        if isinstance(one, str):
+            yield one
+        else:
+            yield from _entries(one)
 
 
 def on_config(config: Any) -> Any:

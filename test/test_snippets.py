@@ -25,12 +25,11 @@ from arm_emulator.cli.command import load_command
 # Commands of ours that end by themselves within seconds, and need nothing that a page has not made.
 RUN = {"cache", "check-scene", "completion", "fmu", "run"}
 NOT_RUN = {"--clear", "--help", "--page", "--servo"}  # with these they do not end, or do more
-# Why the others are read by their parser alone.
+# Why the others are read by their parser alone, beside those that run until Ctrl-C.
 OURS = {
     "advise": "minutes; test_advice.py",
     "campaign": "a minute; test_campaign.py",
     "bisect": "needs the reader's bags; test_bisect.py",
-    "canopen": "runs until Ctrl-C; test_canopen.py",
     "check-bag": "needs the reader's bag; test_bags.py",
     "compile": "a minute of compilation for a level of processors; test_library_cache.py",
     "demo": "three processes; test_demo.py",
@@ -40,8 +39,6 @@ OURS = {
     "film": "needs the reader's bag, and a graphics driver; test/peers/test_film.py",
     "firmware": "needs a cross compiler; test/peers",
     "identify": "needs the reader's record; test_identification.py",
-    "look": "runs until Ctrl-C; test/peers/test_page.py",
-    "modbus": "runs until Ctrl-C; test_modbus_port.py",
     "move": "needs a network; test_move.py",
     "new": "needs the reader's robot; test_new.py",
     "moveit-config": "half a minute of compilation; test_json.py",
@@ -51,7 +48,6 @@ OURS = {
     "ros2-control": "half a minute of compilation; test_json.py",
     "status": "needs a network; test_move.py",
     "tune": "minutes; test_tune.py",
-    "up": "runs until Ctrl-C; test_launch.py, test_network.py",
     "validate": "minutes; test_validation.py",
 }
 # Programs of others, which this machine need not have, and steps of a shell.
@@ -153,7 +149,8 @@ def check_ours(words: list[str]) -> None:
         return
     command = load_command(words[0])
     assert command is not None, f"no command {words[0]}"
-    assert words[0] in RUN or words[0] in OURS, f"neither run nor listed: {words[0]}"
+    listed = command.until_stopped or words[0] in RUN or words[0] in OURS
+    assert listed, f"neither run nor listed: {words[0]}"
     if any(set(word) & set("[]") for word in words):
         known = page_of(command)
         for option in re.findall(r"--[a-z-]+", " ".join(words)):

@@ -24,23 +24,28 @@ class Command(NamedTuple):
         function: implementation; its parameters are the arguments, its result the exit code.
         until_stopped: Ctrl-C is its usual end, with exit code 0.
         of_ros: it needs ROS 2.
+        keys: those of its object after `--json`, for the page: each between backquotes, and what
+            they are where a name does not suffice.
     """
 
     name: str
     function: Callable[..., int]
     until_stopped: bool
     of_ros: bool
+    keys: str
 
 
 _registered: dict[str, Command] = {}
 
 
-def command(*, until_stopped: bool = False, of_ros: bool = False) -> Callable[[Function], Function]:
-    """Register a function as the command named after its module."""
+def command(
+    *, keys: str, until_stopped: bool = False, of_ros: bool = False
+) -> Callable[[Function], Function]:
+    """Register a function as the command named after its module; arguments as of `Command`."""
 
     def register(function: Function) -> Function:
         name = function.__module__.rpartition(".")[2].replace("_", "-")
-        _registered[name] = Command(name, function, until_stopped, of_ros)
+        _registered[name] = Command(name, function, until_stopped, of_ros, keys)
         return function
 
     return register

@@ -37,7 +37,12 @@ Array = NDArray[np.float64]
 SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 
 
-@command()
+@command(
+    keys=(
+        "`scene`, `judged_on`, `error`, `settings` (the cheapest first), `now`, `why_none`; if "
+        "one is found `checked`, `written`"
+    ),
+)
 def advise(
     scene: SceneName = "three_axis",
     /,

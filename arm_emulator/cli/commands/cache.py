@@ -19,7 +19,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 
 
-@command()
+@command(keys="`folders`")
 def cache(*, clear: bool = False) -> int:
     """List the compiled scenes that are kept, or remove them.
 

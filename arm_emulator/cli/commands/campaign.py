@@ -41,7 +41,13 @@ from arm_emulator.cli.searched import case_of, print_findings, print_shrunk, rec
 BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink
 
 
-@command()
+@command(
+    keys=(
+        "`count`, `per_run`, `estimate` (s of all runs), `bytes`; after the runs `shares`, "
+        "`quantiles`, `confidence`, `digest`, `results`; with the option replay `index`, "
+        "`values`, `robustness`, `measures`, `failed`"
+    ),
+)
 def campaign(
     file: Annotated[Path, Parameter(metavar="FILE")],
     /,

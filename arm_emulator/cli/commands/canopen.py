@@ -68,7 +68,10 @@ def opened(
         yield server, "socketcand on {}:{}".format(*server.address)
 
 
-@command(until_stopped=True)
+@command(
+    until_stopped=True,
+    keys="`scene`, `bus`, `clock`, `nodes`, `ignored`; with the option eds `files`",
+)
 def canopen(
     scene: SceneName = "three_axis",
     /,

@@ -12,7 +12,14 @@ from arm_emulator.cli.output import output
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
 
 
-@command(of_ros=True)
+@command(
+    of_ros=True,
+    keys=(
+        "`bag`, `scene`, `clock`, `equal`, `difference`, `counts`, `not_compared`, "
+        "`topics_not_compared`, `about` (facts that the bag has of itself, such as the parent "
+        "of a fork)"
+    ),
+)
 def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = False) -> int:
     """Drive the machine again with the commands of a bag, and compare every bit.
 

@@ -26,7 +26,7 @@ from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_
 from arm_emulator.servo.servo_config import ServoConfig
 
 
-@command()
+@command(keys="`scenes` (each with its loops after the option modes)")
 def check_scenes(
     scene: SceneName,
     /,

@@ -29,7 +29,7 @@ from emulator_node.c import answered_ticks_unit
 from servo_node.c import answered_states_unit
 
 
-@command()
+@command(keys="`libraries`")
 def compile_scene(
     scene: SceneName = "three_axis",
     /,

@@ -9,7 +9,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 
 
-@command()
+@command(keys="`shell`, `script`")
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """Print a script that completes commands and options in a shell.
 

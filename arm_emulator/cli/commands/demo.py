@@ -65,7 +65,15 @@ class DemoResult:
     arrived: Array  # rad (N,), the joints at the end
 
 
-@command(of_ros=True)
+@command(
+    of_ros=True,
+    keys=(
+        "`scene`, `clock`, `start_mm`, `residual_mm`, `rotation_mrad`, "
+        "`instructions_to_1_percent`, `real_time_factor`, `deviations_m`, `predicted_mm`, "
+        "`predicted_within_mm`, `predicted_radius_mm`, `target`, `residual_within_prediction`; "
+        "or `not_predicted`"
+    ),
+)
 def demo(
     scene: SceneName = "three_axis",
     /,

@@ -49,7 +49,7 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-@command()
+@command(keys="`findings`")
 def doctor() -> int:
     """Check compiler, packages, ROS, processes, shared memory and disk: a line each, with a remedy.
 

@@ -31,7 +31,10 @@ FIGURES = ("frames", "exchanges", "periods", "lost_cycles", "late_periods", "mal
 _TURN = 0.1  # s after which Ctrl-C is looked for
 
 
-@command(until_stopped=True)
+@command(
+    until_stopped=True,
+    keys="`scene`, `clock`, `slaves`, `figures`; with the option esi `file`",
+)
 def ethercat(
     scene: SceneName = "three_axis",
     /,

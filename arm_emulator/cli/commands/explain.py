@@ -23,7 +23,14 @@ from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.timeline import Timeline
 
 
-@command(of_ros=True)
+@command(
+    of_ros=True,
+    keys=(
+        "`scene`, `tick`, `t`, `powered`, `orders`, `q_target`, `q`, `v`, `current`, "
+        "`commanded`, `applied`, `supplied`, `dissipated`, `torques_on_links`, "
+        "`torques_on_rotors`, `active`"
+    ),
+)
 def explain(
     bag: Path,
     /,

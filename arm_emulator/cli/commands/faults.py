@@ -14,7 +14,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.machine.scene import load_scene
 
 
-@command()
+@command(keys="`scene`, `faults`; with the option matrix `matrix`")
 def faults(
     scene: SceneName = "three_axis",
     /,

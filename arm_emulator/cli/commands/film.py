@@ -27,7 +27,7 @@ MOST = 20_000  # pictures
 SAMPLES = 2000  # of each signal at least, and four a picture
 
 
-@command(of_ros=True)
+@command(of_ros=True, keys="`file`, `pictures`, `begin`, `end`")
 def film(
     bag: Path,
     file: Path,

@@ -40,7 +40,11 @@ from arm_emulator.runs.target_table import load_target_table
 _WHERE = ("stdout", "pty", "none")
 
 
-@command()
+@command(
+    keys=(
+        "as `run`; `failed`, `instructions_per_period`, `awake`, `faults`, `resets`, `first_fault`"
+    ),
+)
 def firmware(
     board: Path,
     firmware: Path,

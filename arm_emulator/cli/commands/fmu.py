@@ -15,7 +15,7 @@ from arm_emulator.doors.fmu.export import TARGET, export
 from arm_emulator.machine.scene import load_scene
 
 
-@command()
+@command(keys="`file`, `fmi`, `joints`, `parameters`, `period`")
 def fmu(
     scene: SceneName,
     /,

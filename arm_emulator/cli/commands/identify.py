@@ -38,7 +38,12 @@ LONGEST_DELAY = 0.1  # s
 FAR = 3.0  # prior deviations, beyond which a number is doubted
 
 
-@command()
+@command(
+    keys=(
+        "`record`, `samples`, `period`, `rows`, `explained`, `directions`, `numbers`, `scene`, "
+        "`picture`"
+    ),
+)
 def identify(
     scene: SceneName,
     data: Path,

@@ -25,7 +25,12 @@ from arm_emulator.page.desk import watched
 from arm_emulator.runs.recorder import Recorder
 
 
-@command(until_stopped=True)
+@command(
+    until_stopped=True,
+    keys=(
+        "`scene`, `port`, `link`, `station`, `baud`, `clock`; with the option registers `registers`"
+    ),
+)
 def modbus(
     scene: SceneName = "three_axis",
     /,

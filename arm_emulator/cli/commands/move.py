@@ -40,7 +40,7 @@ AHEAD = NANOSECONDS // 4  # of logical time: the target arrives before its stamp
 UNDER_WAY = ("accepted", "moving")
 
 
-@command(of_ros=True)
+@command(of_ros=True, keys="`states`, `outcome`, `reason`, `distance`, `angle`")
 def move(
     *,
     to: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,

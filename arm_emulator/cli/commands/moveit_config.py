@@ -18,7 +18,7 @@ from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 
 
-@command()
+@command(keys="`package` (its folder), `libraries`, `files` (paths in it)")
 def moveit_config(
     scene: SceneName = "ur5",
     /,

@@ -16,7 +16,12 @@ from arm_emulator.design.new_scene import NewScene, scene_name, write_new
 from arm_emulator.design.robot_file import robot_text
 
 
-@command()
+@command(
+    keys=(
+        "`scene`, `joints`, `chosen`, `held`, `guessed`, `sources`, `assumed`, `weak`; with the"
+        " option ros2-control `ros2_control` (as that command)"
+    ),
+)
 def new(
     robot: Path,
     /,

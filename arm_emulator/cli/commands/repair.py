@@ -11,7 +11,7 @@ from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_writer import repair as mend
 
 
-@command()
+@command(keys="`bag`, `messages`, `mended`")
 def repair(bag: Path, /) -> int:
     """Repair a bag whose recorder was killed.
 

@@ -31,7 +31,7 @@ ACKNOWLEDGE = Duration(seconds=5)  # patience with listeners at the end
 NAP = 0.05  # s, wall: Ctrl-C and new listeners are noticed this often
 
 
-@command(until_stopped=True, of_ros=True)
+@command(until_stopped=True, of_ros=True, keys="`bag`, `messages`, `topics`, `seconds`, `whole`")
 def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool = False) -> int:
     """Publish the messages of a bag at the recorded times.
 

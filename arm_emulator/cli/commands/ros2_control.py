@@ -20,7 +20,7 @@ from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.scene import Scene, load_scene
 
 
-@command()
+@command(keys="`libraries`, `description`, `controllers`, `update_rate`")
 def ros2_control(
     scene: SceneName = "three_axis",
     /,

@@ -42,7 +42,9 @@ from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.runs.timeline import Timeline
 
 
-@command()
+@command(
+    keys="`scene`, `logical_time`, `wall_time`, `ticks`, `tool_off`, `energy`, `q`, `diverged`",
+)
 def run(
     scene: SceneName = "three_axis",
     /,

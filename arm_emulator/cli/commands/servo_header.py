@@ -26,7 +26,7 @@ from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds
 
 
-@command()
+@command(keys="`scene`, `file`, `header` (null in a file)")
 def servo_header(
     scene: SceneName = "three_axis",
     /,

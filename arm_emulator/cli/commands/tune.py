@@ -31,7 +31,7 @@ from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 
-@command()
+@command(keys="`scene`, `joints`, `picture`, `written`")
 def tune(
     scene: SceneName = "three_axis",
     /,

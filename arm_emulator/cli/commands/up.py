@@ -19,7 +19,11 @@ from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
 
 
-@command(until_stopped=True, of_ros=True)
+@command(
+    until_stopped=True,
+    of_ros=True,
+    keys="`scene`, `clock`, `record`, `ended` (the node that ended the network)",
+)
 def up(
     scene: SceneName = "three_axis",
     /,

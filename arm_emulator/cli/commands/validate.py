@@ -14,7 +14,7 @@ from arm_emulator.cli.output import output
 MACHINES = ("manutec_r3", "kuka_kr300")
 
 
-@command()
+@command(keys="`machine`, `good`, `failures` or `runs`, `rows`, `order`, `pictures`")
 def validate(
     machine: str,
     /,
