@@ -33,6 +33,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.recorder import Recorder
@@ -368,6 +369,16 @@ def test_files_that_cannot_be_are_refused(tmp_path: Path) -> None:
         with pytest.raises(Refusal, match=line):
             Recorder(plant, Kept(file), waits=True)
     assert there.read_text() == "mine"
+
+
+def test_a_table_of_a_run_is_not_taken_for_a_bag(scene: Scene, tmp_path: Path) -> None:
+    """Every reader of bags names what does record one."""
+    file = tmp_path / "run.mcap"
+    plant = Plant(scene)
+    with Recorder(plant, Kept(file), waits=True):
+        plant.exchange([0.0, 0.0])
+    with pytest.raises(Refusal, match=r"got json in channel truth; valid: bags of `up --record`"):
+        Bag(file)
 
 
 @pytest.mark.parametrize("words", [["canopen", "--clock", "realtime", "--listen", "0"],

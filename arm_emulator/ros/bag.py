@@ -49,7 +49,7 @@ class Bag:
         path: a bag's folder, or one MCAP file.
 
     Raises:
-        Refusal: not a bag, or a damaged one.
+        Refusal: not a bag, one of other messages, or a damaged one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -125,6 +125,15 @@ class Bag:
             else:
                 channel = record.channel
                 names[channel.id] = channel.topic
+                if channel.message_encoding != "cdr":
+                    raise Refusal(
+                        str(self.path),
+                        "the bag",
+                        "have ROS 2 messages (encoding cdr)",
+                        f"{channel.message_encoding or 'no encoding'} in channel {channel.topic}",
+                        "bags of `up --record`, `record` and `ros2 bag record`; "
+                        "a file of `run --record` is a table of the run, not a bag",
+                    )
                 if channel.topic not in self.topics:
                     self.topics[channel.topic] = _topic(channel, schemas.get(channel.schema_id))
 
@@ -140,8 +149,8 @@ def _contents(mcap: McapFile) -> Iterator[Record]:
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:
-    if schema is None or channel.message_encoding != "cdr":
-        raise Damaged(f"topic {channel.topic}: not a serialized ROS 2 message")
+    if schema is None:
+        raise Damaged(f"topic {channel.topic}: it has no schema")
     try:
         text = channel.metadata.get("offered_qos_profiles", "")
         profiles = parse_yaml(text, "offered_qos_profiles") or []
