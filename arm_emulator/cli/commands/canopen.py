@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from arm_emulator.analysis.mode_loops import withheld_words
 from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.base.address import host_and_port
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
@@ -60,10 +61,7 @@ def opened(
     for name, value in (("channel", channel), ("bitrate", bitrate)):
         if value is not None:
             raise Refusal("canopen", name, "come with --bus", value)
-    host, _, port = listen.rpartition(":")
-    if not re.fullmatch(r"[0-9]{1,5}", port):
-        raise Refusal("canopen", "--listen", "be PORT or HOST:PORT", listen)
-    server = CanServer(host or "127.0.0.1", int(port))
+    server = CanServer(*host_and_port("canopen", listen))
     with contextlib.closing(server):
         yield server, "socketcand on {}:{}".format(*server.address)
 
