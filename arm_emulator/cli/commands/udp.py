@@ -1,0 +1,77 @@
+"""Serve control software in any language by datagrams."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.base.address import host_and_port
+from arm_emulator.base.kept import NOTHING
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Clock, Keep, PagePort, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.doors.udp import Datagrams, UdpServer
+from arm_emulator.machine.loop_clock import real_time_session
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.page.desk import watched
+from arm_emulator.runs.recorder import Recorder
+
+
+@command(
+    until_stopped=True,
+    keys=(
+        "`scene`, `address`, `clock`; `layout`, `command`, `measurement` (fields of the datagrams,"
+        " as in NumPy); with the option header `header` alone"
+    ),
+)
+def udp(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    listen: Annotated[str, Parameter(metavar="[HOST:]PORT")] = "127.0.0.1:50770",
+    clock: Clock = "lockstep",
+    header: bool = False,
+    page: PagePort = None,
+    kept: Keep = NOTHING,
+) -> int:
+    """Serve clients by UDP until Ctrl-C.
+
+    Args:
+        listen: address that commands are sent to.
+        header: print the datagrams as structs of C, and end.
+    """
+    kept.check("udp")
+    host, port = host_and_port("udp", listen)
+    machine = load_scene(scene)
+    if header:
+        text = Datagrams(machine).header()
+        output.line(text.removesuffix("\n"))
+        output.facts({"header": text})
+        return 0
+    warn_of_scene(machine)
+    waits = clock == "lockstep"
+    session = _session(machine, waits)
+    try:
+        server = UdpServer(session, host, port)
+        layout = server.datagrams
+        output.facts({
+            "scene": machine.name, "address": server.address, "clock": clock,
+            "layout": layout.layout, "command": layout.command.descr,
+            "measurement": layout.measurement.descr,
+        })  # fmt: skip
+        with Recorder(session.plant, kept, waits), watched(session, page):
+            at = "{}:{}".format(*server.address)
+            print(f"udp: scene {machine.name}, {at}, clock {clock}", flush=True)
+            server.serve()
+    finally:
+        session.close()
+    return 0
+
+
+def _session(scene: Scene, waits: bool) -> Session:
+    if waits:
+        return Session(scene, "lockstep", "first_answer")
+    return real_time_session(scene, "first_answer")
