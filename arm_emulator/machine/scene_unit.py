@@ -17,7 +17,7 @@ from arm_emulator.machine.parts.decorator import Supply
 from arm_emulator.machine.parts.line import lines
 from arm_emulator.machine.parts.motor import CxxMotor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import measured_kinds, suite
+from arm_emulator.machine.parts.sensors import measured_kinds, quantities, suite
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import Varied
 from arm_emulator.machine.varied_body import AXES, TENSOR, expressions
@@ -62,10 +62,11 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
             for header in part.headers(joint.name, places)
         }
     )
-    sensors, seed = "", places.get("seed") or number(scene.seed)
+    sensors, read, seed = "", "", places.get("seed") or number(scene.seed)
     if scene.sensed:
         kinds = measured_kinds(joint.sensors for joint in scene.joints)
-        headers += sorted({"mechanics/sensors.hpp", *(kind.quantity_header for kind in kinds)})
+        headers.append("mechanics/sensors.hpp")
+        read = quantities(kinds)
         of_joints = {joint.name: joint.sensors for joint in scene.joints}
         sensors = suite(seed, of_joints, scene.imus, places)
     if of_lines := lines(seed, scene.joint_names, places):
@@ -79,7 +80,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
 #include "{scene.integrator.method.header()}"
 #include "{threads_header}"
 
-struct Scene {{
+{read}struct Scene {{
   static constexpr int N = {len(scene.joints)};
   static constexpr int L = {len(scene.chain.links)};
 {_coupling(scene.chain)}\

@@ -5,8 +5,8 @@
 #include <tuple>
 #include <utility>
 
+#include "mechanics/glance.hpp"
 #include "mechanics/imu.hpp"
-#include "mechanics/quantities.hpp"
 #include "parts/encoder.hpp"
 
 namespace arm {

@@ -99,8 +99,8 @@ class AnalogSensor(Converter):
     A class in this package that inherits it is a section of joints; it needs to be entered nowhere.
     """
 
-    quantity: ClassVar[str]  # what is measured, in C++
-    quantity_header: ClassVar[str] = "mechanics/quantities.hpp"  # that has it
+    reads: ClassVar[str]  # the values measured, by joint, in C++: see `Glance` in glance.hpp
+    field: ClassVar[str] = "reading"  # where arm.h has the readings, of `Field` there
     of: ClassVar[str] = "motor"  # the section of a joint that it needs; none: it stands alone
     channel: ClassVar[int | None] = None  # its place among the draws of a joint, if it has one
 

@@ -14,7 +14,8 @@ class CurrentSensor(AnalogSensor):
 
     section = "current_sensor"
     unit = "A"
-    quantity = "MotorCurrent"
+    reads = "now.current"
+    field = "current"
     channel = 2
 
     def rests(self, at: AtRest) -> Share | str:

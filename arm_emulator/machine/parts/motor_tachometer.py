@@ -16,8 +16,7 @@ class MotorTachometer(AnalogSensor):
     section = "motor_tachometer"
     shaft = "rotor"
     unit = "rad/s"
-    quantity = "MotorSpeed"
-    quantity_header = "mechanics/motor_speed.hpp"
+    reads = "now.motor_speed"
     outputs = (
         Output("motor_speed", "speed of each motor, by the tachometer on its shaft", READINGS,
                "rad/s"),

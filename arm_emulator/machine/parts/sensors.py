@@ -104,6 +104,23 @@ def measured_kinds(joints: Iterable[JointSensors]) -> tuple[type[AnalogSensor], 
     return tuple(kind for kind in ANALOG if kind in there or kind is CurrentSensor)
 
 
+def quantities(kinds: Iterable[type[AnalogSensor]]) -> str:
+    """Return the quantities that kinds of sensors read, as structs in C++."""
+    return "".join(
+        f"""\
+struct {kind.__name__} {{
+  static constexpr arm::Field field = arm::Field::{kind.field};
+  static void of(const auto& now, double* row) {{
+    const auto& values = {kind.reads};
+    for (int j = 0; j < now.N; ++j) row[j] = values[j];
+  }}
+}};
+
+"""
+        for kind in kinds
+    )
+
+
 def suite(
     seed: str,
     joints: Mapping[str, JointSensors],
@@ -119,7 +136,7 @@ def suite(
         places: where the values of varied numbers stand, by their name.
     """
     kinds = measured_kinds(joints.values())
-    quantities = "".join(f", arm::{kind.quantity}" for kind in kinds)
+    quantities = "".join(f", {kind.__name__}" for kind in kinds)
     lines = [
         f"arm::SensorSuite<N, {len(imus)}{quantities}> all;",
         f"all.seed = {seed};",

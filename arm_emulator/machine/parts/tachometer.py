@@ -15,8 +15,7 @@ class Tachometer(AnalogSensor):
 
     section = "tachometer"
     unit = "rad/s"
-    quantity = "LinkSpeed"
-    quantity_header = "mechanics/link_speed.hpp"
+    reads = "now.machine.state().v"
     of = ""
     outputs = (
         Output("link_speed", "speed of each link, by its tachometer", READINGS, "rad/s", "m/s"),

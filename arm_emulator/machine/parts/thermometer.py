@@ -16,8 +16,7 @@ class Thermometer(AnalogSensor):
     section = "thermometer"
     unit = "degC"
     of = "motor.winding"
-    quantity = "MotorTemperature"
-    quantity_header = "mechanics/motor_temperature.hpp"
+    reads = "now.winding_temperatures()"
     outputs = (
         Output("motor_temperature", "temperature of each winding, by its thermometer", READINGS,
                "degC"),

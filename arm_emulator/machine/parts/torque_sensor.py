@@ -15,7 +15,8 @@ class TorqueSensor(AnalogSensor):
 
     section = "torque_sensor"
     unit = "N m"
-    quantity = "GearTorque"
+    reads = "now.gear_torques()"
+    field = "torque"
     channel = 3
     outputs = (
         Output("torque", "torque of each gear on its link, by its sensor", "sensors.torque",
