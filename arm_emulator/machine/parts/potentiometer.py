@@ -1,0 +1,27 @@
+"""Potentiometers at links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.resting import AtRest, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Potentiometer(AnalogSensor):
+    """Of the position of a joint's link."""
+
+    section = "potentiometer"
+    unit = "rad"
+    reads = "now.machine.state().q"
+    of = ""
+    outputs = (
+        Output("link_position", "position of each link, by its potentiometer", READINGS,
+               "rad", "m"),
+    )  # fmt: skip
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not use it."""
+        return Share()
