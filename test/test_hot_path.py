@@ -22,6 +22,7 @@ TOPICS = (
     "emulator/joint_states", "clock",
 )  # fmt: skip
 TICKS = 150
+HEADERS = ("wait", "subscription", "publisher", "guard_condition", "types")  # of rcl
 # Modules that repeat or report something after some wall time.
 TIMED = (
     "emulator_node.reports", "emulator_node.repeater", "emulator_node.answered_ticks",
@@ -132,6 +133,7 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
     """Sizes, places and constants; names of ours are hidden from the headers."""
     called = ("rcl_wait_set_clear", "rcl_wait_set_add_subscription", "rcl_wait",
               "rcl_take_serialized_message", "rcl_publish_serialized_message",
+              "rcl_subscription_set_on_new_message_callback", "rcl_trigger_guard_condition",
               "rcutils_reset_error")  # fmt: skip
     constants = ("RCL_RET_OK", "RCL_RET_TIMEOUT", "RCL_RET_SUBSCRIPTION_TAKE_FAILED")
     lines = [f"#define {name} our_{name}" for name in called]
@@ -140,7 +142,7 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
         f"enum {{ {', '.join(f'OUR_{one} = {one}' for one in constants)} }};",
     ]
     lines += [f"#undef {name}" for name in called]
-    lines += [f"#include <rcl/{one}.h>" for one in ("wait", "subscription", "publisher", "types")]
+    lines += [f"#include <rcl/{one}.h>" for one in HEADERS]
     lines += [f'_Static_assert(OUR_{one} == {one}, "{one}");' for one in constants]
     lines += [
         '_Static_assert(sizeof(rcl_bytes) == sizeof(rcl_serialized_message_t), "bytes");',
@@ -167,6 +169,9 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
         "rmw_subscription_allocation_t*) = rcl_take_serialized_message;",
         "int32_t (*e)(const rcl_publisher_t*, const rcl_serialized_message_t*, "
         "rmw_publisher_allocation_t*) = rcl_publish_serialized_message;",
+        "int32_t (*f)(const rcl_subscription_t*, void (*)(const void*, size_t), const void*) = "
+        "rcl_subscription_set_on_new_message_callback;",
+        "int32_t (*g)(rcl_guard_condition_t*) = rcl_trigger_guard_condition;",
     ]
     source = tmp_path / "check.c"
     source.write_text("\n".join(lines) + "\n")

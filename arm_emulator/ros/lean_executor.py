@@ -8,7 +8,7 @@ node with a hot path has its messages taken in C, and Python sees the others.
 
 from __future__ import annotations
 
-import inspect
+import contextlib
 import time
 from contextlib import ExitStack
 from typing import Any
@@ -17,9 +17,11 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from arm_emulator.ros.arrivals import Arrivals
 from arm_emulator.ros.c import MIDDLEWARE
+from arm_emulator.ros.entities import Entities, take_message
 from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.middleware import FAILED, PYTHON, HotPath, middleware
+from arm_emulator.ros.middleware import FAILED, PYTHON, HotPath, middleware, topics_of
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
 # rclpy's own executor (QoS events, clients, guard conditions).
@@ -32,7 +34,9 @@ REST = 2e-3
 class LeanExecutor:
     """Serves the subscriptions, timers and services of one node in the calling thread.
 
-    Callbacks are plain functions and run one after the other, as with SingleThreadedExecutor.
+    Callbacks are plain functions and run one after the other, as with SingleThreadedExecutor; no
+    message is taken in C meanwhile. Where the middleware permits, messages of a hot path are taken
+    where they arrive (`Arrivals`), elsewhere in this thread.
 
     Args:
         node: the node to serve. Its `housekeeping`, if it has one, is the interval of what is left
@@ -43,6 +47,8 @@ class LeanExecutor:
     def __init__(self, node: Node, hot: HotPath | None = None) -> None:
         self._node, self._given = node, hot
         self._hot: HotPath | None = None
+        self._arrivals: Arrivals | None = None
+        self._served = -1  # generation of these
         self._run = middleware().ros_wait_run
         self._context = node.context
         self._rest = SingleThreadedExecutor(context=node.context)
@@ -54,84 +60,96 @@ class LeanExecutor:
         Raises:
             ExternalShutdownException: it was shut down, as by a signal.
         """
-        while True:
-            with ExitStack() as held:
+        try:
+            while True:
                 housekeeping = getattr(self._node, "housekeeping", HOUSEKEEPING)
-                self._serve(held, until=time.monotonic() + housekeeping)
-            # A transition may have served the node by an executor of its own meanwhile.
-            self._rest.add_node(self._node)
-            self._rest.spin_once(timeout_sec=0.0)
+                until = time.monotonic() + housekeeping
+                with Entities(self._node) as entities:
+                    self._look_for_hot_path()
+                    if self._arrivals is not None:
+                        self._serve_beside(self._arrivals, entities, until)
+                    else:
+                        self._serve_in_turns(entities, until)
+                # A transition may have served the node by an executor of its own meanwhile.
+                self._rest.add_node(self._node)
+                self._rest.spin_once(timeout_sec=0.0)
+        finally:
+            self._end_arrivals()
 
-    def _serve(self, held: ExitStack, until: float) -> None:
-        """Wait for messages alone while they keep coming, and check the rest now and then."""
-        node, generation = self._node, self._generation
-        self._hot = node.in_c if isinstance(node, ManagedNode) else self._given
-        # rclpy's executor serves callbacks that wait.
-        at_once = [one for one in node.services if not inspect.iscoroutinefunction(one.callback)]
-        subscriptions, timers, services = (
-            [(one.handle.pointer, one) for one in many]
-            for many in (node.subscriptions, node.timers, at_once)
-        )
-        for _, one in (*subscriptions, *timers, *services):
-            held.enter_context(one.handle)
-        context: Any = self._context.handle
-        held.enter_context(context)
-        wait_set = rclpy_implementation.WaitSet
-        all_of_them: Any = wait_set(
-            len(subscriptions), 0, len(timers), 0, len(services), 0, context
-        )
-        messages: Any = wait_set(len(subscriptions), 0, 0, 0, 0, 0, context)
-        held.enter_context(messages)
-        for message in () if self._hot is None else self._hot.outgoing:
-            held.enter_context(message.bind())
-        waiting = self._wait_for(messages, subscriptions)
-        quiet = True
-        look = time.monotonic()  # for the other entities
-        while (now := time.monotonic()) < until and generation == self._generation:
-            if quiet or now >= look:
-                all_of_them.clear_entities()
-                for _, subscription in subscriptions if quiet else ():
-                    all_of_them.add_subscription(subscription.handle)
-                for _, timer in timers:
-                    all_of_them.add_timer(timer.handle)
-                for _, service in services:
-                    all_of_them.add_service(service.handle)
-                all_of_them.wait(int((until - now if quiet else 0.0) * 1e9))
-                if not self._context.ok():
-                    raise ExternalShutdownException
-                for _, timer in _ready(all_of_them, "timer", timers):
-                    if timer.handle.is_timer_ready():
-                        timer.handle.call_timer()
-                        timer.callback()
-                for _, service in _ready(all_of_them, "service", services):
-                    self._take_request(service)
-                look = time.monotonic() + REST
-                quiet = quiet and not _ready(all_of_them, "subscription", subscriptions)
-            else:
-                quiet = not self._take_messages(waiting, subscriptions, look - now)
+    def _look_for_hot_path(self) -> None:
+        node = self._node
+        hot = node.in_c if isinstance(node, ManagedNode) else self._given
+        if hot is self._hot and self._served == self._generation:
+            return
+        self._end_arrivals()
+        self._hot, self._served = hot, self._generation
+        if hot is not None:
+            with contextlib.suppress(LookupError):
+                self._arrivals = Arrivals(hot, self._context.handle)
+
+    def _end_arrivals(self) -> None:
+        arrivals, self._arrivals = self._arrivals, None
+        if arrivals is not None:
+            arrivals.end()
 
     @property
     def _generation(self) -> int:
         """Changes when other entities are to be served."""
         return self._node.generation if isinstance(self._node, ManagedNode) else 0
 
-    def _wait_for(self, messages: Any, subscriptions: list[tuple[int, Any]]) -> Any:
-        """Return a ``ros_wait *`` for these subscriptions."""
-        ffi = MIDDLEWARE.ffi
-        takes = () if self._hot is None else self._hot.takes
-        topics = ffi.new("ros_topic[]", len(subscriptions))
-        for k, (pointer, subscription) in enumerate(subscriptions):
-            topics[k].subscription = ffi.cast("void *", pointer)
-            for one, take, argument in takes:
-                if one is subscription:
-                    MIDDLEWARE.fill(topics + k, take=take, **{"with": argument})
-        self._topics = topics
-        pointer = ffi.cast("void *", messages.pointer)
-        return MIDDLEWARE.new("ros_wait", set=pointer, topic=topics, topics=len(topics), left=-1)
+    def _count(self, in_c: int, in_python: bool) -> None:
+        if isinstance(self._node, ManagedNode):
+            self._node.in_c_so_far += in_c
+            self._node.in_python_so_far += in_python
 
-    def _take_messages(
-        self, waiting: Any, subscriptions: list[tuple[int, Any]], seconds: float
-    ) -> bool:
+    def _serve_beside(self, arrivals: Arrivals, entities: Entities, until: float) -> None:
+        """Wait for everything else while messages are taken in C."""
+        generation = self._generation
+        others = [one for one in entities.subscriptions if one not in arrivals]
+        while (now := time.monotonic()) < until and generation == self._generation:
+            wait = until - now if arrivals.open() else 0.0
+            entities.wait(wait, others, arrivals.guard)
+            in_c = arrivals.close()
+            left = arrivals.left()
+            self._count(in_c, left is not None)
+            if left is not None:
+                subscription, data = left
+                subscription.callback(data)
+            entities.serve_timers()
+            entities.serve_services()
+            for subscription in entities.ready_subscriptions():
+                take_message(subscription)
+
+    def _serve_in_turns(self, entities: Entities, until: float) -> None:
+        """Wait for messages alone while they keep coming, and check the rest now and then."""
+        generation, subscriptions = self._generation, entities.subscriptions
+        with ExitStack() as held:
+            waiting = self._wait_for_messages(held, entities)
+            quiet = True
+            look = time.monotonic()  # for the other entities
+            while (now := time.monotonic()) < until and generation == self._generation:
+                if quiet or now >= look:
+                    entities.wait(until - now if quiet else 0.0, subscriptions if quiet else [])
+                    entities.serve_timers()
+                    entities.serve_services()
+                    look = time.monotonic() + REST
+                    quiet = quiet and not entities.ready_subscriptions()
+                else:
+                    quiet = not self._take_messages(waiting, subscriptions, look - now)
+
+    def _wait_for_messages(self, held: ExitStack, entities: Entities) -> Any:
+        """Return a ``ros_wait *`` for the subscriptions."""
+        ffi, subscriptions = MIDDLEWARE.ffi, entities.subscriptions
+        count = len(subscriptions)
+        messages: Any = rclpy_implementation.WaitSet(count, 0, 0, 0, 0, 0, entities.context)
+        held.enter_context(messages)
+        for message in () if self._hot is None else self._hot.outgoing:
+            held.enter_context(message.bind())
+        self._topics = topics_of(subscriptions, self._hot)
+        pointer = ffi.cast("void *", messages.pointer)
+        return MIDDLEWARE.new("ros_wait", set=pointer, topic=self._topics, topics=count, left=-1)
+
+    def _take_messages(self, waiting: Any, subscriptions: list[Any], seconds: float) -> bool:
         """Take messages for some time, or until one is for Python; return whether any came."""
         if self._hot is not None:
             self._hot.begin()
@@ -142,34 +160,11 @@ class LeanExecutor:
             raise ExternalShutdownException
         if end == FAILED:
             raise RuntimeError("rcl does not wait for messages")
-        if isinstance(self._node, ManagedNode):
-            self._node.in_c_so_far += waiting.handled
-            self._node.in_python_so_far += end == PYTHON
-        for topic, (_, subscription) in zip(self._topics, subscriptions, strict=True):
+        self._count(waiting.handled, end == PYTHON)
+        for topic, subscription in zip(self._topics, subscriptions, strict=True):
             if topic.ready:
-                self._take_message(subscription)
+                take_message(subscription)
         if waiting.left >= 0:
             data = bytes(MIDDLEWARE.ffi.buffer(waiting.data, waiting.size))
-            subscriptions[waiting.left][1].callback(data)
+            subscriptions[waiting.left].callback(data)
         return bool(end or waiting.handled)
-
-    def _take_message(self, subscription: Any) -> None:
-        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        if taken is None:
-            return
-        kind = subscription._callback_type  # noqa: SLF001  # as rclpy's executor looks at it
-        if kind is subscription.CallbackType.MessageOnly:
-            subscription.callback(taken[0])
-        else:
-            subscription.callback(*taken)
-
-    def _take_request(self, service: Any) -> None:
-        request, header = service.handle.service_take_request(service.srv_type.Request)
-        if header is not None:
-            response = service.callback(request, service.srv_type.Response())
-            service.send_response(response, header)
-
-
-def _ready(waiting: Any, kind: str, entities: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
-    pointers = waiting.get_ready_entities(kind)
-    return [entity for entity in entities if entity[0] in pointers] if pointers else []

@@ -58,6 +58,22 @@ class HotPath(Protocol):
         """Take over the results of C."""
 
 
+def topics_of(subscriptions: Sequence[Subscription], hot: HotPath | None) -> CData:
+    """Return subscriptions, whose handles must be held, as ``ros_topic[]``.
+
+    Those of the hot path have its functions, the messages of the others are Python's.
+    """
+    ffi, takes = MIDDLEWARE.ffi, () if hot is None else hot.takes
+    topics = ffi.new("ros_topic[]", len(subscriptions))
+    for k, subscription in enumerate(subscriptions):
+        handle: Any = subscription.handle
+        topics[k].subscription = ffi.cast("void *", handle.pointer)
+        for one, take, argument in takes:
+            if one is subscription:
+                MIDDLEWARE.fill(topics + k, take=take, **{"with": argument})
+    return topics
+
+
 def pattern_of(layout: FixedLayout, keep: list[object]) -> CData:
     """Return the constant bytes of a layout's messages, as a ``ros_pattern *``.
 

@@ -9,11 +9,13 @@ from arm_emulator.build.unit import Unit
 FOLDER = Path(__file__).resolve().parent
 MESSAGES = Header(FOLDER / "messages.h")
 MIDDLEWARE = Header(FOLDER / "middleware.h")
+ARRIVALS = Header(FOLDER / "arrivals.h")
 
 
 def middleware_unit() -> Unit:
-    """Return middleware.h as what is compiled. It is loaded where librcl is."""
-    source = '#include "middleware.c"\n#include "messages.c"\n'
+    """Return middleware.h and arrivals.h as what is compiled. It is loaded where librcl is."""
+    parts = ("middleware.c", "arrivals.c", "bytes.c", "messages.c")
+    source = "".join(f'#include "{one}"\n' for one in parts)
     about, part = "waiting for messages", "middleware.c"
-    headers = (MESSAGES, MIDDLEWARE)
+    headers = (MESSAGES, MIDDLEWARE, ARRIVALS)
     return Unit("middleware", source, C_FLAGS, (FOLDER,), headers, "node", about, part)

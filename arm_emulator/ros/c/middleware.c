@@ -2,35 +2,14 @@
 
 #include "middleware.h"
 
-#include <stdlib.h>
 #include <time.h>
 
-#include "rcl_calls.h"
+#include "bytes.h"
 
 /* ------------------------------------------------------------------------------ messages in */
 
-static void* new_bytes(size_t size, void* state) {
-  (void)state;
-  return malloc(size);
-}
-
-static void delete_bytes(void* bytes, void* state) {
-  (void)state;
-  free(bytes);
-}
-
-static void* resized_bytes(void* bytes, size_t size, void* state) {
-  (void)state;
-  return realloc(bytes, size);
-}
-
-static void* zero_bytes(size_t number, size_t size, void* state) {
-  (void)state;
-  return calloc(number, size);
-}
-
 /* The newest message: one thread of a process runs a ros_wait. */
-static rcl_bytes taken = {NULL, 0, 0, {new_bytes, delete_bytes, resized_bytes, zero_bytes, NULL}};
+static rcl_bytes taken;
 
 static int64_t now(void) {
   struct timespec time;
@@ -66,6 +45,7 @@ static int serve(ros_wait* wait) {
 
 int ros_wait_run(ros_wait* wait, double seconds) {
   const int64_t until = now() + (int64_t)(seconds * ROS_SECOND);
+  if (!taken.buffer) taken = ros_no_bytes();
   wait->handled = 0;
   wait->left = -1;
   for (int64_t k = 0; k < wait->topics; ++k) wait->topic[k].ready = 0;
@@ -87,8 +67,9 @@ int ros_wait_run(ros_wait* wait, double seconds) {
 
 int ros_publish(ros_message* message, int64_t time, int64_t tick, ros_log* log) {
   ros_fill(message, time, tick, log);
-  const rcl_bytes bytes = {message->data, (size_t)message->size, (size_t)message->size,
-                           taken.allocator};
+  rcl_bytes bytes = ros_no_bytes();
+  bytes.buffer = message->data;
+  bytes.buffer_length = bytes.buffer_capacity = (size_t)message->size;
   const int32_t result = rcl_publish_serialized_message(message->publisher, &bytes, NULL);
   if (result != RCL_RET_OK) rcutils_reset_error(); /* the context was shut down */
   return result;

@@ -35,6 +35,10 @@ int32_t rcl_take_serialized_message(const void* subscription, rcl_bytes* message
                                     void* allocation);
 int32_t rcl_publish_serialized_message(const void* publisher, const rcl_bytes* message,
                                        void* allocation);
+int32_t rcl_subscription_set_on_new_message_callback(const void* subscription,
+                                                     void (*came)(const void* data, size_t number),
+                                                     const void* data);
+int32_t rcl_trigger_guard_condition(void* guard);
 void rcutils_reset_error(void);
 
 #endif

@@ -1,0 +1,103 @@
+"""Subscriptions, timers and services of a node, waited for together."""
+
+from __future__ import annotations
+
+import inspect
+from contextlib import ExitStack
+from typing import Any, Self
+
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+
+
+class Entities:
+    """Those of a node at this time; in a `with` block none of them is released.
+
+    A service that waits within its callback is left to rclpy's executor.
+
+    Attributes:
+        subscriptions, timers, services: those waited for.
+        context: handle of their context.
+
+    Args:
+        node: the node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.subscriptions: list[Any] = [*node.subscriptions]
+        self.timers: list[Any] = [*node.timers]
+        self.services: list[Any] = [
+            one for one in node.services if not inspect.iscoroutinefunction(one.callback)
+        ]
+        self._of: Context = node.context
+        self.context: Any = node.context.handle
+        self._held = ExitStack()
+
+    def __enter__(self) -> Self:
+        for one in (*self.subscriptions, *self.timers, *self.services):
+            self._held.enter_context(one.handle)
+        self._held.enter_context(self.context)
+        counts = len(self.subscriptions), 1, len(self.timers), 0, len(self.services), 0
+        self._all: Any = rclpy_implementation.WaitSet(*counts, self.context)
+        self._held.enter_context(self._all)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._held.close()
+
+    def wait(self, seconds: float, subscriptions: list[Any], guard: Any = None) -> None:
+        """Wait for any timer, service or guard condition, and for some of the subscriptions.
+
+        Raises:
+            ExternalShutdownException: the context was shut down.
+        """
+        everything = self._all
+        everything.clear_entities()
+        for subscription in subscriptions:
+            everything.add_subscription(subscription.handle)
+        if guard is not None:
+            everything.add_guard_condition(guard)
+        for timer in self.timers:
+            everything.add_timer(timer.handle)
+        for service in self.services:
+            everything.add_service(service.handle)
+        everything.wait(int(max(0.0, seconds) * 1e9))
+        if not self._of.ok():
+            raise ExternalShutdownException
+
+    def ready_subscriptions(self) -> list[Any]:
+        """Return those that have messages."""
+        return self._ready("subscription", self.subscriptions)
+
+    def serve_timers(self) -> None:
+        """Call back for each timer that is due."""
+        for timer in self._ready("timer", self.timers):
+            if timer.handle.is_timer_ready():
+                timer.handle.call_timer()
+                timer.callback()
+
+    def serve_services(self) -> None:
+        """Answer a request of each service."""
+        for service in self._ready("service", self.services):
+            request, header = service.handle.service_take_request(service.srv_type.Request)
+            if header is not None:
+                response = service.callback(request, service.srv_type.Response())
+                service.send_response(response, header)
+
+    def _ready(self, kind: str, entities: list[Any]) -> list[Any]:
+        pointers = self._all.get_ready_entities(kind)
+        return [one for one in entities if one.handle.pointer in pointers] if pointers else []
+
+
+def take_message(subscription: Any) -> None:
+    """Call back with the oldest message of a subscription, if there is one."""
+    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    if taken is None:
+        return
+    kind = subscription._callback_type  # noqa: SLF001  # as rclpy's executor looks at it
+    if kind is subscription.CallbackType.MessageOnly:
+        subscription.callback(taken[0])
+    else:
+        subscription.callback(*taken)
