@@ -1,10 +1,11 @@
 """Cost of the page of a running network, and its memory over time.
 
     python -m bench.live_page                # factor in lock-step with and without it, in turns
-    python -m bench.live_page --minutes 20   # memory of its process while a browser is connected
+    python -m bench.live_page --chromium     # the same, and Chromium draws it on these processors
+    python -m bench.live_page --chromium --minutes 20   # memory of the page and of Chromium
 
-The browser is a client that takes all that the page sends: drawing it is the work of another
-machine, or of a graphics card.
+Without `--chromium` a client takes all that the page sends to a browser: drawing it is the work of
+another machine, or of a graphics card.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ from __future__ import annotations
 import argparse
 import contextlib
 import re
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
 from bench.lockstep import listener
+from bench.page_browsers import browsers, drawing, page_process, resident, sent, taking
 
 SECONDS = 5.0  # wall, of each run
 PATIENCE = 120.0  # s, wall
@@ -29,12 +31,13 @@ LOG = Path("out/bench/live_page")
 
 
 @contextmanager
-def network(scene: str, page: bool) -> Iterator[Bringup]:
+def network(scene: str, page: bool, **more: object) -> Iterator[Bringup]:
     """Run a network in lock-step in this block, in an own domain."""
     streams = {"page_port": 0} if page else {}
     log = LOG / ("with" if page else "without")
     (log / "emulator.log").unlink(missing_ok=True)
-    with own_domain(), Bringup(scene, start="first_answer", emulator=streams, log=log) as one:
+    emulator = streams | more
+    with own_domain(), Bringup(scene, start="first_answer", emulator=emulator, log=log) as one:
         yield one
 
 
@@ -49,59 +52,31 @@ def url_of(log: Path) -> str:
     raise TimeoutError("the emulator prints no address")
 
 
-@contextmanager
-def client(url: str) -> Iterator[list[int]]:
-    """Take all that a page sends in this block; yield the numbers of bytes.
+def turn(scene: str, browser: Any) -> dict[str, float]:
+    """Run a network for some seconds, with a browser at its page or without a page.
 
-    A page sends the first picture alone to a connection without a camera, as this one.
+    Returns:
+        How many times faster than real time it runs, and per second of wall time what its page
+        has sent [kB] and how many pictures were drawn.
     """
-    from websockets.sync.client import connect
-
-    got: list[int] = []
-    with connect(url.replace("http:", "ws:"), max_size=None, subprotocols=_protocol()) as socket:
-        thread = threading.Thread(target=lambda: got.extend(len(one) for one in socket))
-        thread.start()
-        yield got
-        socket.close()
-        thread.join()
-
-
-def _protocol() -> list:  # type: ignore[type-arg]
-    import viser
-
-    return [f"viser-v{viser.__version__}"]
-
-
-def factor(scene: str, page: bool) -> float:
-    """Return how many times faster than real time a network runs."""
     with contextlib.ExitStack() as open_:
-        one = open_.enter_context(network(scene, page))
+        one = open_.enter_context(network(scene, browser is not None))
         ticks = open_.enter_context(listener())
-        if page:
-            open_.enter_context(client(url_of(LOG / "with/emulator.log")))
+        url = "" if browser is None else url_of(LOG / "with/emulator.log")
+        drawn = open_.enter_context(browser(url)) if url else lambda: 0
         while ticks() < 500:
             if one.ended() is not None:
                 raise RuntimeError(f"a node ended: {one.ended()}")
         begin, began = ticks(anew=True), time.monotonic()
-        end = begin
+        bytes_, pictures, end = sent(url) if url else 0, drawn(), begin
         while time.monotonic() - began < SECONDS:
             end = ticks(anew=True)
-        return float(end - begin) * 1e-3 / (time.monotonic() - began)
-
-
-def resident(process: int) -> float:
-    """Return the memory of a process [MB]."""
-    status = Path(f"/proc/{process}/status").read_text()
-    return int(re.findall(r"VmRSS:\s+(\d+)", status)[0]) / 1e3
-
-
-def page_process(emulator: int) -> int:
-    """Return the process of the page that an emulator has started."""
-    for task in Path(f"/proc/{emulator}/task").iterdir():
-        for child in (task / "children").read_text().split():
-            if "live_process" in Path(f"/proc/{child}/cmdline").read_text():
-                return int(child)
-    raise LookupError("the emulator has no page")
+        wall = time.monotonic() - began
+        return {
+            "factor": float(end - begin) * 1e-3 / wall,
+            "kB/s": ((sent(url) if url else 0) - bytes_) / wall / 1e3,
+            "pictures/s": (drawn() - pictures) / wall,
+        }
 
 
 def main() -> None:
@@ -110,29 +85,43 @@ def main() -> None:
     parser.add_argument("--scene", default="three_axis", help="of servo periods of 1 ms")
     parser.add_argument("--turns", type=int, default=4)
     parser.add_argument("--minutes", type=float, default=0.0)
+    parser.add_argument("--chromium", action="store_true", help="draw the page")
+    parser.add_argument("--rate", type=float, default=0.0, help="times real time, of --minutes")
     given = parser.parse_args()
+    browser = drawing if given.chromium else taking
     if given.minutes:
-        soak(given.scene, given.minutes)
+        soak(given.scene, given.minutes, browser, given.rate)
         return
-    without, with_ = [], []
-    for _ in range(given.turns):
-        without.append(factor(given.scene, page=False))
-        with_.append(factor(given.scene, page=True))
+    turns = [(turn(given.scene, None), turn(given.scene, browser)) for _ in range(given.turns)]
+    without, with_ = ([one["factor"] for one in side] for side in zip(*turns, strict=True))
     each = [one / other for one, other in zip(with_, without, strict=True)]
+    rows = {"without a page": without, "with": with_, "ratio": each}
+    rows |= {f"{key} to the browser": [one[key] for _, one in turns] for key in ("kB/s",)}
+    rows["pictures/s drawn"] = [one["pictures/s"] for _, one in turns]
     print(f"| {given.scene} in lock-step | real-time factor, each turn |\n|---|---|")
-    for name, of in (("without a page", without), ("with", with_), ("ratio", each)):
+    for name, of in rows.items():
         print(f"| {name} | {', '.join(f'{one:.3g}' for one in of)} |")
     print(f"| ratio, median | {median(each):.3f} |")
 
 
-def soak(scene: str, minutes: float) -> None:
-    """Print the memory of a page's process ten times while a client is connected."""
-    with network(scene, page=True) as one, client(url_of(LOG / "with/emulator.log")) as got:
-        process = page_process(one.process("emulator").pid)
-        print("| after [min] | memory [MB] | to the browser [MB] |\n|---|---|---|")
-        for turn in range(11):
-            print(f"| {turn * minutes / 10:.3g} | {resident(process):.1f} | {sum(got) / 1e6:.1f} |")
-            time.sleep(6.0 * minutes)
+def soak(scene: str, minutes: float, browser: Any, rate: float) -> None:
+    """Print the memory of page and browser ten times while the browser is connected."""
+    more = {"real_time_factor": rate} if rate else {}
+    with network(scene, page=True, **more) as one, listener() as ticks:
+        url = url_of(LOG / "with/emulator.log")
+        with browser(url) as drawn:
+            page = page_process(one.process("emulator").pid)
+            print(
+                "| after [min] | tick | page [MB] | Chromium [MB] | sent [MB] | pictures |"
+                "\n|---|---|---|---|---|---|"
+            )
+            began = time.monotonic()
+            for part in range(11):
+                while time.monotonic() - began < 6.0 * minutes * part:
+                    ticks(anew=True)
+                of_browser = sum(map(resident, browsers()))
+                row = [part * minutes / 10, ticks(), resident(page), of_browser, sent(url) / 1e6]
+                print(f"| {' | '.join(f'{cell:.5g}' for cell in row)} | {drawn()} |", flush=True)
 
 
 if __name__ == "__main__":

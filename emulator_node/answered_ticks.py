@@ -68,6 +68,7 @@ class AnsweredTicks:
             own.session, own.gate, own.view, own.outbox,
         )  # fmt: skip
         self._commands, self._reports, self._health = commands, reports, health
+        self._pace = own.pace
         self._topic = subscription.topic_name
         self._keep: list[object] = []
         self._layout: FixedLayout | None = None  # that C knows
@@ -114,7 +115,8 @@ class AnsweredTicks:
         ticks.result, ticks.stop = 0, self._breaks.stop
         if self._view.open or session.last_tick == session.tick or not self._knows_commands():
             return
-        ticks.last = min(session.last_tick, session.tick + self._gate.room())
+        room = min(self._gate.room(), self._pace.room(session.tick))
+        ticks.last = min(session.last_tick, session.tick + room)
         self._reports.refresh()
         if self._outbox.record is not None:
             self._begin_log()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from rclpy.node import Node
 
+from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.node_shell import Diagnostics
 from emulator_node.outbox import Outbox
@@ -25,6 +26,7 @@ class Context:
         gate: recorders that have to keep up.
         outbox: outgoing messages.
         view: display of ticks.
+        pace: limit of how fast logical time passes in lock-step.
         lock: guards all of it: between the executor, which serves topics and services, and a thread
             of the pacer.
     """
@@ -35,4 +37,5 @@ class Context:
     gate: RecorderGate
     outbox: Outbox
     view: View
+    pace: Pace
     lock: threading.RLock = field(default_factory=threading.RLock)

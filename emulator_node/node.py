@@ -21,8 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.base.parameters import parameter
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.build_facts import build_facts
 from arm_emulator.machine.loop_clock import real_time_session
+from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
 from arm_emulator.page.watched import Watched
@@ -74,6 +76,13 @@ class EmulatorParameters:
         at_most=3600.0,
         settable=True,
     )
+    real_time_factor: float = parameter(
+        0.0,
+        "in lock-step: logical time per wall time, at most; 0: as fast as possible",
+        at_least=0.0,
+        at_most=1000.0,
+        settable=True,
+    )
     report_period: float = parameter(
         0.01,
         "logical time between messages on emulator/joint_states and clock; 0: every tick",
@@ -110,7 +119,9 @@ class EmulatorNode(ManagedNode):
 
     def configure(self) -> None:
         """Create the machine, which stands, and its topics and services."""
-        config, scene = self._config, load_scene(self._config.scene)
+        config = self._config
+        check_pace(config)
+        scene = load_scene(config.scene)
         for line in scene.warnings:
             self.get_logger().warning(line)
         diagnostics = self._diagnostics
@@ -130,13 +141,15 @@ class EmulatorNode(ManagedNode):
         self.cleanup.callback(session.close)
         topic = self.resolve_topic_name("motor_states")
         gate = RecorderGate(self, session, diagnostics, topic)
-        self._own = own = Context(self, session, diagnostics, gate, outbox, view)
+        pace = Pace(scene.servo_period)
+        pace.factor = config.real_time_factor
+        self._own = own = Context(self, session, diagnostics, gate, outbox, view, pace)
         self._reports = reports = Reports(own, config.report_period)
         self._status = status = Status(own, reports)
         health = Health(own, lambda: self._config.timeout)
-        pace = LoopPacer if session.by_itself else LockstepPacer
+        pacer = LoopPacer if session.by_itself else LockstepPacer
         breaks = Breaks(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
-        self._pacer: Pacer = pace(own, reports, health, breaks)
+        self._pacer: Pacer = pacer(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
         changes = Changes(session, self._pacer, reports, watched, breaks)
         intake = Intake(own, self._pacer, changes, breaks)
@@ -175,7 +188,8 @@ class EmulatorNode(ManagedNode):
         # Not imported without a page: it takes messages of other nodes.
         from emulator_node.page_hands import HandsOnNetwork
 
-        hands = HandsOnNetwork(self.get_namespace(), session.scene.servo_period)
+        period = session.scene.servo_period
+        hands = HandsOnNetwork(self.get_namespace(), period, session.lockstep)
         watched = Watched(session.plant, port, hands)
         print(f"page: {watched.url}", flush=True)
         return watched
@@ -203,10 +217,16 @@ class EmulatorNode(ManagedNode):
         self._diagnostics.send = self._diagnostics.publisher.publish
 
     def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
-        return replaced(self, self._config, changes)
+        config = replaced(self, self._config, changes)
+        check_pace(config)
+        return config
 
     def _take_parameters(self, config: EmulatorParameters) -> None:
-        self._config = config
+        before, self._config = self._config, config
+        if self.configured and config.real_time_factor != before.real_time_factor:
+            with self._own.lock:
+                self._own.pace.factor = config.real_time_factor
+                self._pacer.look()
 
     def _on_repeat(self) -> None:
         with self._own.lock:
@@ -217,6 +237,14 @@ class EmulatorNode(ManagedNode):
             self._status.report()
             if time.monotonic() - self._reports.published_at >= STATUS_PERIOD:
                 self._reports.time_again()
+
+
+def check_pace(config: EmulatorParameters) -> None:
+    """Refuse another pace than that of the wall clock in real time."""
+    if config.clock == "realtime" and config.real_time_factor not in (0.0, 1.0):
+        rule = "be 0 or 1 with clock realtime, which is never faster or slower"
+        got = config.real_time_factor
+        raise Refusal("emulator", "parameter real_time_factor", rule, got)
 
 
 def main() -> None:

@@ -37,21 +37,28 @@ class Pacer(Protocol):
 
 
 class LockstepPacer:
-    """Ticks follow answers; before the first answer the node paces them by the servo period."""
+    """Ticks follow answers, and wait for the pace; a free run goes by the servo period."""
 
     def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
         self._breaks = breaks
         self._session, self._gate = own.session, own.gate
         self._reports, self._health, self._lock = reports, health, own.lock
-        self._pace = wall_timer(own.node, own.session.scene.servo_period, self._on_pace)
+        self._pace = own.pace
+        self._free_run = wall_timer(own.node, own.session.scene.servo_period, self._on_free_run)
+        self._due = wall_timer(own.node, own.session.scene.servo_period, self._on_due)
+        self._due.cancel()
 
     def start(self) -> None:
-        """Pace the free run."""
-        self._pace.reset()
+        """Begin the free run."""
+        self._free_run.reset()
 
     def go_on(self) -> None:
-        """Leave this tick if permitted, and if every recorder has kept up."""
+        """Leave this tick if permitted, due, and if every recorder has kept up."""
         if not self._session.may_advance or self._gate.behind():
+            return
+        if (wait := self._pace.due(self._session.tick)) > 0.0:
+            self._due.timer_period_ns = max(1, round(1e9 * wait))
+            self._due.reset()
             return
         self._session.advance()
         if self._session.fault is None:
@@ -60,9 +67,11 @@ class LockstepPacer:
         self._breaks.look()
 
     def look(self) -> None:
-        """Pace the free run again, if the machine has returned to it."""
-        if self._pace.is_canceled() and self._session.phase is Phase.FREE_RUNNING:
-            self._pace.reset()
+        """Go on with the free run if the machine has returned to it, and at another pace."""
+        if self._free_run.is_canceled() and self._session.phase is Phase.FREE_RUNNING:
+            self._free_run.reset()
+        if self._session.answered:
+            self.go_on()
 
     def catch_up(self) -> None:
         """Do nothing: every tick is published when reached."""
@@ -71,12 +80,17 @@ class LockstepPacer:
     def close(self) -> None:
         """Do nothing: no thread is running."""
 
-    def _on_pace(self) -> None:
+    def _on_free_run(self) -> None:
         with self._lock:
             if self._session.phase is Phase.FREE_RUNNING:
                 self.go_on()
-            else:  # waiting needs no pace
-                self._pace.cancel()
+            else:
+                self._free_run.cancel()
+
+    def _on_due(self) -> None:
+        with self._lock:
+            self._due.cancel()
+            self.go_on()
 
 
 class LoopPacer:

@@ -53,14 +53,16 @@ class HandsOnNetwork:
     Attributes:
         namespace: of the emulator's node.
         period: servo period [s].
+        lockstep: whether time follows answers, and may be slowed down.
     """
 
     namespace: str
     period: float
+    lockstep: bool
 
     def __call__(self) -> Hands:
         """Return the hands."""
-        return RosHands(self.namespace, self.period)
+        return RosHands(self.namespace, self.period, self.lockstep)
 
 
 class RosHands(Hands):
@@ -69,12 +71,14 @@ class RosHands(Hands):
     Args:
         namespace: of all nodes.
         period: servo period [s].
+        lockstep: whether time follows answers, and may be slowed down.
     """
 
-    def __init__(self, namespace: str, period: float) -> None:
+    def __init__(self, namespace: str, period: float, lockstep: bool) -> None:
         rclpy.init(args=[], domain_id=None, signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self._node = node = rclpy.create_node("page", namespace=namespace)
         self._period, self._lock, self._news = period, threading.Lock(), News()
+        self._lockstep = lockstep
         self._refusals: dict[str, str] = {}
         self._phase = -1
         self._clients: dict[str, Any] = {}
@@ -89,6 +93,10 @@ class RosHands(Hands):
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._executor.spin, name="hands", daemon=True)
         self._thread.start()
+
+    def can(self) -> frozenset[str]:
+        """Return all, without the rate in real time, which passes by the clock."""
+        return super().can() - (frozenset() if self._lockstep else {"rate"})
 
     def close(self) -> None:
         """End the node."""
@@ -161,6 +169,11 @@ class RosHands(Hands):
             )
         return answer
 
+    def rate(self, factor: float) -> str:
+        """Let logical time pass so fast, 1 being real time; 0: as fast as possible."""
+        self._set_parameter("emulator", "real_time_factor", factor)
+        return f"{factor:g} times real time" if factor else "as fast as possible"
+
     def reset(self) -> str:
         """Begin anew at tick 0, servo and motion controller too."""
         answer = self._call("emulator/reset", Trigger, Trigger.Request())
@@ -225,13 +238,7 @@ class RosHands(Hands):
 
     def set_gain(self, name: str, value: float) -> str:
         """Change one of them."""
-        kind = ParameterType.PARAMETER_DOUBLE
-        one = Parameter(name=name, value=ParameterValue(type=kind, double_value=value))
-        request = SetParametersAtomically.Request(parameters=[one])
-        service = "servo/set_parameters_atomically"
-        result = self._result(service, SetParametersAtomically, request).result
-        if not result.successful:
-            raise Refusal("page", name, "be taken by the servo", value, result.reason)
+        self._set_parameter("servo", name, value)
         return f"{name} = {value:g}"
 
     def break_when(self, condition: str) -> str:
@@ -239,6 +246,20 @@ class RosHands(Hands):
         request = BreakWhen.Request(condition=condition)
         answer = self._call("emulator/break_when", BreakWhen, request)
         return f"stops where {condition}, set {answer}" if condition else "stops nowhere"
+
+    def _set_parameter(self, node: str, name: str, value: float) -> None:
+        """Set a parameter.
+
+        Raises:
+            Refusal: the node does not take it.
+        """
+        kind = ParameterType.PARAMETER_DOUBLE
+        one = Parameter(name=name, value=ParameterValue(type=kind, double_value=value))
+        request = SetParametersAtomically.Request(parameters=[one])
+        service = f"{node}/set_parameters_atomically"
+        result = self._result(service, SetParametersAtomically, request).result
+        if not result.successful:
+            raise Refusal("page", name, f"be taken by the {node}", value, result.reason)
 
     def _client(self, name: str, kind: Any) -> Any:
         if name not in self._clients:

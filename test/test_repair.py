@@ -29,11 +29,12 @@ from arm_emulator.base.mcap_end import write_all
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT, Topic
 from arm_emulator.ros.bag_writer import BagWriter, repair
 from arm_emulator.ros.message_types import definition_of
 
 CUTS = 60 if FULL else 20
+FACTS = {PARENT: "other", FORKED_AT: "7"}
 
 
 def talk(folder: Path, words: int, seed: int = 0) -> None:
@@ -41,7 +42,7 @@ def talk(folder: Path, words: int, seed: int = 0) -> None:
     draw = random.Random(seed)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     numbers = []
-    with BagWriter(folder) as writer:
+    with BagWriter(folder, FACTS) as writer:
         for k in range(words):
             if k in (0, words // 3):
                 kind = "std_msgs/msg/String"
@@ -136,6 +137,7 @@ def test_every_whole_chunk_of_a_bag_that_was_cut_anywhere_is_kept(tmp_path: Path
         kept = sum(messages for end, messages in chunks if end <= length)
         assert repair(bag), f"cut at {length}: taken for whole"
         assert words_of(bag) == words[:kept], f"cut at {length} of {len(data)}"
+        assert not kept or Bag(bag).about == FACTS, "its parent is named before all chunks"
         assert_whole(bag, words[:kept])
         assert not repair(bag), f"cut at {length}: mended, and not whole"
 

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 import random
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
@@ -112,6 +113,24 @@ def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(
         assert user.call("emulator/pause", False).success
         user.wait("the run", lambda: user.tick >= tick + 200)
         assert_same_bits(user.motor_states(), states, tick + 200)
+
+
+def test_a_pace_slows_lock_step_down_without_changing_a_bit(three_nodes: SharedNetwork) -> None:
+    states = offline_states(load_offline_run("three_axis"), 400)
+    with three_nodes() as (user, _):
+        parameters = Parameters(user)
+        assert parameters.set("emulator", real_time_factor=0.5) == ""
+        begun = time.monotonic()
+        go(user)
+        user.wait("the run", lambda: user.tick >= 100)
+        assert time.monotonic() - begun > 0.1, "0.1 s of logical time take 0.2 s"
+        assert user.status is not None and user.status.real_time_factor < 0.9
+        # Another pace, and none, at once.
+        assert parameters.set("emulator", real_time_factor=1000.0) == ""
+        user.wait("the run", lambda: user.tick >= 200)
+        assert parameters.set("emulator", real_time_factor=0.0) == ""
+        user.wait("the run", lambda: user.tick >= 400)
+        assert_same_bits(user.motor_states(), states, 400)
 
 
 def refused_bad_values(parameters: Parameters, rng: random.Random) -> None:

@@ -57,6 +57,7 @@ class _Whole:
     loose: Counter[int] = field(default_factory=Counter)  # messages in no chunk, by channel
     end: int = 0  # of the last whole record
     messages: dict[int, MessageIndex] = field(default_factory=dict)  # of the last chunk, by channel
+    metadata: int = 0  # records
     followed: bool = False  # the last chunk, by more than its index
 
     @property
@@ -111,6 +112,8 @@ def _read(mcap: McapFile) -> _Whole:
             elif record.opcode == Opcode.CHANNEL:
                 channel = record.channel
                 whole.channels[channel.id] = channel
+            elif record.opcode == Opcode.METADATA:
+                whole.metadata += 1
             elif record.opcode == Opcode.MESSAGE:
                 whole.loose[record.message[0]] += 1
             elif record.opcode == Opcode.MESSAGE_INDEX and whole.chunks:
@@ -244,6 +247,6 @@ def _statistics(whole: _Whole) -> Statistics:
         message_count=counts.total(),
         message_end_time=max((one.message_end_time for one in filled), default=0),
         message_start_time=min((one.message_start_time for one in filled), default=0),
-        metadata_count=0,
+        metadata_count=whole.metadata,
         schema_count=len(whole.all_schemas),
     )

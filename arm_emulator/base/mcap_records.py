@@ -19,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 MOST_RECORD = 1 << 28  # bytes of a record, and of an unpacked chunk
@@ -29,7 +29,10 @@ HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; the data follow
 _CHUNK = struct.Struct("<QQQII")  # first and last log time, size, CRC, length of a name
 # Kinds of records whose content is looked at; what others hold is passed over.
-_LOOKED_AT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+_LOOKED_AT = (
+    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+)  # fmt: skip
 
 
 class CutOff(Exception):
@@ -77,6 +80,13 @@ class Record:
         with _sound("a channel"):
             channel: Channel = Channel.read(ReadDataStream(BytesIO(self.content)))
         return channel
+
+    @property
+    def metadata(self) -> tuple[str, dict[str, str]]:
+        """Name and entries of a metadata record."""
+        with _sound("metadata"):
+            one = Metadata.read(ReadDataStream(BytesIO(self.content)))
+        return one.name, one.metadata
 
     @property
     def message(self) -> tuple[int, int, int, int]:

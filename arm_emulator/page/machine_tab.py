@@ -7,6 +7,8 @@ from typing import Any
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import Scene
 
+FAULTS = "faults."  # names of varied numbers that are faults begin so
+
 
 def machine_tab(page: Any, gui: Any, scene: Scene) -> None:
     """Add the controls for what a page's hands can do, in the tab in whose context this is called.
@@ -35,14 +37,16 @@ def machine_tab(page: Any, gui: Any, scene: Scene) -> None:
 
 
 def _add_varied(page: Any, gui: Any, scene: Scene) -> None:
-    numbers = dict(page.varied)
-    if not numbers:
-        gui.add_markdown("The scene lists no number as `varied`.")
-        return
-    with gui.add_folder("Varied numbers"):
-        for name, value in numbers.items():
-            box = gui.add_number(name, value, step=0.01 * abs(value) or 0.01)
-            box.on_update(lambda _, name=name, box=box: page.ask("set_varied", name, box.value))
+    """Add a field for each varied number, and for the magnitude of each fault."""
+    for title, of_faults in (("Varied numbers", False), ("Faults (0: off)", True)):
+        numbers = {k: v for k, v in page.varied.items() if k.startswith(FAULTS) == of_faults}
+        if not numbers:
+            continue
+        with gui.add_folder(title):
+            for name, value in numbers.items():
+                label = name.removeprefix(FAULTS)
+                box = gui.add_number(label, value, step=0.01 * abs(value) or 0.01)
+                box.on_update(lambda _, name=name, box=box: page.ask("set_varied", name, box.value))
 
 
 def _add_gains(page: Any, gui: Any) -> None:

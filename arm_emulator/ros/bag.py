@@ -6,6 +6,7 @@ reads them, and bags of `ros2 bag record` are read here.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import re
 from collections.abc import Collection, Iterator
@@ -15,7 +16,7 @@ from typing import NamedTuple
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import open_file
 from arm_emulator.base.yaml_file import parse_yaml, read_yaml
-from arm_emulator.ros.bag_metadata import Span, Topic, qos_from_yaml
+from arm_emulator.ros.bag_metadata import ABOUT, Span, Topic, qos_from_yaml
 
 try:
     from mcap.opcode import Opcode
@@ -56,18 +57,19 @@ class Bag:
         self.path = path
         self.topics: dict[str, Topic] = {}
         self.complete = True
+        self._facts: dict[str, str] = {}  # as the files have them, from their begin on
         self._files = files_of(path)
         self.spans = [self._scan(file) for file in self._files]
 
     @property
     def about(self) -> dict[str, str]:
-        """Further facts that its writer has put into its metadata."""
-        file = self.path / "metadata.yaml"
-        if not file.is_file():
-            return {}
-        body = read_yaml(file).get("rosbag2_bagfile_information")
-        facts = body.get("custom_data") if isinstance(body, dict) else None
-        return {str(k): str(v) for k, v in facts.items()} if isinstance(facts, dict) else {}
+        """Further facts that its writer has put into its metadata, or into its file at first."""
+        facts = None
+        with contextlib.suppress(Refusal):  # no metadata, or damaged ones
+            body = read_yaml(self.path / "metadata.yaml").get("rosbag2_bagfile_information")
+            facts = body.get("custom_data") if isinstance(body, dict) else None
+        given = {str(k): str(v) for k, v in facts.items()} if isinstance(facts, dict) else {}
+        return self._facts | given
 
     def _scan(self, file: Path) -> Span:
         begin, end, count = 2**63 - 1, 0, 0
@@ -122,6 +124,9 @@ class Bag:
             elif record.opcode == Opcode.SCHEMA:
                 schema = record.schema
                 schemas[schema.id] = schema
+            elif record.opcode == Opcode.METADATA:
+                name, entries = record.metadata
+                self._facts |= entries if name == ABOUT else {}
             else:
                 channel = record.channel
                 names[channel.id] = channel.topic
@@ -139,8 +144,8 @@ class Bag:
 
 
 def _contents(mcap: McapFile) -> Iterator[Record]:
-    """Yield schemas, channels and messages, in chunks or not."""
-    kinds = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+    """Yield schemas, channels and messages, in chunks or not, and metadata."""
+    kinds = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
     for record in mcap.records():
         if record.opcode == Opcode.CHUNK:
             yield from mcap.chunk(record).records()

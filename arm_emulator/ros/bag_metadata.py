@@ -20,6 +20,7 @@ from rclpy.qos import (
 METADATA_VERSION = 9  # of rosbag2 in Jazzy
 NANOSECONDS = 1_000_000_000
 PARENT, FORKED_AT = "parent", "forked at tick"  # further facts of a bag
+ABOUT = "arm_emulator"  # metadata record of an MCAP file with them
 _POLICIES: dict[str, type[IntEnum]] = {
     "history": HistoryPolicy,
     "reliability": ReliabilityPolicy,

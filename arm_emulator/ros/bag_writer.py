@@ -21,6 +21,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.unbuffered_file import UnbufferedFile
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.ros.bag_metadata import (
+    ABOUT,
     NANOSECONDS,
     Span,
     Topic,
@@ -71,6 +72,8 @@ class BagWriter:
             self._stream = UnbufferedFile(self._file)
             self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
             self._mcap.start("ros2", "arm_emulator")
+            if self._about:  # a killed writer leaves no other place for them
+                self._mcap.add_metadata(ABOUT, self._about)
             self.flush()
         except OSError as error:
             shutil.rmtree(folder, ignore_errors=True)  # which is ours, and empty
@@ -221,7 +224,7 @@ def repair(path: Path) -> bool:
     if not path.is_dir():
         return any(given)
     bag = Bag(path)
-    metadata = metadata_of(list(bag.topics.values()), bag.spans)
+    metadata = metadata_of(list(bag.topics.values()), bag.spans, bag.about)
     if any(given) or _count_in(path / METADATA) != metadata["message_count"]:
         _write_metadata(path, metadata)
         return True

@@ -1,0 +1,73 @@
+"""A limit of how fast logical time passes: never faster, and at most 0.1 s is made up for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.pace import BEHIND, UNLIMITED, Pace
+from emulator_node.node import EmulatorParameters, check_pace
+
+PERIOD = 1e-3
+
+
+class Wall:
+    """A clock that stands until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_ticks_pass_at_the_factor_whatever_a_tick_takes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    factor = float(10.0 ** rng.uniform(-2, 2))
+    wall = Wall()
+    pace = Pace(PERIOD, wall)
+    pace.factor = factor
+    pace.due(0)  # it begins
+    begun, tick, wall_period = wall.now, 0, PERIOD / factor
+    while tick < 400:
+        room = pace.room(tick)
+        if not room:
+            assert pace.due(tick) > 0.0
+            # A timer that comes too late now and then, by at most half of what is made up for.
+            wall.now += pace.due(tick) + rng.uniform(0.0, 0.5) * BEHIND * (rng.random() < 0.1)
+            continue
+        tick += int(rng.integers(1, room + 1))
+        assert tick * wall_period <= wall.now - begun + 1e-9, "never faster"
+    assert wall.now - begun <= tick * wall_period + BEHIND, "lost time was made up for"
+
+
+def test_longer_stops_are_not_made_up_for() -> None:
+    wall = Wall()
+    pace = Pace(PERIOD, wall)
+    pace.factor = 1.0
+    pace.due(0)
+    wall.now += 60.0  # paused
+    assert pace.room(0) <= 1 and pace.due(0) == pytest.approx(PERIOD)
+    wall.now += 0.02
+    assert 18 <= pace.room(0) <= 20
+    assert pace.due(-100) <= PERIOD + BEHIND, "reset: tick 0 does not wait for the former one"
+
+
+def test_a_new_factor_holds_from_now_on() -> None:
+    wall = Wall()
+    pace = Pace(PERIOD, wall)
+    assert pace.room(5) == UNLIMITED and pace.due(5) == 0.0
+    pace.factor = 0.01
+    assert pace.due(5) == pytest.approx(0.1)
+    pace.factor = 2.0
+    assert pace.due(5) == pytest.approx(PERIOD / 2)
+
+
+def test_real_time_has_the_pace_of_the_wall_clock() -> None:
+    for factor in (0.0, 1.0):
+        check_pace(EmulatorParameters(clock="realtime", real_time_factor=factor))
+    check_pace(EmulatorParameters(clock="lockstep", real_time_factor=3.0))
+    with pytest.raises(Refusal, match="real_time_factor must be 0 or 1 with clock realtime"):
+        check_pace(EmulatorParameters(clock="realtime", real_time_factor=3.0))
