@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,18 @@ PMSM = {
 
 GRAVITY = [1.0, -2.0, -9.0]  # m/s2, aslant
 LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2, of one_link_urdf() about its joint
+
+
+def own_three_axis(folder: Path, more: str) -> Path:
+    """Write the three-axis arm with its gains and more lines in its scene; return its file."""
+    (folder / "urdf").mkdir(parents=True)
+    shutil.copy(CONFIG / "urdf/three_axis.urdf", folder / "urdf")
+    for kind in ("servo", "motion"):
+        (folder / kind).mkdir()
+        shutil.copy(CONFIG / kind / "three_axis.yaml", folder / kind)
+    file = folder / "three_axis.yaml"
+    file.write_text(f"{(CONFIG / file.name).read_text()}\n{more}\n")
+    return file
 
 
 def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) -> str:

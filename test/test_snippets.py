@@ -30,6 +30,7 @@ OURS = {
     "advise": "minutes; test_advice.py",
     "campaign": "a minute; test_campaign.py",
     "bisect": "needs the reader's bags; test_bisect.py",
+    "fork": "needs a bag of before; test_fork_command.py",
     "check-bag": "needs the reader's bag; test_bags.py",
     "compile": "a minute of compilation for a level of processors; test_library_cache.py",
     "demo": "three processes; test_demo.py",

@@ -125,7 +125,7 @@ def test_any_tick_of_the_past_equals_the_straight_run(scene: str) -> None:
     line.advance(200)
     assert [one.name for one in line.changes] == [name for _, name, _ in STORY]
     ticks = [one.tick for one in line.changes]
-    for (begin, name), end in zip(line.changes, [*ticks[1:], line.newest], strict=True):
+    for (begin, name, _), end in zip(line.changes, [*ticks[1:], line.newest], strict=True):
         if name in ("target", "path", "trajectory", "jog"):
             assert seen[begin][4] != seen[end][4], f"joint targets during: {name}"
     rng = np.random.default_rng(3)

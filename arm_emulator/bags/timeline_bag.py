@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from array import array
 from pathlib import Path
@@ -22,10 +23,16 @@ from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of
 from arm_emulator.ros.node_shell import stamp
 from arm_emulator.runs.offline import OfflineRun
-from arm_emulator.runs.timeline import Timeline
+from arm_emulator.runs.order import Order, Push, SetVaried, SwitchPower, as_data
+from arm_emulator.runs.timeline import Change, Timeline
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorState
 
-CHANGES = "changes"
+CHANGES, ORDERS = "changes", "orders"  # in words, and as data
+KINDS: dict[type, int] = {  # of orders that change the machine
+    SwitchPower: MachineEvent.KIND_POWER,
+    SetVaried: MachineEvent.KIND_SET_VARIED,
+    Push: MachineEvent.KIND_EXTERNAL_WRENCH,
+}
 TYPES: dict[str, Any] = {
     "motor_states": MotorState,
     "emulator/joint_states": JointState,
@@ -38,8 +45,9 @@ TYPES: dict[str, Any] = {
 def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None = None) -> None:
     """Write a run from tick 0 to the newest one as a bag that `check-bag` repeats.
 
-    A change by hand that changes the machine is the event of a machine that was restored.
-    Afterwards the timeline is where it was.
+    An `Order` that changes the machine is an event of its kind, and the bag has all of them as
+    data; any other change is the event of a machine that was restored. Afterwards the timeline is
+    where it was.
 
     Args:
         line: the timeline.
@@ -53,6 +61,9 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
     if line.first != 0:
         raise Refusal("write_timeline", "the timeline", "begin at tick 0", f"tick {line.first}")
     about = {CHANGES: ", ".join(f"{one.name} at tick {one.tick}" for one in line.changes)}
+    orders = [(one.tick, one.made) for one in line.changes if isinstance(one.made, Order)]
+    if len(orders) == len(line.changes):
+        about[ORDERS] = json.dumps([{"tick": tick, **as_data(one)} for tick, one in orders])
     if parent is not None:
         if line.parent is None:
             raise Refusal("write_timeline", "the timeline", "be a fork of a parent", "none")
@@ -85,17 +96,25 @@ class _Messages:
         health = DiagnosticStatus(name="emulator", hardware_id=self._scene.name, values=facts)
         self._send("diagnostics", session, status=[health])
         self._send("emulator/status", session, tick=0)
+        changed: dict[int, list[Change]] = {}
+        for one in line.changes:
+            changed.setdefault(one.tick, []).append(one)
         if session.plant.save() != Plant(self._scene).save():
-            self._restored(session)
+            self._event(session, MachineEvent.KIND_RESTORE)
         self._report(session)
-        changed = {one.tick for one in line.changes}
         for tick in range(1, line.newest + 1):
             line.run.advance(1)  # not by the timeline: the state before changes is reported
             self._report(session)
-            before = session.plant.save() if tick in changed else b""
+            made = changed.get(tick, [])
+            if all(isinstance(one.made, Order) for one in made):
+                for one in made:
+                    one.made(line.run)
+                    if (kind := KINDS.get(type(one.made))) is not None:
+                        self._event(session, kind)
+            before = session.plant.save() if made else b""
             line.go_to(tick)
-            if tick in changed and session.plant.save() != before:
-                self._restored(session)
+            if made and session.plant.save() != before:
+                self._event(session, MachineEvent.KIND_RESTORE)
 
     def _report(self, session: Any) -> None:
         state = session.state
@@ -117,14 +136,14 @@ class _Messages:
             effort=state.gear_torque.tolist(),
         )
 
-    def _restored(self, session: Any) -> None:
+    def _event(self, session: Any, kind: int) -> None:
         self._events += 1
         self._send(
             "emulator/events",
             session,
             tick=session.tick,
             number=self._events,
-            kind=MachineEvent.KIND_RESTORE,
+            kind=kind,
             powered=session.powered,
             machine=1,
             state=array("B", session.plant.save()),

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from functools import partial
-from typing import Any
-
-import numpy as np
+from collections.abc import Callable
+from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.motion.pose import Pose
 from arm_emulator.page.hands import Vector
+from arm_emulator.page.number_table import as_code
 from arm_emulator.page.push_tab import PushTab
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
 from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.order import (
+    NO_VECTOR,
+    MoveTool,
+    Order,
+    Push,
+    ScaleGains,
+    SetVaried,
+    SwitchPower,
+)
 from arm_emulator.runs.timeline import Timeline
 
+Keep = Callable[[Timeline[OfflineRun], Path, Path | None], None]
 NOTHING = "nothing"
 LONGEST = 600.0  # s that one press of the button may last
 
@@ -32,12 +37,14 @@ class WhatIf:
     Args:
         page: the page.
         line: timeline of the run that it shows.
+        keep: writes a timeline as a bag into a folder, with the bag of its parent; None: bags
+            cannot be written here.
     """
 
-    def __init__(self, page: RunPage, line: Timeline[OfflineRun]) -> None:
-        self._page, self._lines = page, {"the run": line}
+    def __init__(self, page: RunPage, line: Timeline[OfflineRun], keep: Keep | None = None) -> None:
+        self._page, self._lines, self._keep = page, {"the run": line}, keep
         run, gui = line.run, page.gui
-        self._pushes: dict[str, ExternalWrench] = {}  # by link, to be set
+        self._pushes: dict[str, Push] = {}  # by link, to be set
         with page.new_tab("Push"):
             scene = run.session.scene
             PushTab(page.exclusive, self._push, page.server, page.arm, scene)
@@ -47,7 +54,7 @@ class WhatIf:
             self._which.on_update(lambda _: self._turn_to(self._which.value))
             self._over = gui.add_dropdown("Laid over it", (NOTHING, *self._lines))
             self._over.on_update(lambda _: self._lay_over(self._over.value))
-            self._by = gui.add_vector3("Move the tool by [m]", (0.0, 0.0, 0.0), step=0.01)
+            self._by = gui.add_vector3("Move the tool by [m]", NO_VECTOR, step=0.01)
             self._power = gui.add_checkbox("Power", run.session.powered)
             self._gains = gui.add_number("Position gains times", 1.0, min=0.0, step=0.1)
             self._varied = {
@@ -58,12 +65,32 @@ class WhatIf:
             self._button = gui.add_button("Go on from this moment")
             self._button.on_click(lambda _: self._go_on())
             self._answer = gui.add_markdown("")
+            if keep is not None:
+                self._folder = gui.add_text("New folder for bags", "futures")
+                gui.add_button("Keep all as bags").on_click(lambda _: self._keep_all())
 
     def _push(self, link: str, force: Vector, moment: Vector) -> None:
         """Let a wrench act from the moment on at which the run goes on."""
-        self._pushes[link] = ExternalWrench(force, moment, axes="world")
-        words = ", ".join(f"{one:.3g}" for one in force)
-        self._pushed.content = f"{link} will be pushed with {words} N: *Go on* in What if"
+        self._pushes[link] = order = Push(link, force, moment)
+        self._pushed.content = f"When it goes on (tab *What if*): {order.name}"
+
+    def _keep_all(self) -> None:
+        """Write every timeline as a bag that names its parent's."""
+        folder = Path(self._folder.value)
+        with self._page.exclusive:
+            try:
+                if folder.exists():
+                    raise Refusal("page", f"folder {folder}", "be new", "one that exists")
+                bags: dict[int, Path] = {}  # by timeline; a parent comes before its forks
+                for name, line in self._lines.items():
+                    bag = folder / name.partition(",")[0].replace(" ", "_")
+                    assert self._keep is not None
+                    self._keep(line, bag, bags.get(id(line.parent)))
+                    bags[id(line)] = bag
+                self._answer.content = f"{len(bags)} bags in {folder.resolve()}"
+            except (Refusal, OSError) as reason:
+                self._answer.content = as_code(str(reason))
+            self._page.line.go_to(self._page.line.tick)  # forks take turns in one machine
 
     def _turn_to(self, name: str) -> None:
         with self._page.exclusive:
@@ -99,7 +126,7 @@ class WhatIf:
                 line.advance(round(seconds / period))
                 self._answer.content = f"{name}: {done or 'as it was'}"
             except (Refusal, Diverged) as reason:
-                self._answer.content = f"```\n{reason}\n```"
+                self._answer.content = as_code(str(reason))
                 if line.newest == begin:
                     self._page.turn_to(Subject.of(self._page.line, self._page.last), begin)
                     return
@@ -115,54 +142,26 @@ class WhatIf:
         Raises:
             Refusal: one of them is refused; those before it are made.
         """
-        run, before = line.run, len(line.changes)
-        by = np.array(self._by.value, np.float64)
-        if by.any():
-            line.change(f"tool by {by.round(6).tolist()} m", lambda one: _move(one, by))
-            self._by.value = (0.0, 0.0, 0.0)
+        orders = self._orders(line.run)
+        for one in orders:
+            one.give(line)
+        self._by.value, self._gains.value = NO_VECTOR, 1.0
+        self._pushes, self._pushed.content = {}, ""
+        return ", ".join(one.name for one in orders)
+
+    def _orders(self, run: OfflineRun) -> list[Order]:
+        """Return what the controls ask for."""
+        orders: list[Order] = []
+        x, y, z = (float(one) for one in self._by.value)
+        if (x, y, z) != NO_VECTOR:
+            orders.append(MoveTool((x, y, z)))
         if self._power.value != run.session.powered:
-            on = bool(self._power.value)
-            name = f"power {'on' if on else 'off'}"
-            line.change(name, lambda one: setattr(one.session, "powered", on))
-        factor = float(self._gains.value)
-        if factor != 1.0:
-            line.change(f"position gains times {factor:g}", lambda one: _scale(one, factor))
-            self._gains.value = 1.0
-        for link, wrench in self._pushes.items():
-            line.change(f"push {link}", partial(_push, link=link, wrench=wrench))
-        self._pushes = {}
-        self._pushed.content = ""
+            orders.append(SwitchPower(bool(self._power.value)))
+        if (factor := float(self._gains.value)) != 1.0:
+            orders.append(ScaleGains(factor))
+        orders += self._pushes.values()
         for name, control in self._varied.items():
             value = float(control.value)
             if value != run.session.plant.parameters[name]:
-                line.change(f"{name} = {value:g}", partial(_set, name=name, value=value))
-        return ", ".join(one.name for one in line.changes[before:])
-
-
-def _set(run: OfflineRun, name: str, value: float) -> None:
-    run.session.set_varied(name, value)
-
-
-def _push(run: OfflineRun, link: str, wrench: ExternalWrench) -> None:
-    run.session.set_external_wrench(link, wrench)
-
-
-def _move(run: OfflineRun, by: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-    """Send the tool to a place beside the one where it is."""
-    R_WT, p_WT = run.controller.kinematics.forward(run.session.state.q)
-    run.instructor.add(run.session.logical_ns, Pose(p_WT + by, R_WT))
-
-
-def _scale(run: OfflineRun, factor: float) -> None:
-    """Multiply the servo's position gains.
-
-    Raises:
-        Refusal: gains that the servo does not take.
-    """
-    if not (math.isfinite(factor) and factor > 0.0):
-        raise Refusal("page", "factor of gains", "be finite and above 0", factor)
-    config = run.drives.servo.config
-    joints = tuple(
-        dataclasses.replace(one, position_gain=factor * one.position_gain) for one in config.joints
-    )
-    run.drives.retune(dataclasses.replace(config, joints=joints))
+                orders.append(SetVaried(name, value))
+        return orders

@@ -34,10 +34,11 @@ R = TypeVar("R", bound=Run)
 
 
 class Change(NamedTuple):
-    """A change by hand: what was done, and after which tick."""
+    """A change by hand: what was done, after which tick, and the function that did it."""
 
     tick: int
     name: str
+    made: Callable[[Any], object]
 
 
 class _Checkpoint(NamedTuple):
@@ -184,7 +185,7 @@ class Timeline(Uncopied, Closed, Generic[R]):
         except BaseException:
             self.run.restore(before)
             raise
-        self.changes.append(Change(self.tick, name))
+        self.changes.append(Change(self.tick, name, change))
         if self._checkpoints[-1].tick == self.tick:
             self._checkpoints.pop()
         self._keep()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import shutil
 import sys
 import urllib.error
 import urllib.request
@@ -16,7 +15,7 @@ import pytest
 from browser import PATIENCE, chromium, opened, shows, tick_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from machines import CONFIG
+from machines import own_three_axis
 from test_by_hand import events_of
 
 from arm_emulator.cli.commands.check_bag import check_bag
@@ -28,6 +27,11 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-p
 pytest.importorskip("viser", reason="see requirements-peers.txt")
 
 
+OPEN = """external_wrench: true
+varied: [joints.elbow.friction.viscous]
+faults: [elbow.gear_breaks]"""
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with chromium() as one:
@@ -37,15 +41,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """The three-axis arm with a number that can be set, and links that can be pushed."""
-    for name in ("urdf", "servo", "motion"):
-        (tmp_path / name).mkdir()
-    shutil.copy(CONFIG / "urdf/three_axis.urdf", tmp_path / "urdf")
-    for kind in ("servo", "motion"):
-        shutil.copy(CONFIG / kind / "three_axis.yaml", tmp_path / kind)
-    text = (CONFIG / "three_axis.yaml").read_text()
-    more = "external_wrench: true\nvaried: [joints.elbow.friction.viscous]\n"
-    (tmp_path / "three_axis.yaml").write_text(f"{text}\n{more}")
-    return tmp_path / "three_axis.yaml"
+    return own_three_axis(tmp_path / "scene", OPEN)
 
 
 def press(page: Any, button: str) -> None:

@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -32,10 +31,10 @@ from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import END_OF_TIME, Session
-from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.guarded import guarded
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.runs.order import NO_VECTOR, MoveTool
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
 from arm_emulator.runs.target_table import TargetTable
@@ -54,6 +53,7 @@ def run(
     targets: TargetFile = None,
     servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
     page: Annotated[int | None, Parameter(metavar="PORT")] = None,
+    bag: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Run machine, servo and motion controller in one process, in lock-step.
@@ -63,33 +63,30 @@ def run(
         targets: joint targets instead of the motion controller: CSV with t and the joints' names.
         servo: control code in C instead of our servo; with --targets.
         page: serve a page with the run at this port afterwards (0: any that is free), until Ctrl-C.
+        bag: new bag with the run, from any moment of which `fork` leads on; needs ROS 2.
     """
     kept.check("run")
     if targets is not None:
-        if displacement is not None:
-            raise Refusal("run", "--displacement", "stand without --targets", "both")
-        if page is not None:
-            raise Refusal("run", "--page", "stand without --targets", "both")
+        for option, value in (("--displacement", displacement), ("--page", page), ("--bag", bag)):
+            if value is not None:
+                raise Refusal("run", option, "stand without --targets", "both")
         return _run_table(scene, seconds, targets, servo, kept)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
     if page is not None:  # a missing package is refused before the run
         import arm_emulator.page.run_page  # noqa: F401
+    if bag is not None:
+        _check_bag(bag)
     one = load_offline_run(scene)
     session, kinematics = one.session, one.controller.kinematics
     machine = session.scene
     warn_of_loops(machine, one.drives.servo.config)
     ticks = ticks_of(10.0 if seconds is None else seconds, machine)
-    R_WT, p_WT = kinematics.forward(machine.start)
-    # Through the quaternion, as in a message, for the same rounding.
-    orientation = Pose(p_WT, R_WT).quaternion()
-    target = Pose.from_quaternion(
-        p_WT + np.array(displacement or (0.0, 0.0, 0.0)), orientation, "run: displacement"
-    )
-    line = Timeline(one) if page is not None else None
+    move = MoveTool(displacement or NO_VECTOR)
+    target = move.target(one)
+    line = None if page is None and bag is None else Timeline(one)
     if displacement is not None:
-        aim = partial(_aim, target=target)
-        aim(one) if line is None else line.change("target", aim)
+        move(one) if line is None else move.give(line)
     with Recorder(session.plant, kept, waits=True, stays=True):
         started = time.perf_counter()
         try:
@@ -98,13 +95,24 @@ def run(
             return _diverged(fault, session)
         wall = time.perf_counter() - started
         report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+    if line is not None and bag is not None:
+        from arm_emulator.bags.timeline_bag import write_timeline
+
+        write_timeline(line, bag)
+        output.line(f"bag               {bag}")
     if line is not None and page is not None:
         _serve(line, page)
     return 0
 
 
-def _aim(run: OfflineRun, target: Pose) -> None:
-    run.instructor.add(0, target)
+def _check_bag(folder: Path) -> None:
+    """Refuse a bag that cannot be written, before the run."""
+    try:
+        import arm_emulator.bags.timeline_bag  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise Refusal("run", "--bag", "find ROS 2", error) from None
+    if folder.exists():
+        raise Refusal("run", f"folder {folder}", "be new", "one that exists")
 
 
 def _serve(line: Timeline[OfflineRun], port: int) -> None:
@@ -121,7 +129,12 @@ def _serve(line: Timeline[OfflineRun], port: int) -> None:
         return terms.of(session.plant.save(), session.measured.applied), []
 
     page = RunPage(Subject.of(line, line.newest), explained, port)
-    WhatIf(page, line)
+    try:
+        from arm_emulator.bags.timeline_bag import write_timeline
+    except (ModuleNotFoundError, Refusal):  # without ROS 2
+        WhatIf(page, line)
+    else:
+        WhatIf(page, line, write_timeline)
     output.line(page.url)
     with contextlib.suppress(KeyboardInterrupt):
         threading.Event().wait()
