@@ -27,6 +27,7 @@ from arm_emulator.base.refusal import Refusal
 # A finite number need not be a quantity. What lies beyond these is a slip, and what is computed
 # from several such numbers may overflow. They hold where no other bound is declared.
 SMALLEST, LARGEST = 1e-15, 1e15  # of numbers above 0, and of all
+FEW = 64  # numbers of a row that are looked at as a list
 
 REQUIRED = ...  # the default of a number that must be given
 
@@ -123,8 +124,11 @@ class Number:
         Raises:
             Refusal: see above.
         """
-        # Each is smaller than the root of the sum of their squares; False of a NaN.
-        if isinstance(values, list) and math.hypot(*values) <= self._reach:
+        # Each is smaller than the root of the sum of their squares; False of a NaN. Of few numbers
+        # Python finds it sooner.
+        few = isinstance(values, np.ndarray) and values.ndim == 1 and len(values) <= FEW
+        row = values.tolist() if few else values  # type: ignore[union-attr]
+        if isinstance(row, list) and math.hypot(*row) <= self._reach:
             return
         array = np.asarray(values, np.float64)
         if 0.0 <= self._reach and np.vdot(array, array) < self._reach * self._reach:

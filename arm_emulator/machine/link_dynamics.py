@@ -61,12 +61,10 @@ class LinkDynamics:
         Raises:
             Refusal: see `LinkDynamics`.
         """
-        where = "inverse_dynamics"
-        *at, of_a = self._rows(where, {"q": q, "v": v, "a": a})
-        M, nle = self._dynamics(*at)
-        with np.errstate(over="ignore", invalid="ignore"):
-            tau = (M @ of_a[..., np.newaxis])[..., 0] + nle
-        return _finite(tau, where, "tau")
+        rows = self._rows("inverse_dynamics", {"q": q, "v": v, "a": a})
+        tau = np.empty_like(rows[0])
+        self._call("arm_inverse_dynamics", tau.size // self._N, *map(pointer, (*rows, tau)))
+        return _finite(tau, "inverse_dynamics", "tau")
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), (N, N) or (K, N, N) [kg m2, kg m or kg].
@@ -95,13 +93,15 @@ class LinkDynamics:
         where = f"LinkDynamics.{of}"
         rows: list[Array] = []
         for quantity, values in given.items():
-            array = QUANTITIES[quantity].numbers(where, values)
-            if array.ndim not in (1, 2) or array.shape[-1] != self._N:
+            known = QUANTITIES[quantity]
+            array = known.numbers(where, values)
+            shape = array.shape
+            if len(shape) not in (1, 2) or shape[-1] != self._N:
                 rule = f"have shape (K, {self._N}) or ({self._N},)"
-                raise Refusal(where, quantity, rule, array.shape)
-            if rows and array.shape != rows[0].shape:
-                raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", array.shape)
-            QUANTITIES[quantity].check(where, array)
+                raise Refusal(where, quantity, rule, shape)
+            if rows and shape != rows[0].shape:
+                raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", shape)
+            known.check(where, array)
             rows.append(array)
         return rows
 

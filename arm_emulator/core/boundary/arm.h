@@ -335,6 +335,8 @@ int arm_linearise(const arm_machine* machine, double* x, double* command, int32_
  * wrenches that act now. */
 void arm_forward_dynamics(const arm_machine* machine, int64_t count, const double* q,
                           const double* v, const double* tau, double* a);
+void arm_inverse_dynamics(const arm_machine* machine, int64_t count, const double* q,
+                          const double* v, const double* a, double* tau);
 /* M (joints x joints, symmetric) and nle of the same, for each row of q and v. */
 void arm_link_dynamics(const arm_machine* machine, int64_t count, const double* q, const double* v,
                        double* M, double* nle);

@@ -112,6 +112,21 @@ void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const 
   }
 }
 
+void arm_inverse_dynamics(const arm_machine* machine, std::int64_t count, const double* q,
+                          const double* v, const double* a, double* tau) {
+  constexpr int N = arm_machine::N;
+  using Links = arm::Links<Scene>;
+  if (!machine || !q || !v || !a || !tau) return;
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, a += N, tau += N) {
+    Links::Dynamics links;
+    Links::dynamics_apart(machine->machine.numbers_now(), q, v, links);
+    for (int i = 0; i < N; ++i) {
+      tau[i] = links.nle[i];
+      for (int j = 0; j < N; ++j) tau[i] += links.M.at[i < j ? i : j][i < j ? j : i] * a[j];
+    }
+  }
+}
+
 void arm_link_dynamics(const arm_machine* machine, std::int64_t count, const double* q,
                        const double* v, double* M, double* nle) {
   constexpr int N = arm_machine::N;
