@@ -135,6 +135,7 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "keys": _of_parts("keys"),
     "outputs": _of_parts("outputs"),
     "parts": _of_parts("parts"),
+    "scene_keys": _of_parts("scene_keys"),
     "schemes": _of_parts("schemes"),
     "sensors": _of_parts("sensors"),
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.doors.fieldbus.declared import index_of
+from arm_emulator.machine import scene_keys as scene_keys_of
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
@@ -152,6 +153,13 @@ def joint_keys(folder: str) -> str:
     return _keys_table("joints", rows)
 
 
+def scene_keys(which: str) -> str:
+    """Return the keys of a scene outside its joints: of the machine, or of time."""
+    known = {"machine": scene_keys_of.MACHINE, "time": scene_keys_of.TIME}[which]
+    head = ("key", "unit", "range", "if absent", "effect")
+    return "\n".join(_table(head, (_row(key, one) for key, one in known.items())))
+
+
 def _keys_table(owners: str, rows: Iterable[list[str]]) -> str:
     head = (f"key in `{owners}.NAME`", "unit", "range", "if absent", "effect")
     first: dict[str, list[str]] = {}
@@ -189,7 +197,7 @@ def _sentence(kind: type[Part] | type[Imu]) -> str:
 def _row(place: str, one: Key | Number, moves: bool = False) -> list[str]:
     """Return a row; `moves`: of a quantity that is another one of a sliding joint."""
     if isinstance(one, Key):
-        return [_code(place), one.unit, one.range, one.absent, one.text]
+        return [_code(place), _raised(one.unit), one.range, one.absent, one.text]
     fall = "/s" * one.unit.endswith("/s/s")  # of a drift
     slide = SLIDES.get(one.unit.removesuffix(fall) if fall else one.unit)
     shown = f"{one.unit} ({slide}{fall})" if moves and slide else one.unit
@@ -198,7 +206,7 @@ def _row(place: str, one: Key | Number, moves: bool = False) -> list[str]:
 
 def _range(one: Number) -> str:
     if one.whole:
-        return f"whole, {one.least:g} to {one.most:g}"
+        return f"whole, {one.least:g} to {one.most:.16g}"
     words = []
     if one.above is not None:
         words.append(f"> {one.above:g}")

@@ -14,10 +14,10 @@ import pytest
 import yaml
 from documents import DOCS, DOCUMENTS, ROOT, page_of
 
-from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.machine import scene
+from arm_emulator.machine import scene_keys
+from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 from bench import pages, parameters
 from docs import hooks
@@ -98,19 +98,16 @@ def test_files_named_in_text_exist(document: Path) -> None:
             assert (ROOT / path).exists(), path
 
 
-def test_every_key_of_a_scene_is_listed() -> None:
+@pytest.mark.parametrize("section", ["", "integrator", "payload"])
+def test_every_key_of_a_scene_is_listed(section: str) -> None:
     """Keys of parts are compared in test_parts.py."""
-    source = (ROOT / "arm_emulator" / "machine" / "scene.py").read_text()
-    keys = set(re.findall(r"\.(?:text|choice|(?:required_)?section)\(\s*\"(\w+)\"", source))
-    keys |= {one.name for one in vars(scene).values() if isinstance(one, Number)}
-    for kind in (scene.Scene, scene.Integrator):
-        keys |= set(numbers_of(kind))
-    assert {"gravity", "servo_period", "threads"} <= keys  # the pattern still finds them
-    text = page_of("scene").read_text()
-    rows = "\n".join(line.split("|")[1] for line in text.splitlines() if line.startswith("| `"))
-    missing = [key for key in keys if not re.search(rf"`(\w+\.)*{key}`", rows)]
-    sections = {"joints", "integrator", "payload", "friction", "encoder"}
-    assert not set(missing) - sections
+    given = {"payload.mass": 1.0, f"{section}.no_key".lstrip("."): 1}
+    with pytest.raises(Refusal) as refused:
+        load_scene("three_axis", given)
+    asked = set(str(refused.value.valid).split(", ")) - {"joints", "integrator"}
+    listed = {*scene_keys.MACHINE, *scene_keys.TIME}
+    paths = {f"{section}.{key}" if section else key for key in asked}
+    assert paths == {one for one in listed if one.rpartition(".")[0] == section}
 
 
 def test_the_tables_of_parameters_follow_from_their_declarations() -> None:
@@ -173,7 +170,6 @@ def _constants(file: Path) -> dict[str, Any]:
 
 
 def test_examples_have_the_numbers_of_the_scene() -> None:
-    from arm_emulator.machine.scene import load_scene
     from arm_emulator.motion.motion_config import load_motion_config
     from arm_emulator.servo.servo_config import load_servo_config
 

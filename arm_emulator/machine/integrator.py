@@ -22,10 +22,23 @@ class Integrator:
     """Scheme and step [s]."""
 
     scheme: str
-    dt: float = number("s", at_least=1e-9, at_most=1.0)
+    dt: float = number(
+        "s",
+        at_least=1e-9,
+        at_most=1.0,
+        text="integration step, which divides `servo_period`; one of nine digits or more is taken "
+        "as the part of the period that it stands for",
+    )
     exchange: str  # between two threads, see core/schemes/two_threads.hpp
-    # Samples from which a step takes the links' part of two threads.
-    exchange_depth: int = number(at_least=1, at_most=DEEPEST_EXCHANGE, whole=True, default=1)
+    exchange_depth: int = number(
+        "samples",
+        at_least=1,
+        at_most=DEEPEST_EXCHANGE,
+        whole=True,
+        default=1,
+        text="with two threads: how much earlier that sample is. From 2 on the way between the "
+        "cores takes no time of a step, and its error is the larger",
+    )
     events: str  # where modes of joints change, see core/schemes/located.hpp
 
     @property

@@ -11,9 +11,14 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.urdf_tree import check_inertia
 
-MASS = Number("mass", "kg", at_least=0.0)
-_COM = Number.within("com", "m", 100.0)
-_INERTIA = Number.within("inertia", "kg m2", 1e6)
+MASS = Number(
+    "mass",
+    "kg",
+    at_least=0.0,
+    text="mass at the tool",
+)
+COM = Number.within("com", "m", 100.0)
+INERTIA = Number.within("inertia", "kg m2", 1e6)
 
 
 @dataclass(frozen=True)
@@ -29,8 +34,8 @@ def read_payload(section: Section, mass: float | None = None) -> Body:
     """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
     given = section.number(MASS)
     mass = given if mass is None else mass
-    com = section.vector(_COM) or (0.0, 0.0, 0.0)
-    entries = section.vector(_INERTIA, size=6)
+    com = section.vector(COM) or (0.0, 0.0, 0.0)
+    entries = section.vector(INERTIA, size=6)
     inertia = np.zeros((3, 3))
     if entries is not None:
         xx, yy, zz, xy, xz, yz = entries

@@ -39,12 +39,13 @@ from arm_emulator.machine.urdf_chain import lock_joints, read_chain
 from arm_emulator.machine.urdf_file import find_urdf
 from arm_emulator.machine.varied import Varied, choose
 
+LONGEST_NAME = 100  # bytes
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
-_GRAVITY = Number.within("gravity", "m/s2", 1000.0)
-_SHARE = Number("couplings", "", at_least=-1e4, at_most=1e4)
-_LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
-_CORES = Number("cores", at_least=0, at_most=1023, whole=True)
+GRAVITY = Number.within("gravity", "m/s2", 1000.0)
+SHARE = Number("couplings", "", at_least=-1e4, at_most=1e4)
+LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
+CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,25 +57,39 @@ class Scene(ByValue, Lasting):
     urdf: str  # XML text, locked joints fixed
     tool: str  # link whose frame is the tool
     gravity: tuple[float, ...] | None  # m/s2 in the world
-    supply_voltage: float = number("V", above=0.0, at_most=1e5)
+    supply_voltage: float = number(
+        "V", above=0.0, at_most=1e5, text="no motor gets more, in either direction"
+    )
     joints: tuple[Joint, ...]  # base to tool
     chain: Chain  # the same joints' geometry and inertia
     bare: tuple[Body, ...]  # what the links of the chain are, without the payload
     integrator: Integrator
-    servo_period: float = number("s", at_least=1e-6, at_most=1.0)
+    servo_period: float = number(
+        "s",
+        at_least=1e-6,
+        at_most=1.0,
+        text="time between two motor states; commands are held that long; a whole number of ns",
+    )
     external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
     energy_flow: (
         bool  # whether what is given and dissipated is reported, see core/mechanics/energy_flow.hpp
     )
-    threads: int = number(at_least=1, at_most=2, whole=True, default=1)
+    threads: int = number(
+        at_least=1,
+        at_most=2,
+        whole=True,
+        default=1,
+        text="2: a motor thread and a Newton-Euler thread, as in the paper; not with every scheme",
+    )
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
     varied: tuple[Varied, ...]  # numbers that every machine has for itself
     load: Load | None  # the payload, where its mass is varied
     faults: tuple[SceneFault, ...] = ()  # whose magnitudes are the last of the varied numbers
     possible_faults: tuple[SceneFault, ...] = ()  # that it could list, where it lists any
     imus: tuple[Imu, ...]
-    # Of the noise of sensors.
-    seed: int = number(at_least=0, at_most=LARGEST_SEED, whole=True, default=0)
+    seed: int = number(
+        at_least=0, at_most=LARGEST_SEED, whole=True, default=0, text="of the noise of sensors"
+    )
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
 
     def __hash__(self) -> int:
@@ -187,17 +202,17 @@ def scene_of(given: Scene | str | Path, where: str) -> Scene:
 
 def _build(root: Section, file: Path) -> Scene:
     where = file.name
-    name = root.text("name", most_bytes=100)
+    name = root.text("name", most_bytes=LONGEST_NAME)
     urdf_file = find_urdf(root.text("urdf"), file)
     urdf = read_urdf(urdf_file)
     robot = parse_urdf(urdf, urdf_file.name)
     tool = root.text("tool")
-    gravity, numbers = root.vector(_GRAVITY), root.numbers(Scene)
+    gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
     payload = root.section("payload")
     locked_section = root.section("locked")
     locked = {}
     if locked_section is not None:
-        locked = {key: locked_section.number(_LOCKED.named(key)) for key in locked_section.keys()}
+        locked = {key: locked_section.number(LOCKED.named(key)) for key in locked_section.keys()}
     payload_body = None if payload is None else read_payload(payload)
     _couple(root.section("couplings"), robot)
 
@@ -299,7 +314,7 @@ def _couple(section: Section | None, robot: ET.Element) -> None:
         for old in [*joints[name].findall("mimic"), *joints[name].findall("coupling")]:
             joints[name].remove(old)
         for shaft in shares.keys():
-            share = shares.number(_SHARE.named(shaft))
+            share = shares.number(SHARE.named(shaft))
             ET.SubElement(joints[name], "coupling", joint=shaft, multiplier=repr(share))
 
 
@@ -313,7 +328,7 @@ def _links_named(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
 
 
 def _cores(root: Section) -> tuple[int, int]:
-    cores = root.vector(_CORES, size=2)
+    cores = root.vector(CORES, size=2)
     if cores is None:
         return -1, -1
     available = os.sched_getaffinity(0)

@@ -1,0 +1,104 @@
+"""Keys of a scene outside its joints, for the pages: numbers as they are declared, and the others.
+
+What reads them is `scene.py`; `test_documents.py` compares the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from arm_emulator.base.config_files import BESIDE
+from arm_emulator.base.number import Number, numbers_of
+from arm_emulator.machine.integrator import EVENTS, EXCHANGES, Integrator
+from arm_emulator.machine.parts.key import Key
+from arm_emulator.machine.payload import COM, INERTIA, MASS
+from arm_emulator.machine.scene import CORES, GRAVITY, LOCKED, LONGEST_NAME, SHARE, Scene
+from arm_emulator.machine.schemes.known import SCHEMES
+
+Keys = dict[str, Key | Number]
+
+
+def _choice(values: Sequence[str], text: str) -> Key:
+    """Return a key whose value is one of several; the first holds without it."""
+    known = ", ".join(f"`{one}`" for one in values)
+    return Key(name="", range=known, absent=f"`{values[0]}`", text=text)
+
+
+def _row_of(one: Number, size: int, absent: str, text: str) -> Key:
+    """Return a key with several numbers."""
+    ends = f"each ±{one.most:g}" if one.in_size else f"each {one.least:g} to {one.most:g}"
+    return Key(name="", unit=one.unit, range=f"{size} numbers, {ends}", absent=absent, text=text)
+
+
+def _flag(text: str) -> Key:
+    return Key(name="", range="`true`, `false`", absent="`false`", text=text)
+
+
+def _names(of: str, absent: str, text: str) -> Key:
+    return Key(name="", range=f"a list of {of}", absent=absent, text=text)
+
+
+_SCENE, _INTEGRATOR = numbers_of(Scene), numbers_of(Integrator)
+
+MACHINE: Keys = {
+    "name": Key(name="", range=f"text, at most {LONGEST_NAME} bytes", absent="refused",
+                text="what the scene is called"),
+    "urdf": Key(name="", range="file", absent="refused",
+                text="the links. A path relative to the scene file, or `example-robot-data:PATH`"
+                " for a file below `robots/` of that package"),
+    **{
+        one: Key(name="", range="file", absent=f"`{one}/NAME.yaml` beside `NAME.yaml`",
+                 text="what belongs to the scene, see [A new scene](#a-new-scene)")
+        for one in BESIDE
+    },
+    "tool": Key(name="", range="a link of the URDF", absent="refused",
+                text="carries the payload; its path is drawn"),
+    "gravity": _row_of(GRAVITY, 3, "none", "acceleration of free fall in the world,"
+                       " `[0, 0, -9.81]` on earth with z up"),
+    "locked": Key(name="", unit="rad (m)", range=f"{LOCKED.least:g} to {LOCKED.most:g}",
+                  text="`{joint: position}`: joints of the URDF that are held there, as if fixed:"
+                  " fingers or a second arm that shall not move"),
+    "couplings": Key(name="", unit="rad/rad (m/rad, ...)", absent="by `mimic` alone",
+                     range=f"factors from {SHARE.least:g} to {SHARE.most:g}",
+                     text="`{joint: {shaft: factor}}`: joints that do not go each with a drive, see"
+                     " [Couplings](#couplings)"),
+    "payload": Key(name="", range="section, or its mass alone", text="what the tool carries"),
+    "payload.mass": MASS,
+    "payload.com": _row_of(COM, 3, "`[0, 0, 0]`", "its centre of mass in the tool's frame"),
+    "payload.inertia": _row_of(INERTIA, 6, "0", "`[ixx, iyy, izz, ixy, ixz, iyz]`, positive"
+                               " definite, about its centre of mass, along the tool's axes"),
+    "external_wrench": _flag("whether forces and moments may act on the links from outside, see"
+                             " [External wrenches](parts/external_wrench.md)"),
+    "supply_voltage": _SCENE["supply_voltage"],
+    "assumed": _names("links of the URDF", "none",
+                      "links without measured bodies: `check-scene` names them"),
+    "imus": Key(name="", range="a section per unit",
+                text="[inertial measurement units](parts/imu.md) on links"),
+    "seed": _SCENE["seed"],
+}  # fmt: skip
+
+TIME: Keys = {
+    "servo_period": _SCENE["servo_period"],
+    "integrator.dt": _INTEGRATOR["dt"],
+    "integrator.scheme": _choice(SCHEMES, "how a step is taken, see"
+                                 " [Schemes](../concepts/physics.md#schemes)"),
+    "integrator.events": _choice(EVENTS, "`located`: a step is cut where a joint comes to rest or"
+                                 " breaks away, or a current reaches or leaves its limit, so that"
+                                 " order 2 survives; costs up to some 0.1 ms per such event. Not"
+                                 " with every scheme, and in one thread"),
+    "threads": _SCENE["threads"],
+    "integrator.exchange": _choice(EXCHANGES, "with two threads: how a step takes what the other"
+                                   " thread knows from an earlier sample; `lag` is the paper's, see"
+                                   " [Two threads](../concepts/physics.md#two-threads)"),
+    "integrator.exchange_depth": _INTEGRATOR["exchange_depth"],
+    "cores": Key(name="", range="2 core numbers of this machine", absent="any",
+                 text="the first for the thread of the real-time clock, which runs the motors, the"
+                 f" second for the Newton-Euler thread of `threads: 2`; at most {CORES.most:g}"),
+    "energy_flow": _flag("whether `Plant.powers` and `Plant.advance_metered` report what the supply"
+                         " gives each joint, and what it dissipates; without it the scene compiles"
+                         " faster"),
+    "varied": _names("names or patterns", "`[]`", "[numbers](#varied-numbers) that are data of each"
+                     " machine, not constants of the compiled core"),
+    "faults": _names("names or patterns", "`[]`",
+                     "[what may fail](faults.md): data of each machine, off in the beginning"),
+}  # fmt: skip
