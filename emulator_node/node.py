@@ -27,6 +27,7 @@ from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
+from arm_emulator.page.page_address import LOCAL
 from arm_emulator.page.watched import Watched
 from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.managed_node import ManagedNode
@@ -97,10 +98,11 @@ class EmulatorParameters:
     )
     page_port: int = parameter(
         -1,
-        "local port of a page in the browser; 0: any that is free, -1: no page",
+        "port of a page in the browser; 0: any that is free, -1: no page",
         at_least=-1,
         at_most=65535,
     )
+    page_host: str = parameter(LOCAL, "address of this machine at which the page is served")
 
 
 class EmulatorNode(ManagedNode):
@@ -134,7 +136,7 @@ class EmulatorNode(ManagedNode):
             else Session(scene, config.clock, config.start, standing=True)
         )
         diagnostics.values |= build_facts(session.plant)
-        watched = self._watch(session, config.page_port)
+        watched = self._watch(session)
         self.cleanup.callback(watched.close)
         view = View(session, config.rerun_file, config.rerun_port)
         self.cleanup.callback(view.close)
@@ -181,8 +183,9 @@ class EmulatorNode(ManagedNode):
         )
         diagnostics.ok("inactive: the machine stands")
 
-    def _watch(self, session: Session, port: int) -> Watched:
-        """Return the machine with a page at a port, or without one."""
+    def _watch(self, session: Session) -> Watched:
+        """Return the machine with a page, or without one."""
+        host, port = self._config.page_host, self._config.page_port
         if port < 0:
             return Watched(session.plant, None)
         # Not imported without a page: it takes messages of other nodes.
@@ -190,7 +193,7 @@ class EmulatorNode(ManagedNode):
 
         period = session.scene.servo_period
         hands = HandsOnNetwork(self.get_namespace(), period, session.lockstep)
-        watched = Watched(session.plant, port, hands)
+        watched = Watched(session.plant, f"{host}:{port}", hands)
         print(f"page: {watched.url}", flush=True)
         return watched
 

@@ -26,9 +26,13 @@ Seconds = Annotated[
     float | None,
     Parameter(metavar="S", help="logical time (default: 10, or as long as the table lasts)"),
 ]
-PagePort = Annotated[
-    int | None,
-    Parameter(metavar="PORT", help="port of a page in the browser (0: any that is free)"),
+PageAt = Annotated[
+    str | None,
+    Parameter(
+        metavar="[HOST:]PORT",
+        help="page in the browser, for this machine alone unless HOST is another address of it "
+        "(port 0: any that is free)",
+    ),
 ]
 Keep = Annotated[Kept, Parameter(name="*")]
 TargetFile = Annotated[

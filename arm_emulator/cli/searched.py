@@ -45,7 +45,7 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     return case_with(one.variation, index, values)
 
 
-def record_case(simulator: Simulator, case: Case, kept: Kept, page: int | None = None) -> None:
+def record_case(simulator: Simulator, case: Case, kept: Kept, page: str | None = None) -> None:
     """Simulate a run for who records it, or looks at its page at a port."""
     pieces = simulator.drive(case)
     next(pieces)

@@ -85,7 +85,7 @@ class Desk:
 
 @contextlib.contextmanager
 def watched(
-    machine: Plant | Session, port: int | None, *, steps: bool = False, waits: bool = False
+    machine: Plant | Session, at: str | int | None, *, steps: bool = False, waits: bool = False
 ) -> Iterator[Desk]:
     """Serve a page with a machine in this block, and hands on it.
 
@@ -93,7 +93,7 @@ def watched(
 
     Args:
         machine: a plant, or a session.
-        port: of the page (0: any that is free); None: no page.
+        at: [HOST:]PORT of the page, see `PageServer`; None: no page.
         steps: whether the owner lets single ticks pass, see `MachineHands`.
         waits: see `Watched`.
 
@@ -101,7 +101,7 @@ def watched(
         Refusal: see `Watched`.
     """
     hands = MachineHands(machine, steps)
-    if port is None:
+    if at is None:
         yield Desk(hands)
         return
     near, far = Pipe()
@@ -109,7 +109,7 @@ def watched(
     with contextlib.closing(near):
         with contextlib.closing(far):
             there = _FarHands(far.fileno(), hands.can())
-            page = Watched(plant, port, there, (far.fileno(),), waits)
+            page = Watched(plant, at, there, (far.fileno(),), waits)
         desk = Desk(hands, near)
         hands.changed = page.take
         with page:

@@ -10,16 +10,17 @@ from __future__ import annotations
 import hmac
 import http
 import importlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from arm_emulator.page.entrance import TEXT, is_at_entrance
+from arm_emulator.page.page_address import PageAddress
 
 COOKIE = "arm_emulator_page"
-LOCAL = ("127.0.0.1", "localhost", "::1")
+HERE = PageAddress()
 
 
 class Guard:
@@ -27,11 +28,11 @@ class Guard:
 
     Args:
         token: secret of the page, in the query of its first request and in a cookie afterwards.
-        hosts: names under which the page may be asked for.
+        address: at which the page is served.
     """
 
-    def __init__(self, token: str, hosts: Collection[str] = LOCAL) -> None:
-        self._token, self._hosts = token, frozenset(hosts)
+    def __init__(self, token: str, address: PageAddress = HERE) -> None:
+        self._token, self._address = token, address
 
     def reason(self, path: str, headers: Any) -> str:
         """Return why a request is refused; empty: it is not.
@@ -41,7 +42,7 @@ class Guard:
             headers: of the request, with `get`.
         """
         host = headers.get("Host", "")
-        if urlsplit(f"//{host}").hostname not in self._hosts:
+        if not self._address.is_asked_by(urlsplit(f"//{host}").hostname):
             return "the page is not asked for by its own address"
         origin = headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc != host:

@@ -34,7 +34,7 @@ RATES = {"as fast as possible": 0.0, "1": 1.0, "0.25": 0.25, "0.1": 0.1, "0.01":
 
 
 class LivePage:
-    """Serves a running machine to browsers on this machine until it is closed.
+    """Serves a running machine to browsers until it is closed.
 
     Its owner gives it rows by `take`, and lets it draw by `draw`, some times a second. All browsers
     see the same moment.
@@ -50,7 +50,7 @@ class LivePage:
         columns: of its rows.
         kind: of a row.
         hands: what can be done to it.
-        port: TCP port; 0: any that is free.
+        at: [HOST:]PORT, see `PageServer`.
         varied: numbers of the machine that can be set, as they are now.
 
     Raises:
@@ -63,12 +63,12 @@ class LivePage:
         columns: Sequence[Column],
         kind: np.dtype[np.void],
         hands: Hands,
-        port: int = 0,
+        at: str | int = 0,
         varied: Mapping[str, float] | None = None,
     ) -> None:
         self.varied = dict(varied or {})
         self._scene, self._hands = scene, hands
-        self._served = served = PageServer(port)
+        self._served = served = PageServer(at)
         self.url, gui = served.url, served.server.gui
         self.exclusive = threading.RLock()
         self._history = LiveHistory(kind)

@@ -31,7 +31,7 @@ def main() -> None:
         ring = SharedRing(task["memory"], task["kind"])
         hands: Hands = task["hands"]()
         page = LivePage(
-            task["scene"], task["columns"], task["kind"], hands, task["port"], task["varied"]
+            task["scene"], task["columns"], task["kind"], hands, task["at"], task["varied"]
         )
     except Refusal as no:
         _hand_over(no)

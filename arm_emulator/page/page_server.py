@@ -1,49 +1,46 @@
-"""The server of a page: guarded, in our looks, on this machine."""
+"""The server of a page: guarded, and in our looks."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import socket
 from typing import Any
 
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.page.guard import Guard, guarded
+from arm_emulator.page.page_address import PageAddress
 from arm_emulator.page.page_token import page_token
 from arm_emulator.page.style import dress
 
-LOCAL = "127.0.0.1"
-
 
 class PageServer:
-    """A server of viser for browsers on this machine.
+    """A server of viser.
 
     Attributes:
         server: of viser.
         url: address with the token, without which nothing is served.
 
     Args:
-        port: TCP port; 0: any that is free.
+        at: [HOST:]PORT, see `PageAddress`; 0: browsers on this machine, any port that is free.
 
     Raises:
-        Refusal: viser is missing, or the port is taken.
+        Refusal: viser is missing, no such address, or the port is taken.
     """
 
-    def __init__(self, port: int = 0) -> None:
+    def __init__(self, at: str | int = 0) -> None:
         need_wheel("the page", "viser", "viser")
-        check_count("page", "port", port, 0, 65535)
+        address = PageAddress.of(at).free()
         import viser
 
         token = page_token()
         # It prints addresses without the token, whatever it is asked.
-        with guarded(Guard(token)), contextlib.redirect_stdout(io.StringIO()):
+        with guarded(Guard(token, address)), contextlib.redirect_stdout(io.StringIO()):
             try:
-                self.server: Any = viser.ViserServer(LOCAL, _free(port), verbose=False)
+                self.server: Any = viser.ViserServer(address.host, address.port, verbose=False)
             except (OSError, RuntimeError) as error:
-                raise Refusal("page", "port", "be free", port) from error
-        self.url = f"http://{LOCAL}:{self.server.get_port()}/?token={token}"
+                raise Refusal("page", "port", "be free", address.port) from error
+        self.url = address.url(token)
         dress(self.server)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", 4.0, 4.0, cell_size=0.25)
@@ -58,11 +55,3 @@ class PageServer:
         """End the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
-
-
-def _free(port: int) -> int:
-    """Return the port, or one that is free now; the server would take another one in silence."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((LOCAL, port))
-        return int(probe.getsockname()[1])

@@ -26,7 +26,7 @@ THIS, OTHER, DIFFERENCE = "this run", "the other run", "difference"
 
 
 class RunPage:
-    """Serves a run to browsers on this machine until it is closed.
+    """Serves a run to browsers until it is closed.
 
     All browsers see the same moment. What they do goes through one lock, so that no two of them
     move the run at the same time.
@@ -40,7 +40,7 @@ class RunPage:
     Args:
         subject: the run.
         explain: returns the torques at the moment at which the run is, and what is active there.
-        port: TCP port; 0: any that is free.
+        at: [HOST:]PORT, see `PageServer`.
         over: a run that is laid over it.
 
     Raises:
@@ -51,7 +51,7 @@ class RunPage:
         self,
         subject: Subject,
         explain: Callable[[], tuple[TermsNow, list[str]]],
-        port: int = 0,
+        at: str | int = 0,
         over: Subject | None = None,
     ) -> None:
         if over is not None:
@@ -63,7 +63,7 @@ class RunPage:
         self._playing, self._closing = False, threading.Event()
         self.changing = False
         scene = self._session.scene
-        self._served = PageServer(port)
+        self._served = PageServer(at)
         self._server = server = self._served.server
         self.url = self._served.url
         self._arm = ArmScene(server, scene)

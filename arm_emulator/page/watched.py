@@ -29,7 +29,7 @@ class Watched:
 
     Args:
         plant: the machine.
-        port: TCP port of the page (0: any that is free); None: no page.
+        at: [HOST:]PORT of the page, see `PageServer`; None: no page.
         hands: makes, in the page's process, what can be done to the machine. It is pickled.
         files: descriptors that `hands` needs there.
         waits: whether the machine waits for the page, as a run without a network may; else rows
@@ -42,18 +42,18 @@ class Watched:
     def __init__(
         self,
         plant: Plant,
-        port: int | None,
+        at: str | int | None,
         hands: Callable[[], Hands] = Hands,
         files: tuple[int, ...] = (),
         waits: bool = False,
     ) -> None:
         self._process: RowProcess | None = None
         self.url = ""
-        if port is None:
+        if at is None:
             return
         task = {
             "scene": plant.scene,
-            "port": port,
+            "at": at,
             "hands": hands,
             "varied": dict(plant.parameters),
         }

@@ -23,6 +23,7 @@ from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
 from arm_emulator.page.what_if import WhatIf
@@ -77,6 +78,26 @@ def test_nothing_is_served_without_the_token(shown: Shown) -> None:
         (shown.url, {"Origin": "http://evil.example"}),
     ):  # fmt: skip
         assert answer(url, **more)[0] == 403, (url, more)
+
+
+def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Shown) -> None:
+    """127.0.0.2 stands for them: an address of this machine that the page is not served at."""
+    port = shown.url.split(":")[2].partition("/")[0]
+    with pytest.raises(urllib.error.URLError, match="refused"):
+        urllib.request.urlopen(shown.url.replace("127.0.0.1", "127.0.0.2"))
+    with pytest.raises(Refusal, match=f"port must be free, got {port}"):
+        PageServer(f"127.0.0.1:{port}")
+    every = PageServer("0.0.0.0:0")
+    try:
+        port, _, token = every.url.split(":")[2].partition("/")
+        for url, status in (
+            (f"http://127.0.0.2:{port}/{token}", 200), (f"http://127.0.0.2:{port}/", 403),
+            (f"http://127.0.0.2:{port}/?token=x", 403),
+        ):  # fmt: skip
+            assert answer(url)[0] == status, url
+        assert answer(f"http://127.0.0.2:{port}/{token}", Host="evil.example")[0] == 403
+    finally:
+        every.stop()
 
 
 def test_no_other_page_gets_a_connection(shown: Shown) -> None:

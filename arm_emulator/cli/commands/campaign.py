@@ -34,7 +34,7 @@ from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import Splitter
 from arm_emulator.campaign.summary import Summary, summary_of
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, PagePort
+from arm_emulator.cli.options import Keep, PageAt
 from arm_emulator.cli.output import output
 from arm_emulator.cli.searched import case_of, print_findings, print_shrunk, record_case
 
@@ -59,7 +59,7 @@ def campaign(
     dry: bool = False,
     replay: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
-    page: PagePort = None,
+    page: PageAt = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
@@ -208,7 +208,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     })  # fmt: skip
 
 
-def _replay(one: Campaign, case: Case, kept: Kept, page: int | None) -> int:
+def _replay(one: Campaign, case: Case, kept: Kept, page: str | None) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
     simulator = Simulator(one)
     outcome = simulator.run(case)

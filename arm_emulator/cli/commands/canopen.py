@@ -17,7 +17,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Clock, Keep, PagePort, SceneName
+from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.can_bus import Bus, BusService, can_bus
 from arm_emulator.doors.fieldbus.can_server import CanServer
@@ -81,7 +81,7 @@ def canopen(
     first_node: Annotated[int, Parameter(metavar="ID")] = 1,
     clock: Clock = "lockstep",
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
-    page: PagePort = None,
+    page: PageAt = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve CANopen masters until Ctrl-C.

@@ -17,7 +17,7 @@ from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, PagePort, SceneName
+from arm_emulator.cli.options import Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.esi import esi as description_of
 from arm_emulator.doors.fieldbus.ethercat import Segment
@@ -43,7 +43,7 @@ def ethercat(
     esi: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     lockstep: bool = False,
     realtime: bool = False,
-    page: PagePort = None,
+    page: PageAt = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve an EtherCAT master until Ctrl-C.

@@ -23,7 +23,7 @@ from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.run import ctrl_c_ends_at_once, report, ticks_of
-from arm_emulator.cli.options import Keep, PagePort, SceneName, Seconds, TargetFile, When
+from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile, When
 from arm_emulator.cli.output import output
 from arm_emulator.doors.microcontroller.board import Board, load_board
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
@@ -56,7 +56,7 @@ def firmware(
     gdb: Annotated[int | None, Parameter(metavar="PORT")] = None,
     stop_when: When = None,
     uart: Annotated[list[str] | None, Parameter(metavar="NAME=WHERE ...")] = None,
-    page: PagePort = None,
+    page: PageAt = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Run unmodified firmware of a microcontroller in the loop with a machine.

@@ -33,9 +33,9 @@ def look(
     other_scene: SceneName | None = None,
     run: RunNumber = -1,
     other_run: RunNumber = -1,
-    port: Annotated[int, Parameter(metavar="PORT")] = 0,
+    port: Annotated[str, Parameter(metavar="[HOST:]PORT")] = "0",
 ) -> int:
-    """Serve a page with a recorded run to browsers on this machine, until Ctrl-C.
+    """Serve a page with a recorded run to browsers, until Ctrl-C.
 
     A second run is laid over the first, at the same ticks, and its signals can be subtracted.
 
@@ -46,7 +46,7 @@ def look(
         other_scene: likewise of the other bag.
         run: which run of the bag, from 1 on (default: the last).
         other_run: likewise of the other bag.
-        port: TCP port (default: any that is free).
+        port: TCP port (default: any that is free); on this machine alone without HOST.
     """
     topics = RecordedTopics(Bag(bag))
     machine = RecordedMachine(topics, load_scene(scene or topics.scene), run)

@@ -11,7 +11,7 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, PagePort, SceneName
+from arm_emulator.cli.options import Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
@@ -43,7 +43,7 @@ def modbus(
     watchdog: Annotated[int, Parameter(metavar="MS")] = 100,
     link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
     registers: bool = False,
-    page: PagePort = None,
+    page: PageAt = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve Modbus RTU masters until Ctrl-C.

@@ -26,7 +26,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given
 from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
+from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene
@@ -52,7 +52,7 @@ def run(
     displacement: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
     targets: TargetFile = None,
     servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
-    page: Annotated[int | None, Parameter(metavar="PORT")] = None,
+    page: PageAt = None,
     bag: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     kept: Keep = NOTHING,
 ) -> int:
@@ -62,7 +62,7 @@ def run(
         displacement: displacement of the tool from its start (m, in the world; default: none).
         targets: joint targets instead of the motion controller: CSV with t and the joints' names.
         servo: control code in C instead of our servo; with --targets.
-        page: serve a page with the run at this port afterwards (0: any that is free), until Ctrl-C.
+        page: serve a page with the run afterwards, until Ctrl-C: [HOST:]PORT (0: any that is free).
         bag: new bag with the run, from any moment of which `fork` leads on; needs ROS 2.
     """
     kept.check("run")
@@ -115,7 +115,7 @@ def _check_bag(folder: Path) -> None:
         raise Refusal("run", f"folder {folder}", "be new", "one that exists")
 
 
-def _serve(line: Timeline[OfflineRun], port: int) -> None:
+def _serve(line: Timeline[OfflineRun], at: str) -> None:
     """Serve a page with a run until Ctrl-C."""
     # viser need not be installed for a run.
     from arm_emulator.page.run_page import RunPage
@@ -128,7 +128,7 @@ def _serve(line: Timeline[OfflineRun], port: int) -> None:
     def explained() -> tuple[TermsNow, list[str]]:
         return terms.of(session.plant.save(), session.measured.applied), []
 
-    page = RunPage(Subject.of(line, line.newest), explained, port)
+    page = RunPage(Subject.of(line, line.newest), explained, at)
     try:
         from arm_emulator.bags.timeline_bag import write_timeline
     except (ModuleNotFoundError, Refusal):  # without ROS 2

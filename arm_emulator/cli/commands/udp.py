@@ -10,7 +10,7 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.address import host_and_port
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Clock, Keep, PagePort, SceneName
+from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.doors.udp import Datagrams, UdpServer
 from arm_emulator.machine.loop_clock import real_time_session
@@ -34,7 +34,7 @@ def udp(
     listen: Annotated[str, Parameter(metavar="[HOST:]PORT")] = "127.0.0.1:50770",
     clock: Clock = "lockstep",
     header: bool = False,
-    page: PagePort = None,
+    page: PageAt = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Serve clients by UDP until Ctrl-C.

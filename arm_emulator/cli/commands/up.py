@@ -10,11 +10,12 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Clock, PagePort, SceneName
+from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.page.page_address import PageAddress
+from arm_emulator.page.page_token import page_token
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
 
@@ -22,7 +23,7 @@ from arm_emulator.ros.ctrl_c import CtrlC
 @command(
     until_stopped=True,
     of_ros=True,
-    keys="`scene`, `clock`, `record`, `ended` (the node that ended the network)",
+    keys="`scene`, `clock`, `record`, `page` (its address), `ended` (the node that ended first)",
 )
 def up(
     scene: SceneName = "three_axis",
@@ -32,7 +33,7 @@ def up(
     start: Literal["free_run", "first_answer", "paused"] = "first_answer",
     rerun_port: Annotated[int, Parameter(metavar="PORT")] = 0,
     rerun_file: Annotated[str, Parameter(metavar="FILE")] = "",
-    page: PagePort = None,
+    page: PageAt = None,
     record: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     namespace: str = "",
     use_sim_time: bool = False,
@@ -49,13 +50,14 @@ def up(
         use_sim_time: the nodes' own clocks follow the emulator's.
         params_file: ROS parameter file that overrides all other parameters.
     """
-    output.facts({"scene": scene, "clock": clock, "record": record, "ended": None})
+    output.facts({"scene": scene, "clock": clock, "record": record, "page": None, "ended": None})
     streams: dict[str, object] = {"rerun_port": rerun_port}
     if rerun_file:
         streams["rerun_file"] = rerun_file
     if page is not None:
-        check_count("up", "--page", page, 0, 65535)
-        streams["page_port"] = page
+        address = PageAddress.of(page).free()
+        streams |= {"page_host": address.host, "page_port": address.port}
+        output.facts({"page": address.url(page_token())})
     if record is not None:
         if record.exists():
             raise Refusal("up", f"folder {record}", "be new", "one that exists")
