@@ -343,3 +343,46 @@ def test_scenes_and_measurements_are_shown_in_a_line() -> None:
     with pytest.raises(AssertionError, match="nan off"):
         testing.assert_settles(np.full((5, 3), np.nan), np.zeros(3), 1e-3, last=2)
     assert load_gains("three_axis").servo == load_gains(find_scene("three_axis")).servo
+
+
+def test_arms_of_a_fleet_are_the_same_objects_and_come_in_slices() -> None:
+    fleet = Fleet("three_axis", 5)
+    assert fleet[1] == fleet[-4] and fleet[1] in fleet and fleet[1] != fleet[2]
+    some = fleet[3:0:-1]
+    assert some == [fleet[3], fleet[2], fleet[1]] and fleet[5:] == []
+    some[0].advance([5.0, 0.0, 0.0], 10)
+    moved = np.flatnonzero((fleet.state.q != fleet.scene.start).any(axis=1))
+    assert moved.tolist() == [3], "they share the state"
+    fleet.reset(q=[0.1, 0.2, 0.3])
+    assert some[0].state.q.tolist() == [0.1, 0.2, 0.3]
+
+
+def test_an_attribute_that_is_elsewhere_is_refused_with_its_place() -> None:
+    plant, fleet = Plant("three_axis"), Fleet("three_axis", 2)
+    session = Session("three_axis", "lockstep", "free_run")
+    for owner, name, place in (
+        *((one, "q", "state.q") for one in (plant, fleet, session)),
+        (plant, "joint_names", "scene.joint_names"), (plant, "dt", "scene.integrator.dt"),
+        (fleet, "encoder_counts", "measured.encoder_counts"),
+        (session, "exchange", "plant.exchange"), (plant, "measurd", "measured"),
+        (plant.scene, "joint_name", "joint_names"),
+    ):  # fmt: skip
+        with pytest.raises(AttributeError, match=rf"got {name}; valid: {re.escape(place)}"):
+            getattr(owner, name)
+        assert not hasattr(owner, name)
+
+
+def test_a_closed_session_can_be_read_and_not_moved() -> None:
+    session = Session("three_axis", "lockstep", "free_run")
+    session.advance()
+    session.close()
+    session.close()
+    saved, names = session.plant.save(), session.scene.joint_names
+    for change in (
+        session.advance, session.reset, lambda: session.offer(1, names, [0.0] * 3),
+        lambda: setattr(session, "powered", False),
+        lambda: session.set_state(["waist"], {"v": [1.0]}),
+    ):  # fmt: skip
+        with pytest.raises(Refusal, match="session must be open, got a closed one"):
+            change()
+    assert session.plant.save() == saved and session.tick == 1 and session.state.t > 0.0

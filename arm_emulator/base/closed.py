@@ -1,15 +1,38 @@
-"""Objects that refuse attributes that they do not have: a misspelt one is no new one."""
+"""Objects that refuse attributes that they do not have, and name the nearest that they have."""
 
 from __future__ import annotations
 
 import difflib
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from arm_emulator.base.refusal import Refusal
 
 
 class NoAttribute(Refusal, AttributeError):
-    """An attribute is set that the object does not have."""
+    """An attribute is read or set that the object does not have."""
+
+
+class Known:
+    """An object that names the nearest of its attributes where an unknown one is read."""
+
+    # Names that some of its attributes have, by those attributes: where to find them.
+    _inside: ClassVar[Mapping[str, Iterable[str]]] = {}
+
+    if not TYPE_CHECKING:  # which finds them by itself
+
+        def __getattr__(self, name: str) -> Any:
+            if name[0] == "_" or hasattr(type(self), name):
+                # Of Python's own protocols; or a property that has failed, which fails again.
+                return object.__getattribute__(self, name)
+            raise self._unknown(name)
+
+    def _unknown(self, name: str) -> NoAttribute:
+        """Return the refusal of an attribute."""
+        known = [one for one in dir(self) if one[0] != "_"]
+        inside = [f"{at}.{name}" for at, names in self._inside.items() if name in names]
+        near = inside or difflib.get_close_matches(name, known) or known
+        return NoAttribute(type(self).__name__, "attribute", "be known", name, ", ".join(near))
 
 
 class _Closing(type):
@@ -21,7 +44,7 @@ class _Closing(type):
         return made
 
 
-class Closed(metaclass=_Closing):
+class Closed(Known, metaclass=_Closing):
     """An object whose public attributes are those that it has after its construction."""
 
     def close_attributes(self) -> None:
@@ -34,8 +57,5 @@ class Closed(metaclass=_Closing):
             own[name] = value
             return
         if "_closed" in own and name[0] != "_" and not hasattr(type(self), name):
-            known = [one for one in dir(self) if one[0] != "_"]
-            what = type(self).__name__
-            near = difflib.get_close_matches(name, known) or known
-            raise NoAttribute(what, "attribute", "be known", name, ", ".join(near))
+            raise self._unknown(name)
         object.__setattr__(self, name, value)

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.fleet_frame import FleetFrame
 from arm_emulator.machine.inputs import check_inputs, further_rows
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant import INSIDE, Plant
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
 
@@ -43,7 +43,8 @@ class Fleet(CoreMachines):
     by some 1e-16 of their size.
 
     `measured` has the readings of the sensors, for controllers; `state` is the true state. Copies,
-    forks and threads: as of a `Plant`. ``fleet[k]`` is one of the arms, and a `Plant`.
+    forks and threads: as of a `Plant`. ``fleet[k]`` is one of the arms, and a `Plant`;
+    ``fleet[3:7]`` is a list of them.
 
     Attributes:
         scene: of all arms.
@@ -64,6 +65,8 @@ class Fleet(CoreMachines):
         Refusal: the scene's core cannot be compiled, or an argument that makes no sense.
     """
 
+    _inside = INSIDE
+
     def __init__(
         self,
         scene: Scene | str | Path,
@@ -78,6 +81,7 @@ class Fleet(CoreMachines):
             workers = len(os.sched_getaffinity(0))
         workers = check_count("Fleet", "workers", workers, 1, 4096)
         super().__init__(scene_of(scene, "Fleet"), count)
+        self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = Shares(self._count, self.lanes, workers)
         self._commands = np.tile(commands_of(self.scene), (self._count, 1))
         self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
@@ -116,13 +120,22 @@ class Fleet(CoreMachines):
             for arm in range(self._count):
                 self.core.arm_begin_threads(self.core.arm_fleet_machine(self._fleet, arm))
 
-    def __getitem__(self, arm: int) -> Plant:
-        """Return one of the arms as a `Plant`; they share the state."""
-        arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1)
-        machine = self.core.arm_fleet_machine(self._fleet, arm % self._count)
-        began = self._began[0, arm].copy(), self._began[1, arm].copy()
-        plant = Plant(self.scene, of=Borrowed(self, self.core, machine, began))
-        weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm % self._count)
+    @overload
+    def __getitem__(self, arm: int) -> Plant: ...
+    @overload
+    def __getitem__(self, arm: slice) -> list[Plant]: ...
+    @in_turn
+    def __getitem__(self, arm: int | slice) -> Plant | list[Plant]:
+        """Return one of the arms as a `Plant`, or a list of them; they share the state."""
+        if isinstance(arm, slice):
+            return [self[k] for k in range(self._count)[arm]]
+        arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1) % self._count
+        if (known := self._arms.get(arm)) is not None:
+            return known
+        machine = self.core.arm_fleet_machine(self._fleet, arm)
+        began = self._began[0, arm], self._began[1, arm]  # as it is then
+        plant = self._arms[arm] = Plant(self.scene, of=Borrowed(self, self.core, machine, began))
+        weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm)
         return plant
 
     def _give_back(self, arm: int) -> None:

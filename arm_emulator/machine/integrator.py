@@ -31,7 +31,6 @@ class Integrator:
     )
     exchange: str  # between two threads, see core/schemes/two_threads.hpp
     exchange_depth: int = number(
-        "samples",
         at_least=1,
         at_most=DEEPEST_EXCHANGE,
         whole=True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,14 @@ from arm_emulator.machine.equations import Equations
 from arm_emulator.machine.inputs import check_inputs, further_inputs, further_rows
 from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace
-from arm_emulator.machine.plant_state import link_angle_per_count, start_bounds
+from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
+
+# Where people look for what a machine has elsewhere.
+INSIDE: Mapping[str, Iterable[str]] = {
+    "state": ("t", *ROWS), "measured": KNOWN, "scene": dir(Scene), "scene.integrator": ("dt",),
+}  # fmt: skip
 
 
 class Plant(CoreMachine):
@@ -61,6 +67,8 @@ class Plant(CoreMachine):
     Raises:
         Refusal: the scene's core cannot be compiled.
     """
+
+    _inside = INSIDE
 
     def __init__(
         self,
@@ -337,7 +345,8 @@ class Plant(CoreMachine):
         values = self.parameters
         varied = tuple(replace(one, value=values[one.name]) for one in self.scene.varied)
         scene = replace(self.scene, varied=varied)
-        return Diverged(scene.joint_names[joint], t, scene, q, v, given, self._reset_to)
+        began = self._reset_to[0].copy(), self._reset_to[1].copy()
+        return Diverged(scene.joint_names[joint], t, scene, q, v, given, began)
 
     def _diverged(self, applied: ArrayLike) -> Diverged:
         state = self.state

@@ -7,10 +7,10 @@ pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.phase import Phase
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant import INSIDE, Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.state_of_joints import StateOfJoints
@@ -68,6 +68,8 @@ class Session(Turns):
         Refusal: another clock or start than these.
     """
 
+    _inside: ClassVar[Mapping[str, Iterable[str]]] = {**INSIDE, "plant": vars(Plant)}
+
     def __init__(
         self,
         scene: Scene | str | Path,
@@ -88,6 +90,7 @@ class Session(Turns):
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
         self._read = TickReadings(self.plant, by_itself=self._clock.by_itself)
+        self._ended = False
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
         self._start, self._standing = start, standing
@@ -191,6 +194,7 @@ class Session(Turns):
         First take what a loop has reached. Afterwards it goes on as if it had not been stopped:
         periods that it has missed are counted.
         """
+        self._check_open()
         if self._held:
             yield
             return
@@ -369,6 +373,7 @@ class Session(Turns):
             Refusal: wrong tick, names, length, an input that no motor has, or a number that is not
                 finite or too large.
         """
+        self._check_open()
         rows = self._answers.take(self.tick, tick, joint_names, command, further or {})
         self._clock.command(tick, rows)
         self._follow_phase()
@@ -391,6 +396,7 @@ class Session(Turns):
             came: whether these are what the drives received in an earlier run, as
                 `measured.applied` reports it: faults of their lines then leave them.
         """
+        self._check_open()
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
             return
@@ -414,6 +420,7 @@ class Session(Turns):
         Raises:
             Refusal: a command that is not valid, with tick and state in which it was given.
         """
+        self._check_open()
         left = (END_OF_TIME - 1 - self.logical_ns) // self.period_ns
         try:
             loop.run(self.tick, min(ticks, left))
@@ -449,8 +456,13 @@ class Session(Turns):
 
     @in_turn
     def close(self) -> None:
-        """Stop the machine for good."""
+        """Stop the machine for good: it can be read, and no longer changed."""
         self._clock.stop()
+        self._ended = True
+
+    def _check_open(self) -> None:
+        if self._ended:
+            raise Refusal("Session", "session", "be open", "a closed one")
 
     @in_turn
     def break_at(self, stop: CData) -> None:
