@@ -136,7 +136,7 @@ class Bag:
                         "the bag",
                         "have ROS 2 messages (encoding cdr)",
                         f"{channel.message_encoding or 'no encoding'} in channel {channel.topic}",
-                        "bags of `up --record`, `record` and `ros2 bag record`; "
+                        "bags of `up --record`, `run --bag`, `record` and `ros2 bag record`; "
                         "a file of `run --record` is a table of the run, not a bag",
                     )
                 if channel.topic not in self.topics:
