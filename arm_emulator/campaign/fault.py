@@ -7,14 +7,15 @@ and ends. Files, refusals, docs and what can vary follow from it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.section import Section
+from arm_emulator.campaign.scenario import ticks_of
+from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +88,41 @@ class Fault:
             Refusal: see above.
         """
 
-    def begin(self, session: Session) -> Callable[[], None]:
-        """Let it begin, between two ticks; return what ends it."""
+    def begins(self, scene: Scene) -> Change:
+        """Return what is set in the machine when it begins."""
         raise NotImplementedError
+
+    def ends(self) -> Change:
+        """Return what is set when it ends."""
+        raise NotImplementedError
+
+
+def changes_of(
+    faults: Iterable[Fault], scene: Scene, values: Mapping[str, float]
+) -> list[tuple[int, Change]]:
+    """Return what faults set in a machine, with the ticks before which that happens, ascending.
+
+    Args:
+        faults: of a run.
+        scene: the machine.
+        values: of its varied numbers, where they are not those of the scene.
+    """
+    period = scene.servo_period
+    found: list[tuple[int, Change]] = []
+    before: dict[int, float | None] = {}  # of numbers, by the place of the change that ends it
+    for fault in faults:
+        begins = ticks_of(fault.at, period)
+        found.append((begins, fault.begins(scene)))
+        found.append((begins + max(1, ticks_of(fault.lasting, period)), fault.ends()))
+    order = sorted(range(len(found)), key=lambda place: found[place][0])
+    now = {one.name: one.value for one in scene.varied} | dict(values)
+    for place in order:
+        tick, change = found[place]
+        if not isinstance(change, NumberChange):
+            continue
+        if place % 2 == 0:
+            before[place + 1] = now[change.name]
+        elif change.value is None:
+            found[place] = tick, change = tick, replace(change, value=before[place])
+        now[change.name] = change.value  # type: ignore[assignment]
+    return [found[place] for place in order]

@@ -27,7 +27,8 @@ from arm_emulator.campaign.program import Program, Rows
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.search.splitting import Splitting
 from arm_emulator.campaign.signals import ROOM, Sampler, units_of_signals
-from arm_emulator.campaign.simulator import Event, Simulator
+from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import LARGEST_SEED
 from arm_emulator.runs.offline import OfflineRun
@@ -41,7 +42,7 @@ class Fork:
     drives: Any
     coupled: Any
     rest: tuple[Any, ...]
-    events: tuple[tuple[int, Event], ...]
+    events: tuple[tuple[int, Change], ...]
     least: float
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case
-from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.fault import changes_of
 from arm_emulator.campaign.judges import Judges
 from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
 from arm_emulator.campaign.signals import ROOM, Sampler
+from arm_emulator.machine.change import Change, NumberChange, WrenchChange
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.pose import Pose
@@ -28,7 +29,6 @@ from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.servo_config import ServoConfig
 
 Array = NDArray[np.float64]
-Event = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,8 @@ class Simulator:
         if self._sensed and "seed" not in values:
             session.plant.set_parameter("seed", case.seed)
         session.plant.reset(self._scenario.start)
-        self._events = self._ordered(
-            {name: fault for name, fault in faults.items() if name not in case.without}
-        )
+        there = [fault for name, fault in faults.items() if name not in case.without]
+        self._events = changes_of(there, self._scene, case.values)
         self._seconds = min(case.seconds, self._scenario.seconds)
         if isinstance(self._run, OfflineRun):
             self._send(self._run)
@@ -180,16 +179,6 @@ class Simulator:
             else:
                 run.instructor.add(at, Pose(points[0], R_WT))
 
-    def _ordered(self, faults: Mapping[str, Fault]) -> list[tuple[int, Event]]:
-        """Return the events of the faults, with the ticks before which they happen."""
-        period, session = self._scene.servo_period, self.session
-        events: list[tuple[int, Event]] = []
-        for fault in faults.values():
-            begins = ticks_of(fault.at, period)
-            ends = begins + max(1, ticks_of(fault.lasting, period))
-            events += zip((begins, ends), _halves(fault, session), strict=True)
-        return sorted(events, key=lambda event: event[0])
-
     def _pieces(self) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
@@ -197,7 +186,7 @@ class Simulator:
         events = self._events
         while session.tick < last:
             while events and events[0][0] <= session.tick:
-                events.pop(0)[1]()
+                _make(session, events.pop(0)[1])
             until = min([last, *(tick for tick, _ in events[:1])])
             ticks = min(until - session.tick, self._sampler.room, self._longest)
             began = session.tick
@@ -229,17 +218,15 @@ class Simulator:
         return Targets(np.array(ticks), np.ascontiguousarray(self._table.q))
 
 
-def _halves(fault: Fault, session: Session) -> tuple[Event, Event]:
-    """Return begin and end of a fault."""
-    ends: list[Event] = []
-
-    def begin() -> None:
-        ends[:] = [fault.begin(session)]
-
-    def end() -> None:  # once for each fork of a run
-        ends[0]()
-
-    return begin, end
+def _make(session: Session, change: Change) -> None:
+    """Set in a machine what changes now."""
+    if isinstance(change, NumberChange):
+        assert change.value is not None
+        session.set_varied(change.name, change.value)
+    elif isinstance(change, WrenchChange):
+        session.set_external_wrench(change.link, change.wrench)
+    else:
+        session.powered = change.on
 
 
 def _points(move: Move, p_WT: Array) -> Array:

@@ -12,7 +12,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
-from arm_emulator.build.c_header import CData, pointer
+from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.call_arguments import options_of, refusal_of
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.chosen_arms import chosen_arms
@@ -175,6 +175,23 @@ class CoreMachines(Turns):
         where = "Fleet.set_parameter"
         mask = chosen_arms(where, arms, self._count)
         self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
+
+    @in_turn
+    def set_parameters(self, rows: Array) -> None:
+        """Set all varied numbers of all arms at once, in the scene's order.
+
+        Args:
+            rows: (count, numbers).
+
+        Raises:
+            Refusal: wrong shape, or a value out of its range; nothing has changed.
+        """
+        where, shape = "Fleet.set_parameters", (self._count, len(self.scene.varied))
+        if np.shape(rows) != shape:
+            raise Refusal(where, "rows", f"have shape {shape}", np.shape(rows))
+        given = np.ascontiguousarray(rows, np.float64)
+        if self.core.arm_fleet_set_parameters(self._fleet, NULL, pointer(given)) == REFUSED:
+            raise self._refusal(where, "another value")
 
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
         given = mask_bytes(mask), name.encode(), pointer(column)

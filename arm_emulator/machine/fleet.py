@@ -30,6 +30,7 @@ from arm_emulator.machine.core_machines import CoreMachines
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.fleet_frame import FleetFrame
+from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.machine.inputs import check_inputs, further_rows
 from arm_emulator.machine.plant import INSIDE, Plant
 from arm_emulator.machine.scene import Scene, scene_of
@@ -238,6 +239,7 @@ class Fleet(CoreMachines):
         out: FleetFrame | None = None,
         *,
         links: Array | None = None,
+        way: FleetWay | None = None,
     ) -> FleetFrame:
         """Advance by servo periods under commands of control code in C, without Python in between.
 
@@ -250,6 +252,7 @@ class Fleet(CoreMachines):
             out: of `frame`, to be filled after the last of them; None: a new one.
             links: filled with the links' positions after each period (periods, count, N) [rad or
                 m]; None: nothing.
+            way: what is set in the arms at their ticks, and what looks at them; None: nothing.
 
         Returns:
             `out`.
@@ -271,6 +274,9 @@ class Fleet(CoreMachines):
                 rule = f"be a contiguous array {shape} of float64"
                 raise Refusal(where, "links", rule, getattr(links, "shape", links))
         control.begin(self.scene, self._count)
+        if way is not None and (not isinstance(way, FleetWay) or way.of != (self.scene, self._count)):
+            raise Refusal(where, "way", "be a FleetWay for this fleet", way)
+        by = FLEET.new("arm_fleet_way") if way is None else way.struct
         given = FLEET.new(
             "arm_fleet_control",
             joint=self._commands,
@@ -280,13 +286,13 @@ class Fleet(CoreMachines):
         places = out.measurement, out.truth
         follow, fleet, refused = self.core.arm_fleet_follow, self._fleet, []
 
-        def go(begins: int, some: int, first: int, arms: int) -> None:
-            rows = NULL if links is None else pointer(links[begins:])
-            if follow(fleet, first, arms, given, some, rows, *places) == REFUSED:
+        def go(some: int, first: int, arms: int) -> None:
+            if follow(fleet, first, arms, given, some, by, *places) == REFUSED:
                 refused.append(first)
 
         for done, some in self._pieces(periods):
-            self._shares.do(self._worth(some), partial(go, done, some))
+            by.links = NULL if links is None else pointer(links[done:])
+            self._shares.do(self._worth(some), partial(go, some))
             if refused:
                 raise self._refusal(where, "")
         return out

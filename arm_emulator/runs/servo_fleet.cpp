@@ -70,7 +70,17 @@ struct Targets {
 // Rows of many arms lie far apart: those to come are fetched so many ahead.
 constexpr int64_t kAhead = 4;
 
+void aim_at_ticks(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_t tick,
+                  Targets& targets) {
+  int64_t& row = fleet.row[k];
+  while (row + 1 < fleet.first_row[k + 1] && fleet.since[row + 1] <= tick) ++row;
+  targets.come[l] = -1;
+  targets.since[l] = aim_now(&arm);
+  targets.q[l] = fleet.q + row * fleet.joints;
+}
+
 void aim(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_t tick, Targets& targets) {
+  if (fleet.since) return aim_at_ticks(fleet, arm, k, l, tick, targets);
   if (!fleet.rows || tick % fleet.periods_per_row) return;
   const int64_t given = tick / fleet.periods_per_row;
   const bool last = given >= fleet.rows;  // it stands there
@@ -116,9 +126,18 @@ void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask) {
     if (!mask[k]) continue;
     servo_reset(&fleet->arm[k]);
     fleet->tick[k] = 0;
+    if (fleet->since) fleet->row[k] = fleet->first_row[k];
     for (int32_t j = 0; j < fleet->joints; ++j)
       forget_lane(fleet->abreast->of[k / L * fleet->joints + j].state, k % L);
   }
+}
+
+void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint,
+                        int64_t hold_after, int64_t cut_after) {
+  for (int32_t j = 0; j < fleet->joints; ++j)
+    put_lane(fleet->abreast->of[arm / L * fleet->joints + j].numbers, arm % L, joint[j]);
+  fleet->arm[arm].watchdog.hold_after = hold_after;
+  fleet->arm[arm].watchdog.cut_after = cut_after;
 }
 
 void servo_fleet_step(void* with, const arm_fleet_rows* rows) {

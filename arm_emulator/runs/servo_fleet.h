@@ -21,6 +21,11 @@ typedef struct servo_fleet {
    * `arm_stride` from an arm to the next. The last row stays. `v` and `tau` may be null. */
   int64_t rows, periods_per_row, row_stride, arm_stride;
   const double *q, *v, *tau;
+  /* Or rows of each arm for itself, each given in every period from a tick on: those of arm k are
+   * [first_row[k], first_row[k + 1]), `since` has their ticks, ascending from 0. `row` is the one
+   * that holds. Null: the rows above. */
+  const int64_t *since, *first_row;
+  int64_t* row;
   struct servo_joints_abreast* abreast; /* of `servo_fleet_begin` */
 } servo_fleet;
 
@@ -29,6 +34,9 @@ void servo_fleet_begin(servo_fleet* fleet, int32_t arms);
 void servo_fleet_end(servo_fleet* fleet);
 /* Have the servos of a mask with a byte for each arm forget everything; targets begin anew. */
 void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask);
+/* Change the numbers of the joints of an arm, and of its watchdog. */
+void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint,
+                        int64_t hold_after, int64_t cut_after);
 /* A period of some arms; `with` is a servo_fleet. */
 void servo_fleet_step(void* with, const arm_fleet_rows* rows);
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,9 +11,9 @@ from arm_emulator.base.number import Number, number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.campaign.scenario import ticks_of
+from arm_emulator.machine.change import Change, WrenchChange
 from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
 
 _IMPULSE = Number("impulse", "N s", at_least=-1e4, at_most=1e4)
 
@@ -62,8 +62,10 @@ class Impulse(Fault):
         """Refuse a link that does not move."""
         on_moving_link(scene, where, self.link, self._wrench(scene.servo_period))
 
-    def begin(self, session: Session) -> Callable[[], None]:
-        """Let it act."""
-        wrench = self._wrench(session.scene.servo_period)
-        session.set_external_wrench(self.link, wrench)
-        return lambda: session.set_external_wrench(self.link, ExternalWrench())
+    def begins(self, scene: Scene) -> Change:
+        """Return the force."""
+        return WrenchChange(self.link, self._wrench(scene.servo_period))
+
+    def ends(self) -> Change:
+        """Return that nothing acts."""
+        return WrenchChange(self.link, ExternalWrench())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,8 +9,8 @@ from arm_emulator.base.number import number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +39,10 @@ class Machine(Fault):
             raise Refusal(where, "fault", "be listed by the scene", self.fault, known)
         listed[self.fault].take(where, self.magnitude, "magnitude")
 
-    def begin(self, session: Session) -> Callable[[], None]:
-        """Set the magnitude."""
-        name = f"faults.{self.fault}"
-        session.set_varied(name, self.magnitude)
-        return lambda: session.set_varied(name, 0.0)
+    def begins(self, scene: Scene) -> Change:
+        """Return its magnitude."""
+        return NumberChange(f"faults.{self.fault}", self.magnitude)
+
+    def ends(self) -> Change:
+        """Return that it is not there."""
+        return NumberChange(f"faults.{self.fault}", 0.0)

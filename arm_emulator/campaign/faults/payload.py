@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from arm_emulator.base.number import number
 from arm_emulator.campaign.fault import Fault
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.change import Change, NumberChange
+from arm_emulator.machine.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,8 +26,10 @@ class Payload(Fault):
         """Return a payload of no mass where the scene has none."""
         return {} if "payload" in scene else {"payload": 0.0}
 
-    def begin(self, session: Session) -> Callable[[], None]:
-        """Take mass up, or drop some."""
-        before = session.plant.parameters["payload.mass"]
-        session.set_varied("payload.mass", self.mass)
-        return lambda: session.set_varied("payload.mass", before)
+    def begins(self, scene: Scene) -> Change:
+        """Return the mass."""
+        return NumberChange("payload.mass", self.mass)
+
+    def ends(self) -> Change:
+        """Return the mass before."""
+        return NumberChange("payload.mass", None)

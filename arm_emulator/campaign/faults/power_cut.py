@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 from arm_emulator.campaign.fault import Fault
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.change import Change, PowerChange
+from arm_emulator.machine.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +16,10 @@ class PowerCut(Fault):
 
     kind: ClassVar[str] = "power_cut"
 
-    def begin(self, session: Session) -> Callable[[], None]:
-        """Cut the power."""
-        session.powered = False
-        return lambda: setattr(session, "powered", True)
+    def begins(self, scene: Scene) -> Change:
+        """Return that the power is cut."""
+        return PowerChange(False)
+
+    def ends(self) -> Change:
+        """Return that it comes back."""
+        return PowerChange(True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,9 +10,9 @@ from arm_emulator.base.bound import FORCE, MOMENT, POINT
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.machine.change import Change, WrenchChange
 from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,10 @@ class Wrench(Fault):
         """Refuse a link that does not move."""
         on_moving_link(scene, where, self.link, self._wrench)
 
-    def begin(self, session: Session) -> Callable[[], None]:
-        """Let it act."""
-        session.set_external_wrench(self.link, self._wrench)
-        return lambda: session.set_external_wrench(self.link, ExternalWrench())
+    def begins(self, scene: Scene) -> Change:
+        """Return force and moment."""
+        return WrenchChange(self.link, self._wrench)
+
+    def ends(self) -> Change:
+        """Return that nothing acts."""
+        return WrenchChange(self.link, ExternalWrench())

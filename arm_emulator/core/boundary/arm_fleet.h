@@ -50,6 +50,9 @@ int arm_fleet_reset(arm_fleet* fleet, const uint8_t* mask, const double* q, cons
 int arm_fleet_get_parameter(const arm_fleet* fleet, const char* name, double* values);
 int arm_fleet_set_parameter(arm_fleet* fleet, const uint8_t* mask, const char* name,
                             const double* values);
+/* All varied numbers at once, a row for each arm in the order of `arm_describe_parameter`: quicker
+ * than one after the other. */
+int arm_fleet_set_parameters(arm_fleet* fleet, const uint8_t* mask, const double* values);
 /* An external wrench of each arm on the link of a joint, see `arm_set_external_wrench`. */
 int arm_fleet_set_external_wrench(arm_fleet* fleet, const uint8_t* mask, int32_t joint,
                                   const arm_wrench* wrench);
@@ -135,13 +138,42 @@ typedef struct arm_fleet_control {
   arm_joint_command* joint; /* an entry per joint of each arm */
 } arm_fleet_control;
 
+/* What is set in an arm's machine between two of its servo periods. */
+enum arm_fleet_change_kind {
+  ARM_CHANGES_PARAMETER, /* the varied number `place`, to `value` */
+  ARM_CHANGES_WRENCH,    /* the external wrench on the link of joint `place`, to `wrench` */
+  ARM_CHANGES_POWER      /* the power of all drives: off if `value` is 0 */
+};
+typedef struct arm_fleet_change {
+  int64_t tick; /* of the arm, before which it happens */
+  int32_t kind;
+  int32_t place;
+  double value;
+  const arm_wrench* wrench;
+} arm_fleet_change;
+
+/* What happens on the way of `arm_fleet_follow`; every pointer may be null. */
+typedef struct arm_fleet_way {
+  uint32_t size;
+  uint32_t reserved;
+  double* links; /* a row of all arms for each period: the links' positions after it */
+  /* Those of arm k are the entries [first_change[k], first_change[k + 1]), their ticks ascending.
+   * Those whose tick has passed are left out. */
+  const arm_fleet_change* change;
+  const int64_t* first_change;
+  /* Called after each period of a group of arms; it may ask for measurements and true states. Calls
+   * for different arms may come from several threads at a time. */
+  void (*look)(void* with, int32_t first, int32_t arms);
+  void* with;
+} arm_fleet_way;
+
 /* `periods` servo periods of `arms` arms from `first` on, as `arm_fleet_exchange`, under commands
- * that control code gives in every one; `links` has a row of all arms for the links' positions
- * after each, or is null. Then as `arm_fleet_step`; `joint` and `powered` of the measurement must
- * be there. A refused command ends the call for its group of arms: ARM_REFUSED, and
- * `arm_fleet_refused` returns one of them. */
+ * that control code gives in every one; `way` may be null. Then as `arm_fleet_step`; `joint` and
+ * `powered` of the measurement must be there. A change that is refused is before anything happens:
+ * ARM_REFUSED. A refused command ends the call for its group of arms, alike. `arm_fleet_refused`
+ * returns one of them. */
 int arm_fleet_follow(arm_fleet* fleet, int32_t first, int32_t arms,
-                     const arm_fleet_control* control, int64_t periods, double* links,
+                     const arm_fleet_control* control, int64_t periods, const arm_fleet_way* way,
                      arm_fleet_measurement* measurement, arm_fleet_truth* truth);
 
 #ifdef __cplusplus

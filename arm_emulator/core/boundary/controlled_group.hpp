@@ -4,32 +4,40 @@
 // lanes. A group with an arm that is elsewhere goes through its machines for that period.
 #pragma once
 
-#include "boundary/fleet.hpp"
+#include "boundary/fleet_changes.hpp"
 
 class ControlledGroup {
  public:
   static constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
 
   ControlledGroup(arm_fleet& fleet, int group, const arm_fleet_control& control,
-                  const arm_fleet_measurement& measured)
+                  const arm_fleet_measurement& measured, const arm_fleet_way& way)
       : fleet_(fleet),
         g_(group),
         first_(group * lanes),
         end_(fleet.end_of(group)),
         control_(control),
-        measured_(measured) {}
+        measured_(measured),
+        way_(way),
+        changes_(fleet, group, way) {}
 
-  // `links`: null, or where the links' positions after each period go. False if a command was
-  // refused.
-  bool follow(std::int64_t periods, double* links) {
+  // False if a command was refused.
+  bool follow(std::int64_t periods) {
     bool glides = false, sound = true;
-    for (; periods > 0 && sound; --periods) {
+    double* links = way_.links;
+    for (std::int64_t period = 0; period < periods && sound; ++period) {
+      if (changes_.are_due(period)) {
+        if (glides) fleet_.note(g_, given_, -1);
+        glides = false;
+        changes_.make(period);
+      }
       if (!glides) glides = control_.step_rows && fleet_.may_glide(g_, control_.joint);
       if (glides)
         sound = glide(*fleet_.group[g_], links, glides);
       else
         sound = walk(links);
       if (links) links += std::int64_t{fleet_.arms} * N;
+      if (way_.look && sound) way_.look(way_.with, first_, end_ - first_);
     }
     if (glides) fleet_.note(g_, given_, -1);
     return sound;
@@ -121,6 +129,8 @@ class ControlledGroup {
   int g_, first_, end_;
   const arm_fleet_control& control_;
   const arm_fleet_measurement& measured_;
+  const arm_fleet_way& way_;
+  GroupChanges changes_;
   Rows rows_;
   double given_[lanes * N] = {};
 };

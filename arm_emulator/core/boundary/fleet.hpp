@@ -179,6 +179,14 @@ struct arm_fleet {
     }
   }
 
+  // Servo periods of an arm since its reset.
+  std::int64_t ticks_of(int k) const {
+    std::int64_t steps = 0;
+    if (!if_in_lane(k, [&](const auto& group, int l) { steps = group.steps_taken(l); }))
+      steps = machine[k]->machine.steps();
+    return steps / machine[k]->steps_per_period;
+  }
+
   // Move an arm from its lane to its machine, to be read or changed there.
   void settle(int k) const { group[k / lanes]->settle(k % lanes); }
   void settle_lent(int g) {
@@ -270,7 +278,9 @@ struct arm_fleet {
   bool show_in_lanes([[maybe_unused]] const G& own, int g, const arm_fleet_measurement* measurement,
                      const arm_fleet_truth* truth) const {
     if constexpr (in_lanes) {
-      bool all = !(truth && (truth->energy || truth->gear_torque || truth->encoder)) &&
+      const bool of_gears = truth && truth->gear_torque;
+      bool all = !(truth && (truth->energy || truth->encoder)) &&
+                 (G::has_gear_torques || !of_gears) &&
                  !(measurement && measurement->current_d && has_current_d);
       for (int k = g * lanes; k < end_of(g); ++k) all = all && own.is_abreast(k % lanes);
       if (!all) return false;
@@ -287,6 +297,10 @@ struct arm_fleet {
       put_rows(g, speed, truth->motor_speed);
       put_rows(g, rows[0], truth->q);
       put_rows(g, rows[1], truth->v);
+      if (of_gears) {
+        own.gear_torques(rows[0]);
+        put_rows(g, rows[0], truth->gear_torque);
+      }
       for (int k = g * lanes; k < end_of(g); ++k) {
         if (truth->fault) truth->fault[k] = -1;
         if (truth->time)

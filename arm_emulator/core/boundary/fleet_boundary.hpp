@@ -2,6 +2,7 @@
 #pragma once
 
 #include "boundary/controlled_group.hpp"
+#include "boundary/fleet_changes.hpp"
 
 #pragma GCC visibility push(default)
 
@@ -87,6 +88,21 @@ int arm_fleet_set_parameter(arm_fleet* fleet, const std::uint8_t* mask, const ch
   return ARM_OK;
 }
 
+int arm_fleet_set_parameters(arm_fleet* fleet, const std::uint8_t* mask, const double* values) {
+  constexpr int count = Scene::parameters;
+  if (!fleet || (count > 0 && !values)) return ARM_REFUSED;
+  const auto check = [&](const arm_machine* arm, int k) {
+    for (int p = 0; p < count; ++p)
+      if (const double value = values[k * count + p]; !within_bounds(p, value))
+        return arm->refuse(-1, "parameter", "be within its bounds", value);
+    return int{ARM_OK};
+  };
+  if (fleet->check_all(mask, check)) return ARM_REFUSED;
+  fleet->for_all(mask,
+                 [&](arm_machine* arm, int k) { arm->machine.set_parameters(values + k * count); });
+  return ARM_OK;
+}
+
 int arm_fleet_set_external_wrench(arm_fleet* fleet, const std::uint8_t* mask, std::int32_t joint,
                                   const arm_wrench* wrench) {
   if (!fleet || !wrench) return ARM_REFUSED;
@@ -158,17 +174,22 @@ int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
 }
 
 int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
-                     const arm_fleet_control* control, std::int64_t periods, double* links,
-                     arm_fleet_measurement* measurement, arm_fleet_truth* truth) {
+                     const arm_fleet_control* control, std::int64_t periods,
+                     const arm_fleet_way* way, arm_fleet_measurement* measurement,
+                     arm_fleet_truth* truth) {
   constexpr int lanes = arm_fleet::lanes;
   if (!fleet || !fleet->has(first, arms) || periods < 0 || !control ||
+      (way && (way->size < sizeof *way || !way->change != !way->first_change)) ||
       control->size < sizeof *control || !control->step == !control->step_rows || !control->joint ||
       !measurement || measurement->size < sizeof *measurement || !measurement->joint ||
       !measurement->powered || (truth && truth->size < sizeof *truth))
     return ARM_REFUSED;
+  constexpr arm_fleet_way nothing = {};
+  const arm_fleet_way& by = way ? *way : nothing;
+  if (check_changes(*fleet, first, arms, by)) return ARM_REFUSED;
   int result = ARM_OK;
   for (std::int32_t k = first; k < first + arms; k += lanes)
-    if (!ControlledGroup(*fleet, k / lanes, *control, *measurement).follow(periods, links))
+    if (!ControlledGroup(*fleet, k / lanes, *control, *measurement, by).follow(periods))
       result = ARM_REFUSED;
   for (std::int32_t k = first; k < first + arms; k += lanes)
     fleet->show(k / lanes, measurement, truth);

@@ -67,14 +67,11 @@ class Machine {
 
   // Set a varied number, between two steps. The motion goes on from where it is.
   ARM_ONCE void set_parameter(int k, Real value) {
-    change([&] {
-      numbers_.set(k, value);
-      ++edition_;
-      stale_ = true;
-    });
-    balance_.reset(numbers_, x_);
-    power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
-    checked_ = instant();
+    change_numbers([&] { numbers_.set(k, value); });
+  }
+  // The same for all of them; the brakes are as they are.
+  ARM_ONCE void set_parameters(const Real* values) {
+    change_numbers([&] { numbers_.set_all(values); });
   }
   // Set the external wrench on link i, between two steps.
   ARM_ONCE void set_external_wrench(int i, const ExternalWrench<Real>& wrench) {
@@ -327,6 +324,16 @@ class Machine {
     if constexpr (S::external_wrench) balance_.allow(balance_.most() + work_.since(numbers_, x_));
   }
 
+  void change_numbers(auto&& set) {
+    change([&] {
+      set();
+      ++edition_;
+      stale_ = true;
+    });
+    balance_.reset(numbers_, x_);
+    power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
+    checked_ = instant();
+  }
   // Change the numbers. Torques that the scheme keeps from the last step are recomputed with the
   // new numbers, since the jump is not a motion.
   void change(auto&& set) {

@@ -116,6 +116,16 @@ class SideBySide {
         for (int lane = 0; lane < width; ++lane) put(j, lane, i[lane], theta[lane], omega[lane]);
       });
   }
+  // The gears' torques on their links, of all lanes, in rows of lanes. Not of rotors that turn with
+  // their links, whose accelerations count.
+  static constexpr bool has_gear_torques =
+      !any_drive<S>([](const auto& drive) { return drive.carries_rotor; });
+  void gear_torques(double* torque) const {
+    for (int lane = 0; lane < width; ++lane)
+      numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        torque[j * width + lane] = drive.gear_torque(input_in_lane(drive, j, at_.x, X{}, lane), 0.0);
+      });
+  }
   void applied(double* rows) const { put_rows(at_.u, rows); }
   void links(double* q, double* v) const { put_rows(at_.x.q, q), put_rows(at_.x.v, v); }
   void links(int lane, double* q, double* v) const {

@@ -127,6 +127,11 @@ class Numbers<S, Real> {
     p_.p[k] = value;
     sheet_ = Sheet<S>(p_.p);
   }
+  // All of them, without the brakes.
+  void set_all(const Real* values) {
+    for (int k = 0; k < S::parameters; ++k) p_.p[k] = values[k];
+    sheet_ = Sheet<S>(p_.p);
+  }
 
   // body(drive, j) for the drive of every joint.
   template <class TheBody>

@@ -1,0 +1,91 @@
+// What is set in the arms of a fleet between their servo periods.
+#pragma once
+
+#include "boundary/fleet.hpp"
+
+namespace {
+
+int check_change(const arm_machine* arm, const arm_fleet_change& change) {
+  arm::GivenWrench given = {};
+  switch (change.kind) {
+    case ARM_CHANGES_PARAMETER:
+      if (change.place < 0 || change.place >= Scene::parameters)
+        return arm->refuse(-1, "parameter", "be varied in this scene", 0.0);
+      if (!within_bounds(change.place, change.value))
+        return arm->refuse(-1, "parameter", "be within its bounds", change.value);
+      return ARM_OK;
+    case ARM_CHANGES_WRENCH:
+      return check_wrench(arm, change.place, change.wrench, given);
+    case ARM_CHANGES_POWER:
+      return ARM_OK;
+    default:
+      return arm->refuse(-1, "change", "be of a known kind", change.kind);
+  }
+}
+
+// OK if all changes of these arms can be.
+int check_changes(const arm_fleet& fleet, int first, int arms, const arm_fleet_way& way) {
+  for (int k = first; way.change && k < first + arms; ++k)
+    for (std::int64_t c = way.first_change[k]; c < way.first_change[k + 1]; ++c)
+      if (check_change(fleet.machine[k], way.change[c])) {
+        fleet.refused = k;
+        return ARM_REFUSED;
+      }
+  return ARM_OK;
+}
+
+// The changes of a group of arms, in their order.
+class GroupChanges {
+ public:
+  static constexpr int lanes = arm_fleet::lanes;
+  static constexpr std::int64_t never = INT64_MAX;
+
+  GroupChanges(arm_fleet& fleet, int group, const arm_fleet_way& way)
+      : fleet_(fleet), first_(group * lanes), end_(fleet.end_of(group)), way_(way) {
+    if (!way.change) return;
+    for (int k = first_; k < end_; ++k) {
+      std::int64_t& next = next_[k - first_];
+      next = way.first_change[k];
+      began_[k - first_] = fleet.ticks_of(k);
+      while (next < way.first_change[k + 1] && way.change[next].tick < began_[k - first_]) ++next;
+      look_ahead(k);
+    }
+  }
+  // Whether some are due before a period of the call.
+  bool are_due(std::int64_t period) const { return period >= due_; }
+  void make(std::int64_t period) {
+    due_ = never;
+    for (int k = first_; k < end_; ++k) {
+      std::int64_t& next = next_[k - first_];
+      for (; next < way_.first_change[k + 1] && due_at(k) <= period; ++next)
+        make(k, way_.change[next]);
+      look_ahead(k);
+    }
+  }
+
+ private:
+  std::int64_t due_at(int k) const {
+    return way_.change[next_[k - first_]].tick - began_[k - first_];
+  }
+  void look_ahead(int k) {
+    if (next_[k - first_] < way_.first_change[k + 1] && due_at(k) < due_) due_ = due_at(k);
+  }
+  void make(int k, const arm_fleet_change& change) {
+    fleet_.settle(k);
+    arm_machine* const arm = fleet_.machine[k];
+    if (change.kind == ARM_CHANGES_PARAMETER)
+      arm->machine.set_parameter(change.place, change.value);
+    else if (change.kind == ARM_CHANGES_WRENCH)
+      arm_set_external_wrench(arm, change.place, change.wrench);
+    else
+      arm_power(arm, change.value != 0.0);
+  }
+
+  arm_fleet& fleet_;
+  int first_, end_;
+  const arm_fleet_way& way_;
+  std::int64_t next_[lanes] = {}, began_[lanes] = {};  // ticks of the arms when the call began
+  std::int64_t due_ = never;                           // period of the call
+};
+
+}  // namespace

@@ -1,0 +1,108 @@
+"""What happens to the arms of a fleet on their way, and what looks at them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData
+from arm_emulator.machine.change import Change, NumberChange, WrenchChange
+from arm_emulator.machine.core_calls import ARM, FLEET
+from arm_emulator.machine.external_wrench import AXES, on_moving_link
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.varied import varied_number
+
+_PARAMETER, _WRENCH, _POWER = (
+    FLEET.constant(f"ARM_CHANGES_{name}") for name in ("PARAMETER", "WRENCH", "POWER")
+)
+Timed = tuple[int, Change]
+
+
+class FleetWay:
+    """Changes of arms at their ticks, and a function in C that is called after each period.
+
+    Attributes:
+        struct: as `arm_fleet_way` of core/boundary/arm_fleet.h, without the links' positions.
+
+    Args:
+        scene: of the arms.
+        count: of arms.
+        look: pointer to the function; None: nobody looks.
+        with_: pointer that it gets; both must outlive this.
+    """
+
+    def __init__(
+        self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
+    ) -> None:
+        self.of = scene, count
+        self._scene, self._count = scene, count
+        self._places = {one.name: place for place, one in enumerate(scene.varied)}
+        self.struct = FLEET.new("arm_fleet_way")
+        if look is not None:
+            FLEET.fill(self.struct, look=look, **{"with": with_})
+        self.set_changes([()] * count)
+
+    def set_changes(self, changes: Sequence[Sequence[Timed]]) -> None:
+        """Let changes happen from now on, instead of those before.
+
+        Args:
+            changes: of each arm: ticks since its reset before which they happen, ascending, and
+                what is set.
+
+        Raises:
+            Refusal: not a list for each arm, ticks that do not ascend, or a change that the scene
+                does not take; nothing has changed.
+        """
+        where = "FleetWay"
+        if len(changes) != self._count:
+            raise Refusal(where, "changes", f"be a list for each of {self._count} arms", changes)
+        first, rows, wrenches = [0], [], []
+        for of_arm in changes:
+            before = 0
+            for tick, change in of_arm:
+                if not before <= tick:
+                    raise Refusal(where, "ticks", "ascend from 0", tick)
+                before = tick
+                kind, place, value = _POWER, 0, 0.0
+                if isinstance(change, NumberChange):
+                    one = varied_number(self._scene.varied, change.name, where)
+                    kind, place = _PARAMETER, self._places[change.name]
+                    value = one.number.take(where, change.value)
+                elif isinstance(change, WrenchChange):
+                    kind = _WRENCH
+                    place, moved = on_moving_link(self._scene, where, change.link, change.wrench)
+                    wrenches.append(
+                        (len(rows), AXES.index(moved.axes), moved.point, moved.force, moved.moment)
+                    )
+                else:
+                    value = float(change.on)
+                rows.append((tick, kind, place, value))
+            first.append(len(rows))
+        self._keep(first, rows, wrenches)
+
+    def _keep(self, first: list[int], rows: list[tuple[int, int, int, float]], wrenches: list[
+        tuple[int, int, object, object, object]
+    ]) -> None:
+        """Put the changes where the core finds them."""
+        self._rows = FLEET.rows("arm_fleet_change", max(1, len(rows)))
+        self._first = np.array(first, np.int64)
+        self._wrenches = ARM.rows("arm_wrench", max(1, len(wrenches)))
+        if rows:
+            for name, column in zip(
+                ("tick", "kind", "place", "value"), zip(*rows, strict=True), strict=True
+            ):
+                self._rows[name] = column
+        if wrenches:
+            at, axes, point, force, moment = zip(*wrenches, strict=True)
+            of = self._wrenches
+            of["size"], of["axes"] = of.itemsize, axes
+            of["point"], of["force"], of["moment"] = point, force, moment
+            began = of.__array_interface__["data"][0]
+            self._rows["wrench"][list(at)] = began + of.itemsize * np.arange(len(of))
+        FLEET.fill(
+            self.struct,
+            change=FLEET.pointer("arm_fleet_change", self._rows),
+            first_change=self._first,
+        )
