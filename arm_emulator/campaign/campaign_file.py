@@ -148,18 +148,18 @@ class Campaign:
 
     def _with_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
         """Return the faults with other numbers; None: their section must be read."""
-        faults = dict(self.nominal[1])
+        numbers: dict[str, list[tuple[Sequence[str], float]]] = {}
         for name, value in values.items():
-            if not name.startswith("faults."):
-                continue
-            fault, path = self._places.get(name, ("", []))
-            one = faults[fault].with_number(path, value) if fault else None
+            if name.startswith("faults."):
+                fault, path = self._places.get(name, ("", []))
+                numbers.setdefault(fault, []).append((path, value))
+        faults = dict(self.nominal[1])
+        for fault, given in numbers.items():
+            one = faults[fault].with_numbers(given) if fault else None
             if one is None:
                 return None
+            one.check(self.scene, f"{self.where}: faults.{fault}")
             faults[fault] = one
-        for name, one in faults.items():
-            if one is not self.nominal[1][name]:
-                one.check(self.scene, f"{self.where}: faults.{name}")
         return faults
 
 

@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.intervals import clopper_pearson
+from arm_emulator.campaign.lanes import WIDTH
 from arm_emulator.campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.worker import Done, end_with, simulate, simulator_of
 
@@ -188,6 +190,7 @@ def _complete(
     while missing := results.missing(count):
         left = sum(end - first for first, end in missing)
         size = max(1, min(size, math.ceil(left / (2 * workers))))
+        size -= size % WIDTH if size > WIDTH else 0  # lanes are full
         before, pool = progress.done, make_pool()
         try:
             _work(campaign, results, pool, workers, chunks_of(missing, size), progress, report)
@@ -270,11 +273,12 @@ def seconds_per_run(campaign: Campaign) -> tuple[float, float]:
     """Return the processor time of a run and that of a start [s], measured."""
     began = time.process_time()
     _, simulator = simulator_of(str(campaign.file.absolute()), campaign.key)
-    simulator.run(0)
+    some = [drawn_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
+    list(simulator.runs(some[:1]))
     ready, runs = time.process_time(), 0
     while runs < 3 or time.process_time() - ready < 0.2:
-        runs += 1
-        simulator.run(runs % campaign.count)
+        runs += len(some)
+        list(simulator.runs(some))
         if time.process_time() - ready > 5.0:
             break
     return (time.process_time() - ready) / runs, ready - began

@@ -60,26 +60,29 @@ class Fault:
         one = numbers_of(cls).get(key) or cls.vectors.get(key)
         return one.unit if one else ""
 
-    def with_number(self, path: Sequence[str], value: float) -> Self | None:
-        """Return it with another number, as if it had been read so.
+    def with_numbers(self, numbers: Iterable[tuple[Sequence[str], float]]) -> Self | None:
+        """Return it with other numbers, as if it had been read so.
 
         Args:
-            path: name of a number; or of a vector, and the place in it.
-            value: of the number.
+            numbers: of each its path, the name of a number, or of a vector and the place in it;
+                and its value.
 
         Returns:
             None: no such number, or a value out of its range, which `read` refuses.
         """
-        key, *place = path
-        bound = self.vectors.get(key) if place else numbers_of(type(self)).get(key)
-        if bound is None or not bound.holds(value):
-            return None
-        taken: Any = bound.take("", value)
-        if place:
-            entries = list(getattr(self, key))
-            entries[int(place[0])] = taken
-            taken = tuple(entries)
-        return replace(self, **{key: taken})
+        changed: dict[str, Any] = {}
+        own = numbers_of(type(self))
+        for (key, *place), value in numbers:
+            bound = self.vectors.get(key) if place else own.get(key)
+            if bound is None or not bound.holds(value):
+                return None
+            if place:
+                entries = list(changed.get(key) or getattr(self, key))
+                entries[int(place[0])] = value
+                changed[key] = tuple(entries)
+            else:
+                changed[key] = bound.take("", value)
+        return replace(self, **changed)
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse what this scene cannot have.

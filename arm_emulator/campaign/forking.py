@@ -26,8 +26,8 @@ from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.program import Program, Rows
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.search.splitting import Splitting
-from arm_emulator.campaign.signals import ROOM, Sampler, units_of_signals
-from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.signals import Sampler, units_of_signals
+from arm_emulator.campaign.simulator import ROOM, Simulator
 from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import LARGEST_SEED
@@ -66,8 +66,8 @@ class ForkingRun(Simulator):
         self._from = math.ceil(formula.begin / period - 1e-6)
         self._to = math.inf if math.isinf(formula.end) else math.floor(formula.end / period + 1e-6)
         rows = Rows(scene.joint_names, period)
-        self._margin = Program(rows, (), (), [rows.of(of)], ROOM)
-        self._sampler = Sampler(self.session.plant, rows.samples)
+        self._margin = Program(rows, [()], (), [rows.of(of)], ROOM)
+        self._sampler = Sampler(self.session.plant, rows.samples, ROOM)
         self._look = self._at_most = max(1, ticks_of(campaign.search.look, period))
 
     @staticmethod
@@ -159,14 +159,14 @@ class ForkingRun(Simulator):
 
     def _take(self, level: float) -> int:
         """Judge a piece; return how many ticks before its end it was at the level first."""
-        samples, count = self._sampler.take()
-        end = self.session.tick + 1
-        self._margin.take(samples, count, self._targets)
+        samples, counts = self._sampler.take()
+        end, count = self.session.tick + 1, int(counts[0])
+        self._margin.take(samples, counts, self._targets)
         first = end - count
         begin, stop = max(self._from - first, 0), int(min(self._to + 1 - first, count))
         if begin >= stop:
             return 0
-        margins = self._margin.kept[0, begin:stop]
+        margins = self._margin.kept[0, 0, begin:stop]
         self._least = min(self._least, float(np.min(margins)))
         if not self._is_at(level):
             return 0

@@ -109,7 +109,7 @@ void judges_begin(judges* all) {
   all->taken = 0;
 }
 
-int judges_take(judges* all, const judges_samples* piece) {
+static int take_piece(judges* all, const judges_samples* piece) {
   for (int64_t from = 0; from < piece->count; from += JUDGES_BLOCK) {
     const int64_t left = piece->count - from;
     const int64_t count = left < JUDGES_BLOCK ? left : JUDGES_BLOCK;
@@ -129,7 +129,13 @@ int judges_take(judges* all, const judges_samples* piece) {
   return 0;
 }
 
-void judges_end(judges* all, double* robustness, double* measures) {
+int judges_take(judges* all, int32_t runs, const judges_samples* pieces) {
+  for (int32_t run = 0; run < runs; ++run)
+    if (take_piece(&all[run], &pieces[run])) return -1;
+  return 0;
+}
+
+static void end_run(judges* all, double* robustness, double* measures) {
   for (int32_t k = 0; k < all->requirement_count; ++k) {
     robustness[k] = robustness_end(all->requirements[k]);
   }
@@ -139,4 +145,9 @@ void judges_end(judges* all, double* robustness, double* measures) {
     const double value = sums ? one->found / (double)all->taken : one->found;
     measures[k] = one->reduction == JUDGES_RMS ? sqrt(value) : value;
   }
+}
+
+void judges_end(judges* all, int32_t runs, double* robustness, double* measures) {
+  for (int32_t run = 0; run < runs; ++run)
+    end_run(&all[run], robustness + run * all->requirement_count, measures + run * all->measure_count);
 }

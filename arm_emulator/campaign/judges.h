@@ -71,10 +71,10 @@ typedef struct judges {
 
 /* Begin a run. */
 void judges_begin(judges* all);
-/* Go on with a piece. Returns 0, or -1 without memory. */
-int judges_take(judges* all, const judges_samples* piece);
-/* Fill the robustness of each requirement and the value of each measure. */
-void judges_end(judges* all, double* robustness, double* measures);
+/* Go on with a piece of each of several runs. Returns 0, or -1 without memory. */
+int judges_take(judges* all, int32_t runs, const judges_samples* pieces);
+/* Fill the robustness of each requirement and the value of each measure, a row for each run. */
+void judges_end(judges* all, int32_t runs, double* robustness, double* measures);
 
 #ifdef __cplusplus
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +57,9 @@ class Measure:
         whole = parse_expression(found[2], where, quantity)
         self.of: list[Expression] = meant_by(whole, known, where, quantity)
 
-    def end(self, values: list[float]) -> float:
-        """Return the measure of several signals from that of each."""
-        return min(values) if self.kind == "min" else max(values)
+    def end(self, values: Array) -> Array:
+        """Return the measure of several signals (runs,) from that of each (runs, signals)."""
+        return values.min(axis=1) if self.kind == "min" else values.max(axis=1)
 
 
 class Checked:
@@ -93,19 +93,10 @@ class Checked:
             rule = "be FILE:FUNCTION, a file beside the campaign's"
             raise section.refusal("python", rule, section.text("python"))
         self._function = _function(folder / file, name, section)
-        self._trace: list[Array] = []
 
-    def begin(self) -> None:
-        """Begin a run."""
-        self._trace = []
-
-    def take(self, rows: Array) -> None:
-        """Keep some samples (K, n) of the names."""
-        self._trace.append(rows.copy())
-
-    def end(self) -> float:
-        """Return the function's result."""
-        whole = np.concatenate(self._trace, axis=1)
+    def judge(self, trace: Sequence[Array]) -> float:
+        """Return the function's result for pieces (names, n) of a run."""
+        whole = np.concatenate(trace, axis=1)
         return float(self._function(dict(zip(self.names, whole, strict=True))))
 
 
@@ -126,20 +117,18 @@ def _function(file: Path, name: str, section: Section) -> Callable[[Signals], An
 
 
 class Judges:
-    """All judges of a run.
+    """All judges of runs.
 
     Attributes:
-        samples: signals that it needs, in the order of their rows.
+        samples: signals that they need, in the order of their rows.
 
     Args:
-        campaign: that states it.
+        campaign: that states them.
         room: samples in a piece at most.
-
-    Raises:
-        Refusal: a requirement or measure that is not taken.
+        runs: that are judged at the same time.
     """
 
-    def __init__(self, campaign: Campaign, room: int) -> None:
+    def __init__(self, campaign: Campaign, room: int, runs: int = 1) -> None:
         scene, where = campaign.scene, campaign.where
         known = list(units_of_signals(scene))
         rows = Rows(scene.joint_names, scene.servo_period)
@@ -155,50 +144,63 @@ class Judges:
             else:
                 below = given.required_section(name)
                 self._checked[name] = Checked(below, known, campaign.file.parent)
-        self._measures = {
-            name: Measure(text, known, where, f"measures.{name}")
+        self._measures = [
+            Measure(text, known, where, f"measures.{name}")
             for name, text in campaign.measures.items()
-        }
-        self._names = list(campaign.requirements)
-        self._formulas = list(formulas)
+        ]
+        names = list(campaign.requirements)
+        self._of_formulas = [names.index(name) for name in formulas]
+        self._of_checked = [names.index(name) for name in self._checked]
         longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, scene.servo_period))
         if campaign.draws_sections:
             longest = 2**40
+        period = scene.servo_period
         requirements = [
-            Robustness(
-                judges(), one, rows.of, scene.servo_period, longest, where, f"requirements.{name}"
-            )
-            for name, one in formulas.items()
+            [
+                Robustness(judges(), one, rows.of, period, longest, where, f"requirements.{name}")
+                for name, one in formulas.items()
+            ]
+            for _ in range(runs)
         ]
         kept = [rows.of(Signal(name)) for one in self._checked.values() for name in one.names]
-        reduced = [(one.kind, rows.of(each)) for one in self._measures.values() for each in one.of]
+        reduced = [(one.kind, rows.of(each)) for one in self._measures for each in one.of]
         self._program = Program(rows, requirements, reduced, kept, room)
+        self._traces: list[list[Array]] = [[] for _ in range(runs)]  # for functions of Python
         self.samples = rows.samples
 
     def begin(self) -> None:
-        """Begin a run."""
+        """Begin all runs."""
         self._program.begin()
-        for one in self._checked.values():
-            one.begin()
+        for trace in self._traces:
+            trace.clear()
 
-    def take(self, samples: Array, count: int, targets: Targets) -> None:
-        """Go on with some samples."""
-        self._program.take(samples, count, targets)
-        first = 0
-        for one in self._checked.values():
-            end = first + len(one.names)
-            one.take(self._program.kept[first:end, :count])
-            first = end
+    def take(self, samples: Array, counts: NDArray[np.int64], targets: Targets) -> None:
+        """Go on with samples (runs, S, room), of which there are so many (runs,)."""
+        self._program.take(samples, counts, targets)
+        if self._checked:
+            for trace, rows, count in zip(self._traces, self._program.kept, counts, strict=False):
+                trace.append(rows[:, :count].copy())
 
-    def end(self, diverged: bool) -> tuple[dict[str, float], dict[str, float]]:
-        """End the run; return robustness and measures."""
-        if diverged:
-            return dict.fromkeys(self._names, -math.inf), dict.fromkeys(self._measures, math.nan)
+    def end(self, diverged: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """End the runs (runs,); return robustness and measures, a row for each.
+
+        They are -inf and NaN in runs that diverged.
+        """
         values, reduced = self._program.end()
-        found = dict(zip(self._formulas, values, strict=True))
-        found |= {name: one.end() for name, one in self._checked.items()}
-        rest = iter(reduced)
-        measures = {
-            name: one.end([next(rest) for _ in one.of]) for name, one in self._measures.items()
-        }
-        return {name: found[name] for name in self._names}, measures
+        runs = len(diverged)
+        robustness = np.full((runs, len(self._of_formulas) + len(self._of_checked)), -math.inf)
+        measures = np.full((runs, len(self._measures)), math.nan)
+        sound = np.flatnonzero(~diverged)
+        robustness[np.ix_(sound, self._of_formulas)] = values[sound]
+        for run in sound if self._checked else ():
+            first = 0
+            for place, one in zip(self._of_checked, self._checked.values(), strict=True):
+                end = first + len(one.names)
+                trace = [rows[first:end] for rows in self._traces[run]]
+                robustness[run, place], first = one.judge(trace), end
+        first = 0
+        for place, measure in enumerate(self._measures):
+            end = first + len(measure.of)
+            measures[sound, place] = measure.end(reduced[sound, first:end])
+            first = end
+        return robustness, measures

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,23 +106,32 @@ class Rows:
 
 @dataclass(frozen=True)
 class Targets:
-    """Targets of joints.
+    """Targets of joints in runs.
 
     Attributes:
-        since: samples from which each holds (T,), ascending from 0.
+        since: samples from which each holds (T,), of each run ascending from 0.
         q: joint positions (T, N) [rad or m].
+        first: place of the first one of each run, and the end (runs + 1,).
     """
 
     since: NDArray[np.int64]
     q: Array
+    first: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, runs: Sequence[tuple[Sequence[int], Array]]) -> Targets:
+        """Return those of runs, of each the samples and the positions."""
+        first = np.concatenate([[0], np.cumsum([len(since) for since, _ in runs])])
+        since = np.concatenate([np.asarray(one, np.int64) for one, _ in runs])
+        return cls(since, np.concatenate([q for _, q in runs]), first.astype(np.int64))
 
 
 class Program:
-    """Judges the samples of a run, piece by piece.
+    """Judges the samples of runs, piece by piece.
 
     Args:
         rows: all that are needed.
-        requirements: over these rows.
+        requirements: over these rows, a list for each run that is judged at the same time.
         measures: kind of reduction and row of each.
         kept: rows that are wanted as they are.
         room: samples in a piece at most.
@@ -130,65 +140,80 @@ class Program:
     def __init__(
         self,
         rows: Rows,
-        requirements: Sequence[Robustness],
+        requirements: Sequence[Sequence[Robustness]],
         measures: Sequence[tuple[str, int]],
         kept: Sequence[int],
         room: int,
     ) -> None:
-        self._requirements = list(requirements)  # they own what the program uses
-        self._calls = judges()
-        self._pointers = JUDGES.ffi.new("robustness *[]", [one.pointer for one in requirements])
-        self._measures = JUDGES.rows("judges_measure", max(1, len(measures)))
-        for place, (kind, row) in zip(self._measures, measures, strict=False):
-            place["reduction"] = JUDGES.constant(f"JUDGES_{kind.upper()}")
-            place["row"] = row
-        self.kept = np.zeros((len(kept), room))
-        self._robustness, self._found = np.zeros(len(requirements)), np.zeros(len(measures))
-        self._struct = JUDGES.new(
-            "judges",
-            row_count=len(rows),
-            requirement_count=len(requirements),
-            measure_count=len(measures),
-            kept_count=len(kept),
-            rows=JUDGES.pointer("judges_row", self._hold(rows.struct())),
-            values=self._hold(np.zeros((max(1, len(rows)), BLOCK))),
-            requirements=self._pointers,
-            measures=JUDGES.pointer("judges_measure", self._measures),
-            kept_rows=self._hold(np.array([*kept, 0], np.int32)),
-            kept=pointer(self.kept) if len(kept) else NULL,
-            kept_stride=room,
-        )
-
-    def _hold(self, array: NDArray[np.generic]) -> NDArray[np.generic]:
-        self._held = [*getattr(self, "_held", []), array]
-        return array
+        self._requirements = requirements  # they own what the program uses
+        self._calls, runs = judges(), len(requirements)
+        own = JUDGES.rows("judges_measure", runs, max(1, len(measures)))
+        for place, (kind, row) in enumerate(measures):
+            own[:, place]["reduction"] = JUDGES.constant(f"JUDGES_{kind.upper()}")
+            own[:, place]["row"] = row
+        self.kept = np.zeros((runs, len(kept), room))
+        self._robustness = np.zeros((runs, len(requirements[0])))
+        self._found = np.zeros((runs, len(measures)))
+        values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
+        kept_rows, of_rows = np.array([*kept, 0], np.int32), rows.struct()
+        self._held = own, values, kept_rows, of_rows
+        self._pointers = [
+            JUDGES.ffi.new("robustness *[]", [one.pointer for one in of_run])
+            for of_run in requirements
+        ]
+        self._structs = JUDGES.ffi.new("judges[]", runs)
+        for run in range(runs):
+            JUDGES.fill(
+                JUDGES.ffi.addressof(self._structs, run),
+                row_count=len(rows),
+                requirement_count=len(requirements[0]),
+                measure_count=len(measures),
+                kept_count=len(kept),
+                rows=JUDGES.pointer("judges_row", of_rows),
+                values=values,
+                requirements=self._pointers[run],
+                measures=JUDGES.pointer("judges_measure", own[run]),
+                kept_rows=kept_rows,
+                kept=pointer(self.kept[run]) if len(kept) else NULL,
+                kept_stride=room,
+            )
+        self._pieces = JUDGES.rows("judges_samples", runs)
 
     def begin(self) -> None:
-        """Begin a run."""
-        self._calls.judges_begin(self._struct)
+        """Begin all runs."""
+        for run in range(len(self._pieces)):
+            self._calls.judges_begin(JUDGES.ffi.addressof(self._structs, run))
 
     def go_on(self, taken: int) -> None:
         """Continue a run of which so many samples were taken elsewhere; of rows alone."""
-        self._calls.judges_begin(self._struct)
-        self._struct.taken = taken
+        self.begin()
+        self._structs[0].taken = taken
 
-    def take(self, samples: Array, count: int, targets: Targets | None = None) -> None:
-        """Go on with `count` samples of the rows of `samples` (S, room)."""
-        piece = JUDGES.new(
-            "judges_samples", count=count, stride=samples.shape[1], rows=pointer(samples)
-        )
+    def take(
+        self, samples: Array, counts: NDArray[np.int64], targets: Targets | None = None
+    ) -> None:
+        """Go on with samples (runs, S, room), of which there are so many (runs,)."""
+        pieces, runs = self._pieces, len(counts)
+        pieces["count"][:runs], pieces["stride"] = counts, samples.shape[2]
+        pieces["rows"][:runs] = _places(samples, np.arange(runs))
         if targets is not None:
-            JUDGES.fill(
-                piece,
-                since=targets.since,
-                targets=targets.q,
-                target_count=len(targets.since),
-                joints=targets.q.shape[1],
-            )
-        if self._calls.judges_take(self._struct, piece):
+            first = targets.first[: runs + 1]
+            pieces["since"][:runs] = _places(targets.since, first[:-1])
+            pieces["targets"][:runs] = _places(targets.q, first[:-1])
+            pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
+        given = JUDGES.pointer("judges_samples", pieces)
+        if self._calls.judges_take(self._structs, runs, given):
             raise MemoryError("no memory for a requirement")
 
-    def end(self) -> tuple[list[float], list[float]]:
-        """Return the robustness of each requirement, and the value of each measure."""
-        self._calls.judges_end(self._struct, pointer(self._robustness), pointer(self._found))
-        return self._robustness.tolist(), self._found.tolist()
+    def end(self) -> tuple[Array, Array]:
+        """Return robustness (runs, requirements) and measures (runs, measures), as copies."""
+        places = pointer(self._robustness), pointer(self._found)
+        self._calls.judges_end(self._structs, len(self._pieces), *places)
+        return self._robustness.copy(), self._found.copy()
+
+
+def _places(rows: NDArray[Any], which: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the addresses of some rows of a contiguous array."""
+    assert rows.flags.c_contiguous
+    address: int = rows.__array_interface__["data"][0]
+    return address + rows.strides[0] * which

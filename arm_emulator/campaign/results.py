@@ -9,9 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.campaign.campaign_file import Campaign
-
-if TYPE_CHECKING:
-    from arm_emulator.campaign.simulator import Outcome
+from arm_emulator.campaign.outcome import Outcomes
 
 PARTS, ABOUT = "parts", "campaign.json"
 INDEX, FAILED, DIVERGED = "index", "failed", "diverged"
@@ -51,25 +49,19 @@ def schema_of(campaign: Campaign) -> Any:
     )
 
 
-def write_part(folder: Path, campaign: Campaign, outcomes: Sequence[Outcome]) -> Path | None:
-    """Write the rows of some runs as a part; None without a row."""
-    if not outcomes:
-        return None
+def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
+    """Write the rows of some runs, one at least, as a part."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     schema = schema_of(campaign)
-    columns: dict[str, list[Any]] = {name: [] for name in schema.names}
-    for one in outcomes:
-        row = {INDEX: one.index, FAILED: one.failed, DIVERGED: one.diverged, **one.values}
-        row |= {f"{ROBUSTNESS}{name}": value for name, value in one.robustness.items()}
-        row |= {f"{MEASURE}{name}": value for name, value in one.measures.items()}
-        for name, value in row.items():
-            columns[name].append(value)
-    first, last = outcomes[0].index, outcomes[-1].index
-    part = folder / PARTS / f"{first:012d}-{last:012d}-{len(outcomes)}.parquet"
+    columns = [done.indices, done.failed, done.diverged]
+    for rows in (done.values, done.robustness, done.measures):
+        columns += [np.ascontiguousarray(column) for column in rows.T]
+    first, last = done.indices[0], done.indices[-1]
+    part = folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet"
     hidden = part.with_name(f".{part.name}.{os.uname().nodename}.{os.getpid()}")
-    pq.write_table(pa.table(columns, schema=schema), hidden)
+    pq.write_table(pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema), hidden)
     with hidden.open("rb") as written:
         os.fsync(written.fileno())
     hidden.replace(part)

@@ -57,6 +57,16 @@ class Scenario:
     targets: TargetTable | None
     moves: tuple[Move, ...]
 
+    @property
+    def table(self) -> TargetTable:
+        """The targets from time 0 on; the start until the first one."""
+        held, table = TargetTable(np.zeros(1), self.start[None]), self.targets
+        if table is None:
+            return held
+        if table.t[0] <= 0.0:
+            return table
+        return TargetTable(np.append(held.t, table.t), np.vstack([held.q, table.q]))
+
 
 def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
     """Return the scenario of a section.

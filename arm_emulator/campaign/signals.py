@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.column import Column
-from arm_emulator.build.c_header import NULL, Header, Library, pointer
+from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.call_arguments import truth_at
+from arm_emulator.machine.core_calls import FLEET, PLACES
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene
@@ -22,7 +26,6 @@ from arm_emulator.machine.scene import Scene
 Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
-ROOM = 4096  # samples in a batch for requirements
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 TOOL = ("tool.x", "tool.y", "tool.z")
 
@@ -48,87 +51,158 @@ def units_of_signals(scene: Scene) -> dict[str, str]:
     return columns | (dict.fromkeys(TOOL, "m") if scene.chain.coupling.plain else {})
 
 
-class Sampler:
-    """Takes some numbers of a plant at every tick.
+class Samples:
+    """Numbers of machines at every tick.
+
+    Attributes:
+        room: samples that there is room for.
 
     Args:
-        plant: the machine.
+        scene: the machine.
         names: of signals, in the order of their rows.
+        arms: how many machines.
+        room: see above.
     """
 
-    def __init__(self, plant: Plant, names: Sequence[str]) -> None:
-        scene = plant.scene
-        self._plant = plant
+    def __init__(self, scene: Scene, names: Sequence[str], arms: int, room: int) -> None:
+        self._scene, self.room = scene, room
         wanted = list(names)
         self._tool = {
             wanted.index(name): place for place, name in enumerate(TOOL) if name in wanted
         }
-        own = {one.name: one for one in columns_of(scene)}
         if self._tool:
             wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
-        sampled = [place for place, name in enumerate(wanted) if name not in TOOL]
-        self._names = [wanted[place] for place in sampled]
-        self._row = RecordRow(plant)
-        self._samples = np.zeros((max(1, len(wanted)), ROOM))
-        numbers = self._numbers([own[name] for name in self._names])
-        numbers["row"][: len(sampled)] = sampled
-        truth = {name.partition(".")[0] for name in self._names} - {"measured"}
-        rows = self._row.rows
-        self._truth = truth_at(**{
-            name: rows["energy"] if name == "energy" else rows[name][0] for name in truth
-        })  # fmt: skip
-        measures = any(name.startswith("measured.") for name in self._names)
-        self._keeps = numbers
-        self._sampler = SAMPLER.new(
+        own = {one.name: one for one in columns_of(scene)}
+        self._columns = {
+            place: own[name] for place, name in enumerate(wanted) if name not in TOOL
+        }
+        names_of_truth = {one.path[0] for one in self._columns.values()} - {"measured"}
+        self.truth, self.measures = names_of_truth, len(names_of_truth) < len(
+            {one.path[0] for one in self._columns.values()}
+        )
+        self._samples = np.zeros((arms, max(1, len(wanted)), room))
+        self._taken = np.zeros(arms, np.int64)
+        self.calls = _sampler()
+
+    def sampler(self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any) -> CData:
+        """Return the struct of a sampler that reads from rows, one of each machine."""
+        self._numbers = SAMPLER.rows("sampler_number", max(1, len(self._columns)))
+        for number, (row, column) in zip(self._numbers, self._columns.items(), strict=False):
+            place = column.of(rows)  # type: ignore[arg-type]
+            number["place"] = place.__array_interface__["data"][0]
+            number["stride"] = place.strides[0]
+            number["kind"] = SAMPLER.constant(f"SAMPLER_{_KINDS[place.dtype.str[1:]]}")
+            number["row"] = row
+        return SAMPLER.new(
             "sampler",
-            count=len(self._names),
-            measure=plant.core.arm_measure if measures else NULL,
+            count=len(self._columns),
+            rows=self._samples.shape[1],
+            numbers=SAMPLER.pointer("sampler_number", self._numbers),
+            samples=pointer(self._samples),
+            room=self.room,
+            taken=self._taken,
+            **more,
+        )
+
+    def forget(self) -> None:
+        """Forget the samples so far."""
+        self._taken[:] = 0
+
+    def take(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return samples (arms, S, room), and how many have come since the last call (arms,)."""
+        counts = self._taken.copy()
+        self._taken[:] = 0
+        if self._tool:
+            most = int(counts.max())
+            q = np.moveaxis(self._samples[:, self._q, :most], 1, 0)
+            p = tool_positions(self._scene, q.reshape(len(self._q), -1))
+            for row, axis in self._tool.items():
+                self._samples[:, row, :most] = p[axis].reshape(len(counts), most)
+        return self._samples, counts
+
+
+class Sampler(Samples):
+    """Samples of a plant.
+
+    Args:
+        plant: the machine.
+        names: of signals, in the order of their rows.
+        room: for samples.
+    """
+
+    def __init__(self, plant: Plant, names: Sequence[str], room: int) -> None:
+        super().__init__(plant.scene, names, 1, room)
+        self._plant, self._row = plant, RecordRow(plant)
+        rows = self._row.rows
+        self._at = truth_at(**{
+            name: rows["energy"] if name == "energy" else rows[name][0] for name in self.truth
+        })  # fmt: skip
+        self._sampler = self.sampler(
+            rows,
+            measure=plant.core.arm_measure if self.measures else NULL,
             get_truth=plant.core.arm_get_truth,
             measurement=self._row.measurement,
-            truth=self._truth,
-            row=SAMPLER.ffi.cast("char *", SAMPLER.ffi.from_buffer(rows)),
-            numbers=SAMPLER.pointer("sampler_number", numbers),
-            samples=pointer(self._samples),
-            room=ROOM,
+            truth=self._at,
         )
-        self._calls = _sampler()
-
-    def _numbers(self, columns: Sequence[Column]) -> NDArray[np.void]:
-        rows = self._row.rows
-        base = rows.__array_interface__["data"][0]
-        numbers = SAMPLER.rows("sampler_number", max(1, len(columns)))
-        for number, column in zip(numbers, columns, strict=False):
-            place = column.of(rows)
-            number["offset"] = place.__array_interface__["data"][0] - base
-            number["kind"] = SAMPLER.constant(f"SAMPLER_{_KINDS[place.dtype.str[1:]]}")
-        return numbers
 
     def begin(self) -> None:
         """Take the first sample of a run, and one at each tick from now on."""
-        self._sampler.taken = 0
+        self.forget()
         plant = self._plant
-        self._calls.sampler_take(self._sampler, plant.machine)
-        plant.core.arm_listen(plant.machine, self._calls.sampler_take, self._sampler)
+        self.calls.sampler_take(self._sampler, plant.machine)
+        plant.core.arm_listen(plant.machine, self.calls.sampler_take, self._sampler)
 
     def end(self) -> None:
         """End sampling."""
         self._plant.core.arm_listen(self._plant.machine, NULL, NULL)
 
     @property
-    def room(self) -> int:
+    def left(self) -> int:
         """Room for samples before `take`."""
-        return ROOM - int(self._sampler.taken)
+        return self.room - int(self._taken[0])
 
-    def take(self) -> tuple[Array, int]:
-        """Return rows of samples (S, ROOM), and how many have come since the last call."""
-        count = int(self._sampler.taken)
-        self._sampler.taken = 0
-        if self._tool:
-            p = tool_positions(self._plant.scene, self._samples[self._q, :count])
-            for row, axis in self._tool.items():
-                self._samples[row, :count] = p[axis]
-        return self._samples, count
+
+class FleetSampler(Samples):
+    """Samples of the arms of a fleet.
+
+    Attributes:
+        look, with_: function and argument of a `FleetWay` that takes samples.
+
+    Args:
+        fleet: of arms.
+        names: of signals, in the order of their rows.
+        room: for samples of each.
+    """
+
+    def __init__(self, fleet: Fleet, names: Sequence[str], room: int) -> None:
+        scene, count = fleet.scene, len(fleet)
+        super().__init__(scene, names, count, room)
+        self._fleet, N = fleet, len(scene.joints)
+        place = MeasuredPlace(scene, count)
+        shapes = {name: (count, N) for name in self.truth} | dict.fromkeys(("energy",), (count,))
+        truth = {name: np.zeros(shapes[name]) for name in self.truth}
+        arrays = {one.field for one in self._columns.values() if one.path[0] == "measured"}
+        self._measurement = FLEET.new(
+            "arm_fleet_measurement", **{name: place.arrays[name] for name in arrays}
+        )
+        self._truth = FLEET.new(
+            "arm_fleet_truth", **{PLACES.get(name, name): rows for name, rows in truth.items()}
+        )
+        self._keeps = place, truth
+        self.with_ = self.sampler(
+            place.arrays | truth,
+            show=fleet.core.arm_fleet_step,
+            fleet=fleet._fleet,
+            measurements=self._measurement if self.measures else NULL,
+            truths=self._truth,
+        )
+        self.look = self.calls.sampler_take_abreast
+
+    def begin(self) -> None:
+        """Take the first sample of all arms."""
+        self.forget()
+        self.calls.sampler_take_abreast(self.with_, 0, len(self._fleet))
 
 
 def tool_positions(scene: Scene, q: Array) -> Array:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,10 @@ from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case
 from arm_emulator.campaign.fault import changes_of
 from arm_emulator.campaign.judges import Judges
+from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
-from arm_emulator.campaign.signals import ROOM, Sampler
+from arm_emulator.campaign.signals import Sampler
 from arm_emulator.machine.change import Change, NumberChange, WrenchChange
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.session import Session
@@ -29,30 +29,7 @@ from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.servo_config import ServoConfig
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Data that are kept of a run.
-
-    Attributes:
-        index: of the run.
-        values: of what varies, by name.
-        robustness: of each requirement; -inf in a run that diverged.
-        measures: by name; NaN in a run that diverged.
-        diverged: when the integration failed [s]; NaN: it did not.
-    """
-
-    index: int
-    values: Mapping[str, float]
-    robustness: Mapping[str, float]
-    measures: Mapping[str, float]
-    diverged: float
-
-    @property
-    def failed(self) -> bool:
-        """Whether a requirement does not hold."""
-        return math.isfinite(self.diverged) or any(not r >= 0.0 for r in self.robustness.values())
+ROOM = 4096  # samples in a batch for requirements
 
 
 class Simulator:
@@ -60,10 +37,13 @@ class Simulator:
 
     Attributes:
         session: the machine.
+        width: runs at a time.
 
     Args:
         campaign: which one.
     """
+
+    width = 1
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
@@ -75,7 +55,7 @@ class Simulator:
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()
-        self._sampler = Sampler(self.session.plant, self._judges.samples)
+        self._sampler = Sampler(self.session.plant, self._judges.samples, ROOM)
 
     def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
         """Return machine and controller of the scenario."""
@@ -104,16 +84,33 @@ class Simulator:
         diverged = math.nan
         try:
             for _ in self._pieces():
-                if sampler.room < 1:
+                if sampler.left < 1:
                     judges.take(*sampler.take(), self._targets)
             judges.take(*sampler.take(), self._targets)
         except Diverged as fault:
             diverged = fault.t
-            sampler.take()
+            sampler.forget()
         finally:
             sampler.end()
-        robustness, measures = judges.end(math.isfinite(diverged))
-        return Outcome(case.index, case.values, robustness, measures, diverged)
+        robustness, measures = judges.end(np.isfinite([diverged]))
+        return Outcome(
+            case.index,
+            case.values,
+            dict(zip(self._campaign.requirements, robustness[0].tolist(), strict=True)),
+            dict(zip(self._campaign.measures, measures[0].tolist(), strict=True)),
+            diverged,
+        )
+
+    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
+        """Simulate runs one after the other, see `RunsInLanes.runs`."""
+        for case in cases:
+            one = self.run(case)
+            rows = ([list(of.values())] for of in (one.values, one.robustness, one.measures))
+            yield Outcomes(
+                np.array([one.index]),
+                *(np.array(row, np.float64) for row in rows),
+                np.array([one.diverged]),
+            )
 
     def drive(self, case: Case) -> Iterator[int]:
         """Simulate a run piece by piece, for a recorder of the machine.
@@ -158,13 +155,7 @@ class Simulator:
             self._run.restart(self._fresh)
             self._aimed = [(0, self._scenario.start)]
             return
-        table, start = self._scenario.targets, self._scenario.start
-        if table is None or table.t[0] > 0.0:
-            held = TargetTable(np.zeros(1), start[None])
-            table = held if table is None else TargetTable(
-                np.append(held.t, table.t), np.vstack([held.q, table.q])
-            )  # fmt: skip
-        self._table = table
+        self._table = table = self._scenario.table
         drives.reset()
         self._run.restart(self._fresh, table)
 
@@ -188,7 +179,7 @@ class Simulator:
             while events and events[0][0] <= session.tick:
                 _make(session, events.pop(0)[1])
             until = min([last, *(tick for tick, _ in events[:1])])
-            ticks = min(until - session.tick, self._sampler.room, self._longest)
+            ticks = min(until - session.tick, self._sampler.left, self._longest)
             began = session.tick
             run.advance(ticks)
             if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
@@ -213,9 +204,8 @@ class Simulator:
         """The joint targets so far, with the tick from which on each holds."""
         if isinstance(self._run, OfflineRun):
             since, rows = zip(*self._aimed, strict=True)
-            return Targets(np.array(since), np.array(rows))
-        ticks = self._table.ticks(self._scene.servo_period)
-        return Targets(np.array(ticks), np.ascontiguousarray(self._table.q))
+            return Targets.of([(since, np.array(rows))])
+        return Targets.of([(self._table.ticks(self._scene.servo_period), self._table.q)])
 
 
 def _make(session: Session, change: Change) -> None:

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
-from arm_emulator.campaign.case import Case, case_at
+from arm_emulator.campaign.case import Case, case_at, drawn_case
+from arm_emulator.campaign.lanes import RunsInLanes, runs_of
+from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.results import write_part
-from arm_emulator.campaign.simulator import Outcome, Simulator
+from arm_emulator.campaign.simulator import Simulator
 
 Array = NDArray[np.float64]
 _PR_SET_PDEATHSIG = 1
@@ -44,8 +46,8 @@ class Done(NamedTuple):
     outputs: Array | None = None
 
 
-def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator]:
-    """Return a campaign and this thread's machine for it.
+def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | RunsInLanes]:
+    """Return a campaign and this thread's machines for it.
 
     Raises:
         Refusal: the campaign is not the same here.
@@ -54,9 +56,9 @@ def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator]:
 
 
 @cache
-def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator]:
+def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator | RunsInLanes]:
     campaign = campaign_of(file, key)
-    return campaign, Simulator(campaign)
+    return campaign, runs_of(campaign)
 
 
 def campaign_of(file: str, key: bytes) -> Campaign:
@@ -89,32 +91,38 @@ def simulate(
         Refusal: values of a run that are out of range; the runs before it are written.
     """
     campaign, simulator = simulator_of(file, key)
-    outcomes: list[Outcome] = []
+    outcomes: list[Outcomes] = []
     began = time.process_time()
     _asked["busy"] = True
     try:
-        for index in range(first, end):
+        for start in range(first, end, simulator.width):
             if _asked["end"]:
                 break
-            which: int | Case = index
-            if points is not None:
-                which = case_at(campaign.variation, index, points[index - first])
-            outcomes.append(simulator.run(which))
+            some = range(start, min(start + simulator.width, end))
+            for one in simulator.runs([_case(campaign, k, first, points) for k in some]):
+                outcomes.append(one)  # those before a run that is refused, too
     finally:
-        write_part(Path(folder), campaign, outcomes)
+        done = Outcomes.joined(outcomes) if outcomes else None
+        if done is not None:
+            write_part(Path(folder), campaign, done)
         _asked["busy"] = False
     if _asked["end"]:
         os._exit(0)
-    failures = np.zeros(len(campaign.requirements) + 1, np.int64)
-    for one in outcomes:
-        failures[:-1] += [not value >= 0.0 for value in one.robustness.values()]
-        failures[-1] += one.failed
+    failures: tuple[int, ...] = (0,) * (len(campaign.requirements) + 1)
+    runs, found = 0, None
+    if done is not None:
+        broken = np.count_nonzero(~(done.robustness >= 0.0), axis=0)
+        failures, runs = (*broken.tolist(), int(np.count_nonzero(done.failed))), len(done)
+        found = np.hstack([done.robustness, done.measures])
     spent = time.process_time() - began
-    found = None
-    if points is not None:
-        rows = [(*one.robustness.values(), *one.measures.values()) for one in outcomes]
-        found = np.array(rows, np.float64)
-    return Done(len(outcomes), tuple(failures.tolist()), spent, len(outcomes) == end - first, found)
+    return Done(runs, failures, spent, runs == end - first, None if points is None else found)
+
+
+def _case(campaign: Campaign, index: int, first: int, points: Array | None) -> Case:
+    """Return a run of a chunk that begins at `first`."""
+    if points is None:
+        return drawn_case(campaign.variation, index)
+    return case_at(campaign.variation, index, points[index - first])
 
 
 def end_with(parent: int) -> None:

@@ -59,6 +59,8 @@ def on_moving_link(
     if wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
     joint, frame = _frame_of(scene, where, link)
+    if not arms:
+        return joint, _moved(where, wrench, frame)
     force, moment, point = (
         _rows(where, bound, values, arms)
         for bound, values in (
@@ -68,18 +70,26 @@ def on_moving_link(
     if wrench.axes == "link":
         force, moment = _turned(frame.R, force), _turned(frame.R, moment)
     point = _turned(frame.R, point) + frame.p
-    if arms:
-        return joint, ExternalWrench(force, moment, point, wrench.axes)
-    f, m, p = (tuple(rows[0].tolist()) for rows in (force, moment, point))
-    return joint, ExternalWrench(f, m, p, wrench.axes)
+    return joint, ExternalWrench(force, moment, point, wrench.axes)
+
+
+def _moved(where: str, wrench: ExternalWrench, frame: Frame) -> ExternalWrench:
+    """Return the wrench of one machine in another frame."""
+    vectors = [
+        NONE if values is NONE else bound.row(where, values, 3)
+        for bound, values in (
+            (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
+        )
+    ]  # fmt: skip
+    if wrench.axes == "link":
+        vectors[:2] = [one if one is NONE else frame.R @ one for one in vectors[:2]]
+    f, m, p = vectors
+    at = frame.p if p is NONE else frame.R @ p + frame.p
+    return ExternalWrench(*map(tuple, (f, m, at)), wrench.axes)  # type: ignore[arg-type]
 
 
 def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
-    """Return vectors as rows (arms, 3), or (1, 3) of one machine."""
-    if values is NONE and not arms:
-        return np.zeros((1, 3))
-    if not arms:
-        return bound.row(where, values, 3)[np.newaxis]
+    """Return vectors as rows (arms, 3)."""
     rows = bound.numbers(where, values)
     if rows.shape not in ((3,), (*arms, 3)):
         rule = f"have shape (3,) or ({arms[0]}, 3)"

@@ -240,6 +240,7 @@ class Fleet(CoreMachines):
         *,
         links: Array | None = None,
         way: FleetWay | None = None,
+        arms: int | None = None,
     ) -> FleetFrame:
         """Advance by servo periods under commands of control code in C, without Python in between.
 
@@ -253,6 +254,7 @@ class Fleet(CoreMachines):
             links: filled with the links' positions after each period (periods, count, N) [rad or
                 m]; None: nothing.
             way: what is set in the arms at their ticks, and what looks at them; None: nothing.
+            arms: only the first so many advance, in one thread; None: all.
 
         Returns:
             `out`.
@@ -277,6 +279,8 @@ class Fleet(CoreMachines):
         if way is not None and (not isinstance(way, FleetWay) or way.of != (self.scene, self._count)):
             raise Refusal(where, "way", "be a FleetWay for this fleet", way)
         by = FLEET.new("arm_fleet_way") if way is None else way.struct
+        if arms is not None:
+            arms = check_count(where, "arms", arms, 1, self._count)
         given = FLEET.new(
             "arm_fleet_control",
             joint=self._commands,
@@ -292,7 +296,10 @@ class Fleet(CoreMachines):
 
         for done, some in self._pieces(periods):
             by.links = NULL if links is None else pointer(links[done:])
-            self._shares.do(self._worth(some), partial(go, some))
+            if arms is None:
+                self._shares.do(self._worth(some), partial(go, some))
+            else:
+                go(some, 0, arms)
             if refused:
                 raise self._refusal(where, "")
         return out

@@ -132,12 +132,9 @@ void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask) {
   }
 }
 
-void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint,
-                        int64_t hold_after, int64_t cut_after) {
+void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint) {
   for (int32_t j = 0; j < fleet->joints; ++j)
     put_lane(fleet->abreast->of[arm / L * fleet->joints + j].numbers, arm % L, joint[j]);
-  fleet->arm[arm].watchdog.hold_after = hold_after;
-  fleet->arm[arm].watchdog.cut_after = cut_after;
 }
 
 void servo_fleet_step(void* with, const arm_fleet_rows* rows) {

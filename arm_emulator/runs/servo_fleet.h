@@ -34,9 +34,8 @@ void servo_fleet_begin(servo_fleet* fleet, int32_t arms);
 void servo_fleet_end(servo_fleet* fleet);
 /* Have the servos of a mask with a byte for each arm forget everything; targets begin anew. */
 void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask);
-/* Change the numbers of the joints of an arm, and of its watchdog. */
-void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint,
-                        int64_t hold_after, int64_t cut_after);
+/* Change the numbers of the joints of an arm. */
+void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint);
 /* A period of some arms; `with` is a servo_fleet. */
 void servo_fleet_step(void* with, const arm_fleet_rows* rows);
 

@@ -28,6 +28,8 @@ from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.watchdog import nanoseconds
 
 HERE = Path(__file__).resolve().parent
 SERVOS = Header(HERE / "servo_fleet.h", (BOUNDARY, FOLDER))
@@ -94,7 +96,7 @@ class ServoFleet(FleetControl):
         for k in range(count):
             self._arms[k] = drives[k % len(drives)].servo.arm[0]
         self._tick = np.zeros(count, np.int64)
-        self._rows: tuple[Array | None, ...] = ()
+        self._rows: tuple[Any, ...] = ()
         self.struct: CData = SERVOS.new(
             "servo_fleet",
             joints=N,
@@ -148,6 +150,7 @@ class ServoFleet(FleetControl):
                 raise Refusal(where, bound.name, f"have the shape of q, {rows[0].shape}", one.shape)
             rows.append(one)  # type: ignore[arg-type]
         self._rows = tuple(rows)
+        self.struct.since = NULL
         of_arms = rows[0].ndim == 3
         places = [NULL if one is None else pointer(one) for one in rows]
         SERVOS.fill(
@@ -160,6 +163,56 @@ class ServoFleet(FleetControl):
         )
         for k in range(self._count):
             self._arms[k].motion_period = every * round(self._period * 1e9)
+
+    def aim_at(self, since: ArrayLike, q: ArrayLike, first: ArrayLike) -> None:
+        """Set rows of joint targets for each arm, which hold from periods on since its reset.
+
+        A target is given in every period, the newest one again where there is none, as
+        `arm_emulator.runs.table_run` does.
+
+        Args:
+            since: periods of the rows (K,), of each arm ascending from 0.
+            q: link angles (K, N) [rad or m], in the scene's order of joints.
+            first: place of the first row of each arm, and the end (count + 1,).
+
+        Raises:
+            Refusal: wrong shapes, not finite, too large, or periods that do not ascend from 0;
+                nothing has changed.
+        """
+        where = "ServoFleet.aim_at"
+        periods, places = np.array(since, np.int64), np.array(first, np.int64)
+        rows = POSITION.named("q").numbers(where, q)
+        POSITION.named("q").check(where, rows)
+        shape = len(periods), self._N
+        if rows.shape != shape:
+            raise Refusal(where, "q", f"have shape {shape}", rows.shape)
+        if places.shape != (self._count + 1,) or places[0] != 0 or places[-1] != len(periods):
+            rule = f"be {self._count + 1} places from 0 to {len(periods)}"
+            raise Refusal(where, "first", rule, places)
+        begins = np.zeros(len(periods), bool)
+        begins[places[:-1]] = np.diff(places) > 0
+        ascend = np.diff(periods, prepend=-1) > 0
+        if np.any(np.diff(places) <= 0) or np.any(periods[begins]) or not np.all(begins | ascend):
+            raise Refusal(where, "since", "ascend from 0 for each arm", periods)
+        self._rows = np.ascontiguousarray(rows[:, self._place]), periods, places
+        self._row = places[:-1].copy()
+        SERVOS.fill(
+            self.struct, q=self._rows[0], since=periods, first_row=places, row=self._row,
+        )
+        for k in range(self._count):
+            motion_period = self._drives[k % len(self._drives)].servo.config.motion_period
+            self._arms[k].motion_period = nanoseconds(motion_period)
+
+    def retune(self, arm: int, config: ServoConfig) -> None:
+        """Change gains and limits of an arm's servo; what was observed and the integrals stay.
+
+        Raises:
+            Refusal: no such arm, or numbers that cannot be computed with; nothing has changed.
+        """
+        arm = check_count("ServoFleet.retune", "arm", arm, 0, self._count - 1)
+        rows = servo_numbers(config.joints, config.period, config.supply_voltage)
+        given = SERVOS.pointer("servo_joint", rows)
+        self._calls.servo_fleet_retune(self.struct, arm, given)
 
     def _targets(self, where: str, bound: Number, values: ArrayLike) -> Array:
         given = bound.numbers(where, values)
