@@ -20,9 +20,12 @@ from scipy import stats
 from arm_emulator.base.kept import Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
+from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.distributions import parse_distribution
 from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
-from arm_emulator.campaign.results import Results, digest_of
+from arm_emulator.campaign.lanes import runs_of
+from arm_emulator.campaign.outcome import Outcomes
+from arm_emulator.campaign.results import Results, digest_of, write_part
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.variation import Variation, Varying, correlation_of
 from arm_emulator.cli.commands.campaign import campaign
@@ -333,16 +336,13 @@ def finished(file, into, *more):
 
 
 def digest_alone(file, count=None):
-    """The digest of all runs, or the first ones, one after the other in this process."""
-    from arm_emulator.campaign.results import write_part
-
+    """The digest of all runs, or the first ones, in random parts in this process."""
     one = load_campaign(file)
-    simulator = Simulator(one)
-    folder = file.parent / "alone"
-    results = Results(folder, one)
+    runs, results = runs_of(one), Results(file.parent / "alone", one)
     order = np.random.default_rng(3).permutation(count or one.count)
     for part in np.array_split(order, 7):
-        write_part(folder, one, [simulator.run(index) for index in sorted(part.tolist())])
+        cases = [drawn_case(one.variation, index) for index in sorted(part.tolist())]
+        write_part(results.folder, one, Outcomes.joined(list(runs.runs(cases))))
     return digest_of(results.columns()), results.columns()
 
 

@@ -93,15 +93,15 @@ class Judged:
     def __init__(self, formula, longest, quantity="formula"):
         self.rows = Rows([], PERIOD)
         one = Robustness(judges(), formula, self.rows.of, PERIOD, longest, "c.yaml", quantity)
-        self.program = Program(self.rows, [one], [], [], longest)
+        self.program = Program(self.rows, [[one]], [], [], longest)
         self.program.begin()
 
     def feed(self, signals):
         given = [signals[name] for name in self.rows.samples] or [*signals.values()]
-        self.program.take(np.array(given), len(given[0]))
+        self.program.take(np.array([given]), np.array([len(given[0])]))
 
     def end(self):
-        value = self.program.end()[0][0]
+        value = float(self.program.end()[0][0, 0])
         self.program.begin()
         return value
 
@@ -213,12 +213,13 @@ def test_stars_stand_for_all_joints():
     assert signals_in(bound_to(formula, known, "c", "r")) == set(known[:4])
     rows = Rows(["elbow", "waist"], PERIOD)
     formula = bound_to(formula, known, "c", "r")
-    program = Program(rows, [Robustness(judges(), formula, rows.of, PERIOD, 3)], [], [], 3)
+    program = Program(rows, [[Robustness(judges(), formula, rows.of, PERIOD, 3)]], [], [], 3)
     program.begin()
     held = {"q.elbow": 0.0, "q.waist": 0.5}
-    targets = Targets(np.zeros(1, np.int64), np.array([[0.25, -0.25]]))
-    program.take(np.array([[held[name]] * 3 for name in rows.samples]), 3, targets)
-    assert program.end() == ([0.25], [])
+    targets = Targets.of([([0], np.array([[0.25, -0.25]]))])
+    program.take(np.array([[[held[name]] * 3 for name in rows.samples]]), np.array([3]), targets)
+    robustness, measures = program.end()
+    assert robustness.tolist() == [[0.25]] and measures.shape == (1, 0)
 
 
 def drawn_arithmetic(rng, depth, signals):
@@ -249,7 +250,7 @@ def test_arithmetic_of_signals_equals_numpy(seed):
     ticks = np.arange(count)
     joints = ["x", "y.z"]
     since = np.unique([0, *rng.integers(0, count, 5)])
-    targets = Targets(since, rng.normal(size=(len(since), 2)))
+    targets = Targets.of([(since, rng.normal(size=(len(since), 2)))])
     signals = {name: rng.normal(size=count) for name in ("a", "q.x", "q.y.z")}
     signals |= {"t": ticks * PERIOD, "tick": ticks.astype(float)}
     for place, joint in enumerate(joints):
@@ -260,21 +261,22 @@ def test_arithmetic_of_signals_equals_numpy(seed):
         drawn = [drawn_arithmetic(rng, 4, signals) for _ in range(8)]
     wanted = [rows.of(one) for one, _ in drawn]
     measures = [(kind, row) for kind in REDUCED for row in wanted]
-    program = Program(rows, [], measures, wanted, count)
+    program = Program(rows, [()], measures, wanted, count)
     whole = np.array([signals[name] for name in rows.samples]).reshape(-1, count)
     for _ in range(2):  # the second run begins anew
         program.begin()
         found, first = [], 0
         for last in [*np.sort(rng.integers(0, count + 1, 2)), count]:
-            program.take(np.ascontiguousarray(whole[:, first:last]), last - first, targets)
-            found.append(program.kept[:, : last - first].copy())
+            piece = np.ascontiguousarray(whole[:, first:last])[np.newaxis]
+            program.take(piece, np.array([last - first]), targets)
+            found.append(program.kept[0, :, : last - first].copy())
             first = last
         _, reduced = program.end()
         assert np.array_equal(np.hstack(found), [values for _, values in drawn], equal_nan=True)
     with np.errstate(all="ignore"):
         by_numpy = [REDUCED[kind](values) for kind in REDUCED for _, values in drawn]
     scale = [np.abs(values).max() for _, values in drawn] * len(REDUCED)
-    for value, expected, most in zip(reduced, by_numpy, scale, strict=True):
+    for value, expected, most in zip(reduced[0], by_numpy, scale, strict=True):
         # Sums in another order: rounding of `count` terms.
         same = value == expected or (math.isnan(value) and math.isnan(expected))
         assert same or abs(value - expected) <= 1e-15 * count * most

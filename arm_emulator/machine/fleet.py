@@ -254,7 +254,7 @@ class Fleet(CoreMachines):
             links: filled with the links' positions after each period (periods, count, N) [rad or
                 m]; None: nothing.
             way: what is set in the arms at their ticks, and what looks at them; None: nothing.
-            arms: only the first so many advance, in one thread; None: all.
+            arms: only the first so many advance, and those in their groups of lanes; None: all.
 
         Returns:
             `out`.

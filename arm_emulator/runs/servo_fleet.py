@@ -189,8 +189,7 @@ class ServoFleet(FleetControl):
         if places.shape != (self._count + 1,) or places[0] != 0 or places[-1] != len(periods):
             rule = f"be {self._count + 1} places from 0 to {len(periods)}"
             raise Refusal(where, "first", rule, places)
-        begins = np.zeros(len(periods), bool)
-        begins[places[:-1]] = np.diff(places) > 0
+        begins = np.isin(np.arange(len(periods)), places[:-1])
         ascend = np.diff(periods, prepend=-1) > 0
         if np.any(np.diff(places) <= 0) or np.any(periods[begins]) or not np.all(begins | ascend):
             raise Refusal(where, "since", "ascend from 0 for each arm", periods)

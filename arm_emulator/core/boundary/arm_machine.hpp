@@ -303,13 +303,13 @@ struct arm_machine {
   }
   // Counts of an ideal encoder at motor j.
   static std::int64_t counts(int j, double angle) {
-    const double counts = __builtin_floor(angle * Scene::device[j].counts_per_rad);
+    const double counts = __builtin_floor(angle * Scene::device[j].counts_per_rad + arm::kOnAnEdge);
     return static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
   }
   // The same in lanes.
   template <class X>
   static auto counts(int j, const X& angle) {
-    X counts = angle * Scene::device[j].counts_per_rad;
+    X counts = angle * Scene::device[j].counts_per_rad + arm::kOnAnEdge;
     for (int lane = 0; lane < arm::kWidth<X>; ++lane) counts[lane] = __builtin_floor(counts[lane]);
     return __builtin_convertvector(arm::clamp(counts, 0x1p62), arm::Mask<X>);
   }

@@ -19,6 +19,10 @@ enum class EncoderKind { none, incremental, absolute };
 // Effect of an index pulse: none, its counts are reported, or the counter is corrected, too.
 enum class Index { none, latch, correct };
 
+// An angle that is below an edge by less than this is on it [counts]: of an arm that rests on an
+// edge, as many do at 0, rounding of either sign gives the same count.
+inline constexpr double kOnAnEdge = 1e-9;
+
 struct EncoderReading {
   std::int64_t counts = 0;
   std::int64_t index = 0;   // what the counter was when the newest index pulse came
@@ -59,7 +63,7 @@ struct Encoder {
     if (eccentricity != 0.0) alpha += eccentricity * sincos(t + eccentricity_phase).sin;
     if (ripple != 0.0) alpha += ripple * sincos(ripple_order * t + ripple_phase).sin;
     if (noise != 0.0) alpha += noise * noises.normal(number);
-    return static_cast<std::int64_t>(clamp(__builtin_floor(alpha * counts_per_rad), 0x1p60));
+    return static_cast<std::int64_t>(clamp(__builtin_floor(alpha * counts_per_rad + kOnAnEdge), 0x1p60));
   }
 };
 
