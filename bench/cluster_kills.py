@@ -16,8 +16,10 @@ import numpy as np
 import yaml
 
 from arm_emulator.campaign.campaign_file import load_campaign
+from arm_emulator.campaign.case import drawn_case
+from arm_emulator.campaign.lanes import runs_of
+from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.results import Results, digest_of, write_part
-from arm_emulator.campaign.simulator import Simulator
 
 CAMPAIGN = {
     "scene": "three_axis",
@@ -66,8 +68,9 @@ class Cluster:
 def digest_alone(file: Path, folder: Path) -> str:
     """Return the digest of all runs, one after the other in this process."""
     campaign = load_campaign(file)
-    simulator, results = Simulator(campaign), Results(folder, campaign)
-    write_part(folder, campaign, [simulator.run(index) for index in range(campaign.count)])
+    runs, results = runs_of(campaign), Results(folder, campaign)
+    cases = [drawn_case(campaign.variation, index) for index in range(campaign.count)]
+    write_part(folder, campaign, Outcomes.joined(list(runs.runs(cases))))
     return digest_of(results.columns())
 
 

@@ -147,9 +147,11 @@ def test_a_run_that_diverges_does_not_disturb_the_others(tmp_path: Path) -> None
 
 
 def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
-    campaign = load_campaign(written(tmp_path, changed(TABLE, "vary/payload.mass", "normal(1, 1)")))
+    data = changed(TABLE, "vary/payload.mass", "normal(1, 1)")
+    campaign = load_campaign(written(tmp_path, data))
     found: list[Outcomes] = []
-    with pytest.raises(Refusal, match=r"c.yaml, run \d+: payload.mass must be a number >= 0 kg") as no:
+    reason = r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"
+    with pytest.raises(Refusal, match=reason) as no:
         for one in runs_of(campaign).runs(cases_of(campaign, range(200))):
             found.append(one)
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])

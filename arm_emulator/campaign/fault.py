@@ -126,6 +126,7 @@ def changes_of(
         if place % 2 == 0:
             before[place + 1] = now[change.name]
         elif change.value is None:
-            found[place] = tick, change = tick, replace(change, value=before[place])
+            change = replace(change, value=before[place])
+            found[place] = tick, change
         now[change.name] = change.value  # type: ignore[assignment]
     return [found[place] for place in order]

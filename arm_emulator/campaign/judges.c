@@ -149,5 +149,6 @@ static void end_run(judges* all, double* robustness, double* measures) {
 
 void judges_end(judges* all, int32_t runs, double* robustness, double* measures) {
   for (int32_t run = 0; run < runs; ++run)
-    end_run(&all[run], robustness + run * all->requirement_count, measures + run * all->measure_count);
+    end_run(&all[run], robustness + run * all->requirement_count,
+            measures + run * all->measure_count);
 }

@@ -59,7 +59,8 @@ class Measure:
 
     def end(self, values: Array) -> Array:
         """Return the measure of several signals (runs,) from that of each (runs, signals)."""
-        return values.min(axis=1) if self.kind == "min" else values.max(axis=1)
+        of_all: Array = values.min(axis=1) if self.kind == "min" else values.max(axis=1)
+        return of_all
 
 
 class Checked:
@@ -191,7 +192,7 @@ class Judges:
         robustness = np.full((runs, len(self._of_formulas) + len(self._of_checked)), -math.inf)
         measures = np.full((runs, len(self._measures)), math.nan)
         sound = np.flatnonzero(~diverged)
-        robustness[np.ix_(sound, self._of_formulas)] = values[sound]
+        robustness[sound[:, None], self._of_formulas] = values[sound]
         for run in sound if self._checked else ():
             first = 0
             for place, one in zip(self._of_checked, self._checked.values(), strict=True):

@@ -55,6 +55,13 @@ class Outcomes:
     diverged: Array
 
     @classmethod
+    def of(cls, one: Outcome) -> Outcomes:
+        """Return those of one run."""
+        named = one.values, one.robustness, one.measures
+        values, robustness, measures = (np.array([list(of.values())], np.float64) for of in named)
+        return cls(np.array([one.index]), values, robustness, measures, np.array([one.diverged]))
+
+    @classmethod
     def joined(cls, several: Sequence[Outcomes]) -> Outcomes:
         """Return the runs of several, one after the other; of one at least."""
         names = cls.__dataclass_fields__
@@ -65,6 +72,7 @@ class Outcomes:
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """Which runs break a requirement (K,)."""
+        """Whether each run breaks a requirement (K,)."""
         broken = ~(self.robustness >= 0.0)
-        return np.isfinite(self.diverged) | np.any(broken, axis=1)
+        failed: NDArray[np.bool_] = np.isfinite(self.diverged) | np.any(broken, axis=1)
+        return failed

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.column import Column
 from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
@@ -55,7 +54,7 @@ class Samples:
     """Numbers of machines at every tick.
 
     Attributes:
-        room: samples that there is room for.
+        room: for so many samples of each machine.
 
     Args:
         scene: the machine.
@@ -74,13 +73,9 @@ class Samples:
             wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
         own = {one.name: one for one in columns_of(scene)}
-        self._columns = {
-            place: own[name] for place, name in enumerate(wanted) if name not in TOOL
-        }
-        names_of_truth = {one.path[0] for one in self._columns.values()} - {"measured"}
-        self.truth, self.measures = names_of_truth, len(names_of_truth) < len(
-            {one.path[0] for one in self._columns.values()}
-        )
+        self._columns = {place: own[name] for place, name in enumerate(wanted) if name not in TOOL}
+        kinds = {one.path[0] for one in self._columns.values()}
+        self.measures, self.truth = "measured" in kinds, kinds - {"measured"}
         self._samples = np.zeros((arms, max(1, len(wanted)), room))
         self._taken = np.zeros(arms, np.int64)
         self.calls = _sampler()
@@ -193,7 +188,7 @@ class FleetSampler(Samples):
         self.with_ = self.sampler(
             place.arrays | truth,
             show=fleet.core.arm_fleet_step,
-            fleet=fleet._fleet,
+            fleet=fleet.handle,
             measurements=self._measurement if self.measures else NULL,
             truths=self._truth,
         )

@@ -105,12 +105,7 @@ class Simulator:
         """Simulate runs one after the other, see `RunsInLanes.runs`."""
         for case in cases:
             one = self.run(case)
-            rows = ([list(of.values())] for of in (one.values, one.robustness, one.measures))
-            yield Outcomes(
-                np.array([one.index]),
-                *(np.array(row, np.float64) for row in rows),
-                np.array([one.diverged]),
-            )
+            yield Outcomes.of(one)
 
     def drive(self, case: Case) -> Iterator[int]:
         """Simulate a run piece by piece, for a recorder of the machine.

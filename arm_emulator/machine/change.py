@@ -1,4 +1,4 @@
-"""What is set in a machine between two ticks."""
+"""Changes of a machine between two ticks."""
 
 from __future__ import annotations
 

@@ -74,6 +74,11 @@ class CoreMachines(Turns):
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def handle(self) -> CData:
+        """The machines as the functions of core/boundary/arm_fleet.h take them."""
+        return self._fleet
+
     @in_turn
     def reset(
         self,

@@ -85,7 +85,7 @@ def _moved(where: str, wrench: ExternalWrench, frame: Frame) -> ExternalWrench:
         vectors[:2] = [one if one is NONE else frame.R @ one for one in vectors[:2]]
     f, m, p = vectors
     at = frame.p if p is NONE else frame.R @ p + frame.p
-    return ExternalWrench(*map(tuple, (f, m, at)), wrench.axes)  # type: ignore[arg-type]
+    return ExternalWrench(tuple(f), tuple(m), tuple(at), wrench.axes)
 
 
 def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:

@@ -276,7 +276,8 @@ class Fleet(CoreMachines):
                 rule = f"be a contiguous array {shape} of float64"
                 raise Refusal(where, "links", rule, getattr(links, "shape", links))
         control.begin(self.scene, self._count)
-        if way is not None and (not isinstance(way, FleetWay) or way.of != (self.scene, self._count)):
+        of = self.scene, self._count
+        if way is not None and (not isinstance(way, FleetWay) or way.of != of):
             raise Refusal(where, "way", "be a FleetWay for this fleet", way)
         by = FLEET.new("arm_fleet_way") if way is None else way.struct
         if arms is not None:

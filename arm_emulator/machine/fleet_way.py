@@ -1,4 +1,4 @@
-"""What happens to the arms of a fleet on their way, and what looks at them."""
+"""The way of a fleet's arms beside their control: changes at ticks, and looks at the arms."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.change import Change, NumberChange, WrenchChange
 from arm_emulator.machine.core_calls import ARM, FLEET
-from arm_emulator.machine.external_wrench import AXES, on_moving_link
+from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import varied_number
 
@@ -58,7 +58,9 @@ class FleetWay:
         where = "FleetWay"
         if len(changes) != self._count:
             raise Refusal(where, "changes", f"be a list for each of {self._count} arms", changes)
-        first, rows, wrenches = [0], [], []
+        first = [0]
+        rows: list[tuple[int, int, int, float]] = []
+        wrenches: list[tuple[int, int, ExternalWrench]] = []
         for of_arm in changes:
             before = 0
             for tick, change in of_arm:
@@ -73,18 +75,19 @@ class FleetWay:
                 elif isinstance(change, WrenchChange):
                     kind = _WRENCH
                     place, moved = on_moving_link(self._scene, where, change.link, change.wrench)
-                    wrenches.append(
-                        (len(rows), AXES.index(moved.axes), moved.point, moved.force, moved.moment)
-                    )
+                    wrenches.append((len(rows), AXES.index(moved.axes), moved))
                 else:
                     value = float(change.on)
                 rows.append((tick, kind, place, value))
             first.append(len(rows))
         self._keep(first, rows, wrenches)
 
-    def _keep(self, first: list[int], rows: list[tuple[int, int, int, float]], wrenches: list[
-        tuple[int, int, object, object, object]
-    ]) -> None:
+    def _keep(
+        self,
+        first: list[int],
+        rows: list[tuple[int, int, int, float]],
+        wrenches: list[tuple[int, int, ExternalWrench]],
+    ) -> None:
         """Put the changes where the core finds them."""
         self._rows = FLEET.rows("arm_fleet_change", max(1, len(rows)))
         self._first = np.array(first, np.int64)
@@ -95,10 +98,11 @@ class FleetWay:
             ):
                 self._rows[name] = column
         if wrenches:
-            at, axes, point, force, moment = zip(*wrenches, strict=True)
+            at, axes, moved = zip(*wrenches, strict=True)
             of = self._wrenches
             of["size"], of["axes"] = of.itemsize, axes
-            of["point"], of["force"], of["moment"] = point, force, moment
+            for name in ("point", "force", "moment"):
+                of[name] = [getattr(one, name) for one in moved]
             began = of.__array_interface__["data"][0]
             self._rows["wrench"][list(at)] = began + of.itemsize * np.arange(len(of))
         FLEET.fill(

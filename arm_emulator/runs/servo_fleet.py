@@ -167,7 +167,7 @@ class ServoFleet(FleetControl):
     def aim_at(self, since: ArrayLike, q: ArrayLike, first: ArrayLike) -> None:
         """Set rows of joint targets for each arm, which hold from periods on since its reset.
 
-        A target is given in every period, the newest one again where there is none, as
+        A target is given in every period, the newest one again until the next, as
         `arm_emulator.runs.table_run` does.
 
         Args:
@@ -196,7 +196,11 @@ class ServoFleet(FleetControl):
         self._rows = np.ascontiguousarray(rows[:, self._place]), periods, places
         self._row = places[:-1].copy()
         SERVOS.fill(
-            self.struct, q=self._rows[0], since=periods, first_row=places, row=self._row,
+            self.struct,
+            q=self._rows[0],
+            since=periods,
+            first_row=places,
+            row=self._row,
         )
         for k in range(self._count):
             motion_period = self._drives[k % len(self._drives)].servo.config.motion_period

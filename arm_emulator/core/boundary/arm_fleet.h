@@ -138,7 +138,7 @@ typedef struct arm_fleet_control {
   arm_joint_command* joint; /* an entry per joint of each arm */
 } arm_fleet_control;
 
-/* What is set in an arm's machine between two of its servo periods. */
+/* A change of an arm's machine between two of its servo periods. */
 enum arm_fleet_change_kind {
   ARM_CHANGES_PARAMETER, /* the varied number `place`, to `value` */
   ARM_CHANGES_WRENCH,    /* the external wrench on the link of joint `place`, to `wrench` */
@@ -152,7 +152,7 @@ typedef struct arm_fleet_change {
   const arm_wrench* wrench;
 } arm_fleet_change;
 
-/* What happens on the way of `arm_fleet_follow`; every pointer may be null. */
+/* The way of arms in `arm_fleet_follow`, beside its control; every pointer may be null. */
 typedef struct arm_fleet_way {
   uint32_t size;
   uint32_t reserved;

@@ -1,4 +1,4 @@
-// What is set in the arms of a fleet between their servo periods.
+// Changes of the arms of a fleet between their servo periods.
 #pragma once
 
 #include "boundary/fleet.hpp"

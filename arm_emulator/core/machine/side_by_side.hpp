@@ -123,7 +123,8 @@ class SideBySide {
   void gear_torques(double* torque) const {
     for (int lane = 0; lane < width; ++lane)
       numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        torque[j * width + lane] = drive.gear_torque(input_in_lane(drive, j, at_.x, X{}, lane), 0.0);
+        torque[j * width + lane] =
+            drive.gear_torque(input_in_lane(drive, j, at_.x, X{}, lane), 0.0);
       });
   }
   void applied(double* rows) const { put_rows(at_.u, rows); }

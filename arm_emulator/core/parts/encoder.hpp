@@ -63,7 +63,8 @@ struct Encoder {
     if (eccentricity != 0.0) alpha += eccentricity * sincos(t + eccentricity_phase).sin;
     if (ripple != 0.0) alpha += ripple * sincos(ripple_order * t + ripple_phase).sin;
     if (noise != 0.0) alpha += noise * noises.normal(number);
-    return static_cast<std::int64_t>(clamp(__builtin_floor(alpha * counts_per_rad + kOnAnEdge), 0x1p60));
+    return static_cast<std::int64_t>(
+        clamp(__builtin_floor(alpha * counts_per_rad + kOnAnEdge), 0x1p60));
   }
 };
 
