@@ -18,7 +18,7 @@ from bench.live_page import url_of
 from bench.page_picture import in_chromium
 
 SIZE: Any = {"width": 1000, "height": 620}
-DRAG = "xpath=//*[text()='Drag it in the picture']/following::input[1]"
+DRAG = "xpath=//*[text()='Drag a handle in the picture']/following::input[1]"
 
 
 def draw(folder: Path) -> Path:

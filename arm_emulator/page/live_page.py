@@ -114,6 +114,16 @@ class LivePage:
             gui.add_markdown(f"The arm's shapes are not shown. {self._arm.missing}")
 
     @property
+    def server(self) -> Any:
+        """The server of viser."""
+        return self._served.server
+
+    @property
+    def arm(self) -> ArmScene:
+        """The arm that is shown."""
+        return self._arm
+
+    @property
     def hands(self) -> Hands:
         """Hands on the machine."""
         return self._hands

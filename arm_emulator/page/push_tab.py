@@ -36,18 +36,18 @@ class PushTab:
         gui, self._exclusive, self._push_with = server.gui, exclusive, push
         self._server, self._arm = server, arm
         if not scene.external_wrench:
-            gui.add_markdown("Nothing can push: the scene has no `external_wrench: true`.")
+            gui.add_markdown("Links cannot be pushed: the scene has no `external_wrench: true`.")
             return
         links = tuple(one.link for one in scene.chain.joints)
         self._link = gui.add_dropdown("Link", links, initial_value=links[-1])
         self._link.on_update(lambda _: self._switch())
-        self._force = gui.add_vector3("Force in the world [N]", NONE, step=1.0)
-        self._moment = gui.add_vector3("Moment in the world [N m]", NONE, step=0.1)
+        self._force = gui.add_vector3("Force [N], world axes", NONE, step=1.0)
+        self._moment = gui.add_vector3("Moment [N m], world axes", NONE, step=0.1)
         gui.add_button("Push").on_click(lambda _: self._push())
         gui.add_button("Let go").on_click(lambda _: self._let_go())
-        self._drags = gui.add_checkbox("Drag it in the picture", False)
+        self._drags = gui.add_checkbox("Drag a handle in the picture", False)
         self._drags.on_update(lambda _: self._switch())
-        self._stiffness = gui.add_number("Force per distance [N/m]", 100.0, min=0.0, step=10.0)
+        self._stiffness = gui.add_number("Stiffness [N/m]", 100.0, min=0.0, step=10.0)
         self._handle: Any = None
         self._arrow: Any = None
         self._sent = 0.0
@@ -77,18 +77,17 @@ class PushTab:
                     disable_rotations=True,
                     depth_test=False,
                 )
-                self._handle.on_update(lambda _: self._dragged())
-                self._handle.on_drag_end(lambda _: self._push())
+                self._handle.on_update(lambda event: self._dragged(event.phase == "end"))
             self._show_arrow()
 
-    def _dragged(self) -> None:
-        """Pull at the link as a spring between it and the handle."""
+    def _dragged(self, over: bool) -> None:
+        """Pull at the link as a spring between it and the handle; the last pull is always made."""
         with self._exclusive:
             pull = np.array(self._handle.position) - self._arm.p_WL(self._link.value)
             self._force.value = _floats(float(self._stiffness.value) * pull)
             self._show_arrow()
             now = time.monotonic()
-            if now - self._sent >= PAUSE:
+            if over or now - self._sent >= PAUSE:
                 self._sent = now
                 self._push()
 

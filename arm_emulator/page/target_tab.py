@@ -21,9 +21,9 @@ class TargetTab:
     def __init__(self, page: Any, server: Any, arm: ArmScene) -> None:
         gui, self._page, self._server, self._arm = server.gui, page, server, arm
         at = tuple(float(one) for one in arm.p_WT)
-        self._place = gui.add_vector3("Place in the world [m]", at, step=0.01)
-        gui.add_button("Take the tool's place").on_click(lambda _: self._take())
-        self._drags = gui.add_checkbox("Drag it in the picture", False)
+        self._place = gui.add_vector3("Position [m], world axes", at, step=0.01)
+        gui.add_button("Copy the tool's pose").on_click(lambda _: self._take())
+        self._drags = gui.add_checkbox("Drag a handle in the picture", False)
         self._drags.on_update(lambda _: self._switch())
         gui.add_button("Send the tool there").on_click(lambda _: self._send())
         self._handle: Any = None

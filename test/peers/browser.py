@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import pytest
 
+PHONE: Any = {"width": 390, "height": 844}  # px
 PATIENCE = 60_000  # ms: software rendering on a busy machine
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # WebGL without a GPU.
@@ -35,6 +37,29 @@ def opened(browser: Any, url: str, play: str = "Play", **how: Any) -> Any:
     page.goto(url)
     page.get_by_text(play, exact=True).first.wait_for()
     return page
+
+
+def fits(what: Any) -> None:
+    """Check that a control is within the screen of a phone, once it is scrolled to."""
+    what.scroll_into_view_if_needed()
+    box = what.bounding_box()
+    for begin, size in (("x", "width"), ("y", "height")):
+        assert 0 <= box[begin] and box[begin] + box[size] < PHONE[size] + 1, (what, box)
+
+
+def on_picture(page: Any, served: Any, p_W: Any) -> tuple[float, float]:
+    """Return where a point of the world (3,) [m] is on the screen [px]."""
+    from viser.transforms import SO3
+
+    (client,) = served.server.get_clients().values()
+    camera = client.camera
+    canvas = max(
+        (one.bounding_box() for one in page.locator("canvas").all()), key=lambda box: box["height"]
+    )
+    x, y, z = SO3(camera.wxyz).as_matrix().T @ (np.asarray(p_W) - camera.position)
+    scale = 0.5 * canvas["height"] / np.tan(0.5 * camera.fov)
+    right, down = canvas["x"] + 0.5 * canvas["width"], canvas["y"] + 0.5 * canvas["height"]
+    return float(right + scale * x / z), float(down + scale * y / z)
 
 
 def tick_of(page: Any) -> int:

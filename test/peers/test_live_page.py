@@ -116,6 +116,10 @@ def test_the_bag_repeats_all_that_is_done_on_the_page(
         shows(page, "joints.elbow.friction.viscous = 0.75")
         fill(page, "Varied numbers", "-1")
         shows(page, "must be")
+        fill(page, "Faults (0: off)", "0.5")
+        shows(page, "faults.elbow.gear_breaks = 0.5")
+        fill(page, "Faults (0: off)", "0")
+        shows(page, "faults.elbow.gear_breaks = 0 ")
         press(page, "restore")
         shows(page, "here restored")
         press(page, "Read")
@@ -123,12 +127,15 @@ def test_the_bag_repeats_all_that_is_done_on_the_page(
         fill(page, "Value", "7.5")
         shows(page, "= 7.5")
         page.get_by_role("tab", name="Push").click()
-        fill(page, "Force in the world [N]", "3", 2)
+        fill(page, "Force [N], world axes", "3", 2)
         press_until(page, "Push", "forearm is pushed with 0, 3, 0 N")
         page.get_by_role("tab", name="Target").click()
-        press(page, "Take the tool's place")
-        fill(page, "Place in the world [m]", "0.4", 1)
+        press(page, "Copy the tool's pose")
+        fill(page, "Position [m], world axes", "0.4", 1)
         press_until(page, "Send the tool there", "the tool is sent to 0.4")
+        box(page, "Times real time").click()
+        page.get_by_role("option", name="0.25", exact=True).click()
+        shows(page, "0.25 times real time")
         # Time goes on, and the arm moves.
         page.get_by_role("tab", name="Events").click()
         fill(page, "Stop when", "v.elbw > 1")
@@ -159,6 +166,8 @@ def test_the_bag_repeats_all_that_is_done_on_the_page(
     assert kinds == [
         MachineEvent.KIND_POWER,
         MachineEvent.KIND_POWER,
+        MachineEvent.KIND_SET_VARIED,
+        MachineEvent.KIND_SET_VARIED,
         MachineEvent.KIND_SET_VARIED,
         MachineEvent.KIND_RESTORE,
         MachineEvent.KIND_EXTERNAL_WRENCH,

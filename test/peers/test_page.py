@@ -159,6 +159,27 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page.wait_for_function("/tick ([1-9]\\d*),/.test(document.body.innerText)")
     shows(page, f"tick {LAST},")  # it stops at the end
     page.get_by_role("button", name="Play").wait_for()
+    page.evaluate("document.activeElement.blur()")  # keys in a field are its own
+    for key, tick in (("Home", 0), ("ArrowRight", 1), ("End", LAST), ("ArrowLeft", LAST - 1)):
+        page.locator("body").press(key)
+        shows(page, f"tick {tick},")
+    page.locator("body").press("Home")
+    choose(page, "Speed", "0.01")
+    page.evaluate("document.activeElement.blur()")
+    page.locator("body").press("Space")
+    page.get_by_role("button", name="Pause").wait_for()
+    page.wait_for_function("/tick ([1-9]\\d*),/.test(document.body.innerText)")
+    page.locator("body").press("Space")
+    page.get_by_role("button", name="Play").wait_for()
+    assert 0 < tick_of(page) < LAST, "slow enough to be stopped on the way"
+    choose(page, "Signal", "current")
+    for _ in range(PATIENCE // 50):
+        if shown.page.plotted[1][-1] != 0.0:
+            break
+        page.wait_for_timeout(50)
+    last = RecordedMachine.of(shown.machine.path, scene)
+    last.advance(LAST)
+    assert shown.page.plotted[1][-1] == last.session.state.current[0]
     page.close()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium, opened, shows
+from browser import PHONE, chromium, fits, opened, shows
 
 from arm_emulator.analysis.torque_terms import TermsNow
 from arm_emulator.page.run_page import RunPage
@@ -17,7 +17,6 @@ from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.timeline import Timeline
 
 pytest.importorskip("viser", reason="see requirements-peers.txt")
-PHONE: Any = {"width": 390, "height": 844}
 READABLE = 4.5  # contrast of text, WCAG 2 level AA
 COLORS = """() => {
   const of = (one, what) => getComputedStyle(one)[what].match(/[\\d.]+/g).slice(0, 3).map(Number);
@@ -60,12 +59,6 @@ def test_a_phone_shows_the_arm_above_all_controls(shown: RunPage, browser: Any) 
     controls = page.get_by_role("button", name="Play", exact=True).bounding_box()
     assert canvas["width"] == PHONE["width"] and canvas["height"] > 0.4 * PHONE["height"]
     assert canvas["y"] + canvas["height"] <= controls["y"], "the controls do not hide the arm"
-
-    def fits(what: Any) -> None:
-        what.scroll_into_view_if_needed()
-        box = what.bounding_box()
-        for begin, size, all_of_it in (("x", "width", 390), ("y", "height", 844)):
-            assert 0 <= box[begin] and box[begin] + box[size] <= all_of_it, (what, box)
 
     for button in ("to start", "-1", "+1", "to end", "Play"):
         fits(page.get_by_role("button", name=button, exact=True))

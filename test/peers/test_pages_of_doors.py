@@ -1,7 +1,8 @@
-"""Commands with `--page` serve their page: to the token alone, and end with Ctrl-C."""
+"""Commands with `--page` serve their page: to the token alone, its buttons work, Ctrl-C ends it."""
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -9,30 +10,79 @@ import sys
 import threading
 import urllib.error
 import urllib.request
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from browser import chromium, opened, shows
 
 pytest.importorskip("viser", reason="see requirements-peers.txt")
-PATIENCE = 60.0  # s, wall
+PATIENCE = 180.0  # s, wall
 
 
-@pytest.mark.parametrize("words", [
-    ["canopen", "three_axis"],
-    ["modbus", "three_axis", "--link", "arm"],
-], ids=lambda words: words[0])  # fmt: skip
-def test_its_page_is_served_to_the_token(words: list[str], tmp_path: Path) -> None:
+ROOT = Path(__file__).resolve().parents[2]
+WATCHED = "This machine can only be watched."
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as one:
+        yield one
+
+
+def pressed(page: Any) -> None:
+    """Pause and power, as every door with a clock has them."""
+    page.get_by_role("button", name="Pause", exact=True).click()
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    page.get_by_role("button", name="Play", exact=True).click()
+    page.get_by_role("tab", name="Machine").click()
+    page.get_by_role("button", name="off", exact=True).click()
+    shows(page, "power off")
+    page.get_by_role("tab", name="Events").click()
+    page.get_by_role("button", name="power off").wait_for()
+
+
+def looked_at(page: Any) -> None:
+    """A run of a campaign: at its end, and without controls."""
+    page.get_by_role("tab", name="Machine").click()
+    shows(page, WATCHED)
+    page.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
+
+
+def stepped(page: Any) -> None:
+    """The page of a run without a network."""
+    page.get_by_role("button", name="to end", exact=True).click()
+    shows(page, "tick 100,")
+
+
+@pytest.mark.parametrize(("words", "label", "press"), [
+    (["canopen", "three_axis"], "Pause", pressed),
+    (["modbus", "three_axis", "--link", "arm"], "Pause", pressed),
+    (["udp", "three_axis", "--listen", "0"], "Pause", pressed),
+    (["ethercat", "three_axis", "--interface", "lo"], "Pause", pressed),
+    (["campaign", str(ROOT / "examples/campaign.yaml"), "--replay", "0"], "Live", looked_at),
+    (["run", "three_axis", "--seconds", "0.1"], "Play", stepped),
+], ids=lambda one: one[0] if isinstance(one, list) else "")  # fmt: skip
+def test_its_page_is_served_to_the_token(
+    words: list[str], label: str, press: Callable[[Any], None], tmp_path: Path, browser: Any
+) -> None:
+    if words[0] == "ethercat" and os.getuid() != 0:
+        pytest.skip("frames need root")
     command = [sys.executable, "-u", "-m", "arm_emulator", *words, "--page", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as door:
         late = threading.Timer(PATIENCE, door.kill)
         late.start()
         assert door.stdout is not None
-        found = (re.match(r"page: (\S+)$", line) for line in door.stdout)
+        found = (re.match(r"(?:page: )?(http\S+)$", line) for line in door.stdout)
         url = next(one[1] for one in found if one)
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(url.partition("?")[0])
+        page = opened(browser, url, play=label)
+        press(page)
+        page.context.close()
         door.send_signal(signal.SIGINT)
         door.stdout.read()
         late.cancel()
