@@ -1,4 +1,4 @@
-"""The controls of a running machine's page, pressed in a browser; those of ROS: test_live_page.py."""
+"""Controls of a running machine's page, pressed in a browser; those of ROS: test_live_page.py."""
 
 from __future__ import annotations
 
