@@ -52,7 +52,7 @@ def with_steps(
     motor["rotor_inertia"] = 1e-12 if side == "link" else ROTOR
     joint: dict[str, Any] = {"motor": motor, "gear": {"ratio": 1.0 if side == "link" else RATIO}}
     (joint if side == "link" else motor)["lugre"] = lugre
-    events = "located" if KNOWN[scheme].order == 2 else "step"
+    events = "located" if KNOWN[scheme].locates else "step"
     file = write_scene(
         folder, one_link_urdf(), {"joint": joint}, servo_period=PERIOD, supply_voltage=1e3,
         integrator={"scheme": scheme, "dt": PERIOD / steps, "events": events}, energy_flow=True,
@@ -101,8 +101,10 @@ def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) ->
         q = with_steps(tmp_path, lugre, side, steps, scheme).run(voltages, steps)[:, 0]
         errors.append(float(np.abs(q - expected[:, 1]).max()))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # The next term of the error's expansion is some per cent of it.
-    assert orders[-1] == pytest.approx(KNOWN[scheme].order, abs=0.15), errors
+    # The next term of the error's expansion is some per cent of it. Below 1e-11 rad it is the
+    # truth's; the law's kink at rest leaves no more than second order to any scheme.
+    order = min(KNOWN[scheme].order, 2)
+    assert errors[-1] < 1e-11 or orders[-1] == pytest.approx(order, abs=0.15), errors
     assert errors[-1] < 0.02 * np.abs(expected[:, 1]).max(), errors
 
 

@@ -15,9 +15,9 @@ def _found() -> dict[str, type[Scheme]]:
     return {one.name: one for one in sorted(Scheme.__subclasses__(), key=_rank)}
 
 
-def _rank(scheme: type[Scheme]) -> tuple[int, int, str]:
-    """By accuracy: order, then evaluations."""
-    return -scheme.order, -scheme.evaluations, scheme.name
+def _rank(scheme: type[Scheme]) -> tuple[bool, int, int, str]:
+    """The default first, then the cheapest: by evaluations, and by order among these."""
+    return not scheme.default, scheme.evaluations, -scheme.order, scheme.name
 
 
 KNOWN = _found()  # by name; the first is the default

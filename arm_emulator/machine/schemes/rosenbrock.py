@@ -20,6 +20,7 @@ class Rosenbrock(Scheme):
     evaluations = 2
     locates = True
     text = "second order"
+    default = True
 
     @staticmethod
     def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102

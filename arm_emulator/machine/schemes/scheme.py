@@ -19,6 +19,7 @@ class Scheme:
     evaluations: ClassVar[int]  # of the links in a step
     locates: ClassVar[bool] = False  # whether it may cut steps at events
     text: ClassVar[str]  # for people who choose
+    default: ClassVar[bool] = False  # whether scenes have it that name no scheme
 
     @classmethod
     def header(cls) -> str:

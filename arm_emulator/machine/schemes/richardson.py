@@ -1,0 +1,23 @@
+"""Richardson's extrapolation of the Rosenbrock method ROS2."""
+
+from __future__ import annotations
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.rosenbrock import Rosenbrock
+from arm_emulator.machine.schemes.scheme import Scheme
+
+
+class Richardson(Scheme):
+    """A step of ROS2 and two of half its length; the first of these shares its evaluation."""
+
+    name = "richardson"
+    order = 3
+    evaluations = 5
+    text = "third order, for small errors of smooth motions"
+
+    @staticmethod
+    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+        half = Rosenbrock.matrix(J, A, motors, 0.5 * dt)
+        twice = half @ half
+        step: Array = twice + (twice - Rosenbrock.matrix(J, A, motors, dt)) / 3.0
+        return step

@@ -1,0 +1,104 @@
+"""Richardson's extrapolation, against a closed form and against its own ingredients."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, write_scene
+from scipy.linalg import expm
+
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import SET
+from arm_emulator.machine.scene import Scene, load_scene
+
+M, VISCOUS = 0.05 + 2.0 * 0.3**2, 0.5  # kg m2 of the link about its joint, N m s/rad
+R, L, KT, ROTOR, RATIO, KG, DG = 1.0, 1e-3, 0.05, 1e-4, 0.01, 1e4, 10.0
+PERIOD, VOLTS = 0.01, 10.0
+
+
+def closed_form(t: float) -> np.ndarray:
+    """Current, motor, its speed, link, its speed, under VOLTS from rest: a linear machine."""
+    gear = np.array([0.0, KG * RATIO, DG * RATIO, -KG, -DG, 0.0])
+    rows = [
+        np.array([-R, 0.0, -KT, 0.0, 0.0, VOLTS]) / L,
+        np.eye(6)[2],
+        (KT * np.eye(6)[0] - RATIO * gear) / ROTOR,
+        np.eye(6)[4],
+        (gear - VISCOUS * np.eye(6)[4]) / M,
+        np.zeros(6),
+    ]
+    return np.asarray(expm(np.array(rows) * t)[:5, 5])
+
+
+def linear_joint(folder: Path) -> Path:
+    motor = {"resistance": R, "inductance": L, "torque_constant": KT, "back_emf_constant": KT,
+             "rotor_inertia": ROTOR}  # fmt: skip
+    gear = {"ratio": RATIO, "stiffness": KG, "damping": DG}
+    joint = {"motor": motor, "gear": gear, "friction": {"viscous": VISCOUS}}
+    return write_scene(folder, one_link_urdf(), {"joint": joint})
+
+
+def test_a_linear_joint_converges_with_third_order(tmp_path: Path) -> None:
+    file, exact, errors = linear_joint(tmp_path), closed_form(20 * PERIOD), []
+    for steps in (25, 50, 100):  # smaller errors are those of rounding
+        changes = {"servo_period": PERIOD, "integrator.dt": PERIOD / steps,
+                   "integrator.scheme": "richardson"}  # fmt: skip
+        plant = Plant(load_scene(file, changes))
+        plant.advance([VOLTS], 20 * steps)
+        errors.append(abs(plant.state.q[0] - exact[3]))
+    # The next term is smaller by the step times the fastest rate that is not damped at once.
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders == pytest.approx(3.0, abs=0.15), errors
+
+
+def arm(scheme: str, dt: float, **changes: Any) -> Scene:
+    return load_scene(
+        "three_axis",
+        {"integrator.scheme": scheme, "integrator.dt": dt, "servo_period": 1e-3} | changes,
+    )
+
+
+def test_a_step_is_the_combination_of_its_ingredients() -> None:
+    rows = np.random.default_rng(6).uniform(-10.0, 10.0, (20, 3))
+    whole, half, both = (
+        Plant(arm(*one))
+        for one in (("rosenbrock", 1e-3), ("rosenbrock", 5e-4), ("richardson", 1e-3))
+    )
+    for row in rows:
+        saved = both.state
+        for plant in (whole, half):
+            plant.put("start", {name: getattr(saved, name) for name in SET})
+        whole.advance(row, 1), half.advance(row, 2), both.advance(row, 1)
+        for name in SET:
+            w, y, got = (getattr(plant.state, name) for plant in (whole, half, both))
+            size = np.abs(y).max() + 1.0
+            np.testing.assert_allclose(got, y + (y - w) / 3.0, rtol=0.0, atol=1e-13 * size)
+
+
+def test_at_a_limit_it_is_rosenbrock_with_half_the_step() -> None:
+    limited = {"joints.*.motor.current_limit": 0.5}
+    half, both = (
+        Plant(arm("rosenbrock", 5e-4, **limited)),
+        Plant(arm("richardson", 1e-3, **limited)),
+    )
+    for _ in range(50):  # all motors at their limits, from the first step on
+        half.advance([40.0, -40.0, 40.0], 2), both.advance([40.0, -40.0, 40.0], 1)
+        assert np.abs(both.state.current).max() == 0.5
+        np.testing.assert_allclose(both.state.q, half.state.q, rtol=0.0, atol=1e-14)
+
+
+def test_lanes_take_the_same_steps() -> None:
+    scene = arm("richardson", 1e-3)
+    rows = np.random.default_rng(7).uniform(-10.0, 10.0, (5, 3))
+    fleet = Fleet(scene, 5)
+    plants = [Plant(scene) for _ in rows]
+    for _ in range(20):
+        fleet.advance(rows, 10)
+        for plant, row in zip(plants, rows, strict=True):
+            plant.advance(row, 10)
+    apart = np.abs(fleet.state.q - [plant.state.q for plant in plants]).max()
+    assert apart < 1e-13, "lanes round otherwise [rad]"
