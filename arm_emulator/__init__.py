@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from arm_emulator.analysis.sensitivities import Sensitivities as Sensitivities
     from arm_emulator.analysis.sensitivities import sensitivities as sensitivities
     from arm_emulator.base.refusal import Refusal as Refusal
+    from arm_emulator.identification.fit_numbers import FittedNumbers as FittedNumbers
+    from arm_emulator.identification.fit_numbers import Sought as Sought
+    from arm_emulator.identification.fit_numbers import fit_numbers as fit_numbers
     from arm_emulator.machine.diverged import Diverged as Diverged
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
@@ -50,6 +53,7 @@ _MODULES = {
     "Condition": "runs.condition",
     "Diverged": "machine.diverged",
     "ExternalWrench": "machine.external_wrench",
+    "FittedNumbers": "identification.fit_numbers",
     "Fleet": "machine.fleet",
     "FleetControl": "machine.fleet_control",
     "FleetFrame": "machine.fleet_frame",
@@ -68,8 +72,10 @@ _MODULES = {
     "Sensitivities": "analysis.sensitivities",
     "Servo": "servo.servo",
     "ServoFleet": "runs.servo_fleet",
+    "Sought": "identification.fit_numbers",
     "Timeline": "runs.timeline",
     "Session": "machine.session",
+    "fit_numbers": "identification.fit_numbers",
     "linearise": "analysis.linearised",
     "load_gains": "runs.gains",
     "load_scene": "machine.scene",

@@ -1,0 +1,183 @@
+"""Unknowns of one's own from a record: any function of them may set the scene's numbers.
+
+The emulator itself follows the record: its commands drive an arm per unknown side by side, and
+Gauss-Newton brings its signals to the measured ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.identification.structure import lasting
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.outputs import KNOWN, outputs_of
+from arm_emulator.machine.plant_state import ROWS
+from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.scene import Scene, scene_of
+
+WHERE = "fit_numbers"
+STEP = 0.01  # of an unknown's width, for the derivative
+ROUNDS = 3  # of fit and weights in alternation
+
+Modifier = Callable[[Mapping[str, float]], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Sought:
+    """An unknown.
+
+    Attributes:
+        value: where the search begins.
+        width: standard deviation with which that is known.
+        least, most: its range.
+    """
+
+    value: float
+    width: float
+    least: float = -math.inf
+    most: float = math.inf
+
+
+@dataclass(frozen=True)
+class FittedNumbers:
+    """Unknowns found.
+
+    Attributes:
+        values, deviations: of the unknowns, by name.
+        numbers: what the modifier makes of them, by the names of the scene's numbers.
+        errors: root mean square of what is left of each signal, by name.
+    """
+
+    values: dict[str, float]
+    deviations: dict[str, float]
+    numbers: dict[str, float]
+    errors: dict[str, float]
+
+
+def fit_numbers(
+    scene: Scene | str | Path,
+    commands: ArrayLike,
+    signals: Mapping[str, ArrayLike],
+    sought: Mapping[str, Sought],
+    modifier: Modifier = dict,
+) -> FittedNumbers:
+    """Return the unknowns with which the machine follows a record.
+
+    Args:
+        scene: the nominal machine, at rest in its start when the record begins.
+        commands: of the motors in each servo period (K, N) [V, N m or A].
+        signals: measured after each period (K, N), by names of `Plant.measured` or `Plant.state`.
+        sought: the unknowns, by names of one's own.
+        modifier: makes the scene's numbers, by names that could be `varied`, of values of the
+            unknowns. Without one the unknowns are such numbers themselves.
+
+    Raises:
+        Refusal: unknown names, wrong shapes, numbers out of their ranges.
+    """
+    scene = scene_of(scene, WHERE)
+    rows = ANY_COMMANDS.numbers(WHERE, commands)
+    if rows.ndim != 2 or rows.shape[1] != len(scene.joints) or not len(rows):
+        raise Refusal(WHERE, "commands", f"have shape (K, {len(scene.joints)})", rows.shape)
+    measured = {name: _signal(scene, name, values, rows) for name, values in signals.items()}
+    if not (sought and measured):
+        raise Refusal(WHERE, "sought and signals", "be one or more", "none")
+    names, known = list(sought), list(sought.values())
+    least, most = (np.array([getattr(one, end) for one in known]) for end in ("least", "most"))
+    begin, width = (np.array([getattr(one, of) for one in known]) for of in ("value", "width"))
+    if not ((least < most) & (least <= begin) & (begin <= most) & (width > 0.0)).all():
+        rule = "have a value from least to most, and a width > 0"
+        raise Refusal(WHERE, "sought", rule, ", ".join(map(repr, known)))
+
+    def numbers_of(x: Array) -> dict[str, float]:
+        return dict(modifier(dict(zip(names, x.tolist(), strict=True))))
+
+    machine = _varying(scene, numbers_of(begin))
+    truth = np.concatenate([*measured.values()], axis=1)
+
+    @lru_cache(4)
+    def followed(at: bytes) -> tuple[Array, Array]:
+        """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
+        x = np.frombuffer(at)
+        steps = np.where(x + STEP * width <= most, STEP, -STEP) * width
+        ways = [numbers_of(one) for one in (x, *(x + np.diag(steps)))]
+        found = _run(machine, ways, rows, list(measured))
+        return found[0] - truth, np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
+
+    def noise_at(x: Array) -> Array:
+        """Return the root mean square of the errors (C,)."""
+        size = np.sqrt(np.mean(followed(x.tobytes())[0] ** 2, axis=0))
+        noise: Array = np.maximum(size, 1e-12 * (1.0 + np.abs(truth).max()))
+        return noise
+
+    def weighted(x: Array, noise: Array) -> tuple[Array, Array]:
+        """Return errors and prior in units of their deviations, and the slopes."""
+        error, slopes = followed(x.tobytes())
+        rows = (slopes / noise[:, None]).reshape(-1, len(x))
+        left = np.concatenate([(error / noise).ravel(), (x - begin) / width])
+        return left, np.vstack([rows, np.diag(1.0 / width)])
+
+    x = begin
+    for _ in range(ROUNDS):
+        noise = noise_at(x)
+        x = least_squares(
+            lambda x, noise: weighted(x, noise)[0], x, lambda x, noise: weighted(x, noise)[1],
+            bounds=(least, most), x_scale=width, args=(noise,),
+        ).x  # fmt: skip
+    error, every = followed(x.tobytes())[0], np.ones(len(rows), bool)
+    # Errors that last over several periods count once.
+    independent = np.sqrt([lasting(column, every) for column in error.T])
+    A = weighted(x, noise_at(x) * independent)[1]
+    deviations = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+    left = np.split(np.mean(error**2, axis=0), len(measured))
+    return FittedNumbers(
+        dict(zip(names, x.tolist(), strict=True)),
+        dict(zip(names, deviations.tolist(), strict=True)),
+        numbers_of(x),
+        {name: float(np.sqrt(np.mean(one))) for name, one in zip(measured, left, strict=True)},
+    )
+
+
+def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
+    reported = [one.name for one in outputs_of(scene) if not one.per_unit]
+    if name not in (*ROWS, *reported):
+        raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*ROWS, *reported)))
+    rows = ANY_STATE.named(name).numbers(WHERE, values)
+    if rows.shape != commands.shape:
+        raise Refusal(WHERE, name, f"have the shape of the commands, {commands.shape}", rows.shape)
+    return rows
+
+
+def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
+    """Return the scene with these numbers as data of each machine."""
+    possible = {one.name: one for one in could_vary(scene.joints, scene.chain, scene.imus)}
+    possible |= {one.name: one for one in scene.varied}
+    for name in numbers:
+        if name not in possible:
+            raise Refusal(WHERE, "number", "be one that can be varied", name, ", ".join(possible))
+    varied = tuple(one for name, one in possible.items() if name in numbers)
+    return dataclasses.replace(scene, varied=varied)
+
+
+def _run(scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[str]) -> Array:
+    """Return signals (ways, K, C) of machines with these numbers under commands."""
+    varied = {name: np.array([one[name] for one in ways]) for name in ways[0]}
+    fleet = Fleet(scene, len(ways), varied=varied)
+    found = np.empty((len(ways), len(rows), len(names) * rows.shape[1]))
+    for k, row in enumerate(rows):
+        fleet.exchange(row)
+        measured, state = fleet.measured, fleet.state
+        of = (getattr(measured if one in KNOWN else state, one) for one in names)
+        found[:, k] = np.concatenate([*of], axis=1)
+    return found
