@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+import pytest
+
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.scene import load_scene
@@ -245,3 +247,8 @@ class Master:
 def segment(lockstep: bool = True) -> Segment:
     path = find_scene("three_axis")
     return Segment(load_scene(path), load_gains(path).servo, lockstep)
+
+
+@pytest.fixture
+def master() -> Master:
+    return Master(segment())

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from fmu_client import OK, Fmu, Instance, rich_machine
 
+from arm_emulator.build.c_header import Library
 from arm_emulator.doors.fmu.export import export
+from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 
 NAMES = 'hip\'s "<1>"', "lift"
@@ -49,13 +52,22 @@ def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
     return one
 
 
-def own_scene(folder: Path) -> Scene:
-    """Return a machine with all kinds of parts and all faults of lines."""
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A machine with all kinds of parts and all faults of lines."""
     faults = [f"*.{kind}" for kind in LINES]
-    return load_scene(rich_machine(folder, NAMES, faults=faults))
+    return load_scene(rich_machine(tmp_path_factory.mktemp("rich"), NAMES, faults=faults))
 
 
-def own_unit(scene: Scene, folder: Path) -> Fmu:
-    """Return its unit."""
+@pytest.fixture(scope="module")
+def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
+    """Its unit."""
+    folder = tmp_path_factory.mktemp("unit")
     export(scene, folder / "rich.fmu", "native")
     return Fmu(folder / "rich.fmu", folder / "unpacked")
+
+
+@pytest.fixture
+def plant(scene: Scene, fmu: Fmu) -> Plant:
+    """The same machine at another door: arm.h of the unit's binary."""
+    return Plant(scene, core=Library(fmu.binary._name, (ARM,)))

@@ -37,6 +37,7 @@ from ethercat_master import (
     answers,
     at,
     frame,
+    master,
     segment,
 )  # fmt: skip
 
@@ -44,10 +45,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.ethercat import write_esi
 from arm_emulator.doors.fieldbus.esi import esi
 
-
-@pytest.fixture
-def master() -> Master:
-    return Master(segment())
+__all__ = ["master"]  # a fixture
 
 
 # -------------------------------------------------------------------------------------- datagrams

@@ -14,15 +14,13 @@ from ethercat_master import (
     Master,
     at,
     frame,
+    master,
     segment,
 )  # fmt: skip
 
 from arm_emulator.doors.fieldbus.drives import ETHERCAT
 
-
-@pytest.fixture
-def master() -> Master:
-    return Master(segment())
+__all__ = ["master"]  # a fixture
 
 
 def test_complete_access_reads_all_of_an_object(master: Master) -> None:

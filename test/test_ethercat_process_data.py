@@ -32,6 +32,7 @@ from ethercat_master import (
     at,
     datagram,
     frame,
+    master,
     segment,
 )  # fmt: skip
 from fuzz import cores
@@ -39,10 +40,7 @@ from fuzz import cores
 from arm_emulator.doors.fieldbus.drives import ETHERCAT, Entry
 from arm_emulator.doors.fieldbus.drives import Aborted as DictionaryAborted
 
-
-@pytest.fixture
-def master() -> Master:
-    return Master(segment())
+__all__ = ["master"]  # a fixture
 
 
 # ------------------------------------------------------------------------------------ process data

@@ -18,23 +18,12 @@ import pytest
 from draws import FULL, some
 from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse
 from fuzz.cores import environment
-from own_fmu import (
-    MASS,
-    NAMES,
-    PERIOD,
-    STIFFNESS,
-    moved,
-    own_scene,
-    own_unit,
-    random_inputs,
-    set_all,
-)
+from own_fmu import MASS, NAMES, PERIOD, STIFFNESS, fmu, moved, plant, random_inputs, scene, set_all
 
-from arm_emulator.build.c_header import Library
-from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
+
+__all__ = ["fmu", "plant", "scene"]  # fixtures
 
 TEST = Path(__file__).resolve().parent
 
@@ -43,22 +32,6 @@ MEASURED = (
     "current", "brake_closed", "index_counts", "index_pulses", "link_encoder_counts",
     "link_index_counts", "link_index_pulses", "torque",
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return own_scene(tmp_path_factory.mktemp("rich"))
-
-
-@pytest.fixture(scope="module")
-def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
-    return own_unit(scene, tmp_path_factory.mktemp("unit"))
-
-
-@pytest.fixture
-def plant(scene: Scene, fmu: Fmu) -> Plant:
-    """The same machine at another door: arm.h of the unit's binary."""
-    return Plant(scene, core=Library(fmu.binary._name, (ARM,)))
 
 
 def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:

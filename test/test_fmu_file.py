@@ -12,7 +12,7 @@ import pytest
 from draws import FULL
 from fmu_client import Fmu, rich_machine
 from fuzz.cores import random_machine
-from own_fmu import own_scene, own_unit
+from own_fmu import fmu, scene
 from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
@@ -26,15 +26,7 @@ from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.scene import Scene, load_scene
 
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return own_scene(tmp_path_factory.mktemp("rich"))
-
-
-@pytest.fixture(scope="module")
-def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
-    return own_unit(scene, tmp_path_factory.mktemp("unit"))
+__all__ = ["fmu", "scene"]  # fixtures
 
 
 # Of joints: in URDFs, whose XML has no other control characters than those.
@@ -71,9 +63,9 @@ def scenes(folder: Path, count: int) -> list[Scene]:
 def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
     """Its names differ, its references lead somewhere, its start values fit."""
     conventions = set()
-    for scene in scenes(tmp_path, 50 if FULL else 16):
-        listed = variables(scene)
-        root = ET.fromstring(model_description(scene, listed, "{token}"))
+    for drawn in scenes(tmp_path, 50 if FULL else 16):
+        listed = variables(drawn)
+        root = ET.fromstring(model_description(drawn, listed, "{token}"))
         elements = root.find("ModelVariables")
         assert elements is not None and len(elements) == len(listed), "all are listed"
         names = [one.attrib["name"] for one in elements]
@@ -85,8 +77,8 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
             size = math.prod(int(part.attrib["start"]) for part in one)
             start = one.attrib.get("start")
             assert start is None or len(start.split()) == size, "start values fit"
-        single = scalars(scene)
-        root = ET.fromstring(model_description_2(scene, single, "{token}"))
+        single = scalars(drawn)
+        root = ET.fromstring(model_description_2(drawn, single, "{token}"))
         conventions.add(root.attrib["variableNamingConvention"])
         names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
         assert len(set(names)) == len(names), "names differ"

@@ -12,28 +12,11 @@ import numpy as np
 import pytest
 from draws import some
 from fmu_client import DISCARD, ERROR, OK, Fmu, Instance
-from own_fmu import MASS, PERIOD, moved, own_scene, own_unit, random_inputs, set_all
+from own_fmu import MASS, PERIOD, fmu, moved, plant, random_inputs, scene, set_all
 
-from arm_emulator.build.c_header import Library
-from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
 
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return own_scene(tmp_path_factory.mktemp("rich"))
-
-
-@pytest.fixture(scope="module")
-def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
-    return own_unit(scene, tmp_path_factory.mktemp("unit"))
-
-
-@pytest.fixture
-def plant(scene: Scene, fmu: Fmu) -> Plant:
-    """The same machine at another door: arm.h of the unit's binary."""
-    return Plant(scene, core=Library(fmu.binary._name, (ARM,)))
+__all__ = ["fmu", "plant", "scene"]  # fixtures
 
 
 def random_lengths(seed: int) -> list[float]:

@@ -196,7 +196,9 @@ def test_orders(machine: str, scheme: str) -> None:
         "order of the error"
     )
     # A constant of the right size: the motions have accelerations of 10 rad/s2 (1e3 1/s3).
-    assert fine < {1: 1e-3, 2: 1e-6, 3: 1e-8}[KNOWN[scheme].order], "error of the fine step [rad or m]"
+    assert fine < {1: 1e-3, 2: 1e-6, 3: 1e-8}[KNOWN[scheme].order], (
+        "error of the fine step [rad or m]"
+    )
 
 
 def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.intervals import of_repetitions
-from arm_emulator.campaign.search.method import Finding, Method
+from arm_emulator.campaign.search.by_levels import ByLevels
+from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.variation import Variation
 
 MOST_LEVELS = 60
@@ -68,7 +69,7 @@ class Repetition:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Splitting(Method):
+class Splitting(ByLevels):
     """Splitting: failures that noise causes during a run, by machines forked in mid-run."""
 
     kind: ClassVar[str] = "splitting"
@@ -79,13 +80,6 @@ class Splitting(Method):
     )
     share: float = number(
         at_least=0.01, at_most=0.5, default=0.2, text="of a level's runs that reach the next"
-    )
-    repetitions: float = number(
-        at_least=4, at_most=1000, whole=True, default=10, text="independent ones, for the interval"
-    )
-    confidence: float = number(above=0.5, at_most=0.999999, default=0.95, text="of the interval")
-    least: float = number(
-        above=0.0, at_most=0.1, default=1e-12, text="probability below which it gives up"
     )
     look: float = number(
         "s", above=0.0, at_most=100.0, default=0.01, text="after which a run is looked at"

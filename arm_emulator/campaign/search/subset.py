@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.intervals import of_repetitions
-from arm_emulator.campaign.search.method import Array, Course, Finding, Method
+from arm_emulator.campaign.search.by_levels import ByLevels
+from arm_emulator.campaign.search.method import Array, Course, Finding
 from arm_emulator.campaign.variation import Variation
 
 MOST_LEVELS = 40
@@ -33,7 +34,7 @@ ACCEPTED = 0.44  # share of candidates at which chains forget soonest
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subset(Method):
+class Subset(ByLevels):
     """Subset simulation: probabilities of failures too rare to be sampled, with their interval."""
 
     kind: ClassVar[str] = "subset"
@@ -43,13 +44,6 @@ class Subset(Method):
     )
     share: float = number(
         at_least=0.01, at_most=0.5, default=0.1, text="of a level's runs from which the next begins"
-    )
-    repetitions: float = number(
-        at_least=4, at_most=1000, whole=True, default=10, text="independent ones, for the interval"
-    )
-    confidence: float = number(above=0.5, at_most=0.999999, default=0.95, text="of the interval")
-    least: float = number(
-        above=0.0, at_most=0.1, default=1e-12, text="probability below which it gives up"
     )
 
     def check(self, section: Section, variation: Variation) -> None:

@@ -7,7 +7,7 @@ from typing import Self
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.input import CURRENT
-from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData
+from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData, inertia_of_rotor
 from arm_emulator.machine.parts.part import number
 
 
@@ -30,9 +30,7 @@ class CurrentMotor(Motor):
         default=0.0,
         text="R, for the power that the winding takes: it changes no motion",
     )
-    rotor_inertia: float = number(
-        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
-    )
+    rotor_inertia: float = inertia_of_rotor()
     bandwidth: float | None = number(
         "bandwidth", "Hz", above=0.0, default=None, text="f; none: the current follows at once"
     )

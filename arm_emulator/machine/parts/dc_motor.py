@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
-from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData
+from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData, inertia_of_rotor
 from arm_emulator.machine.parts.part import number
 
 
@@ -36,10 +36,7 @@ class DcMotor(Motor):
         at_least=0.0,
         text="Kb; equals Kt in SI units if the motor has no other losses",
     )
-    # With the gear's primary side.
-    rotor_inertia: float = number(
-        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
-    )
+    rotor_inertia: float = inertia_of_rotor()
     current_limit: float | None = number(
         "current_limit",
         "A",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import VOLTAGE, Input
-from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -68,6 +68,12 @@ class Rating:
     def current(self) -> float:
         """Of the largest torque [A]."""
         return self.torque / self.torque_constant
+
+
+def inertia_of_rotor() -> Any:
+    """Return the declaration of the inertia of a motor's rotor."""
+    text = "Mm, rotor and primary side of the gear"
+    return number("Mm", "kg m2", above=0.0, sought="known", text=text)
 
 
 @dataclass(frozen=True, kw_only=True)

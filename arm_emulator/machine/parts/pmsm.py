@@ -12,7 +12,14 @@ from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.fault import RISES, Fault, share
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.motor import Circuit, CxxMotor, Motor, Rating, ServoData
+from arm_emulator.machine.parts.motor import (
+    Circuit,
+    CxxMotor,
+    Motor,
+    Rating,
+    ServoData,
+    inertia_of_rotor,
+)
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 
@@ -52,9 +59,7 @@ class Pmsm(Motor):
         text="psi, amplitude of the magnets' flux linkage; 0: a reluctance motor",
     )
     pole_pairs: int = number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True, text="p")
-    rotor_inertia: float = number(
-        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
-    )
+    rotor_inertia: float = inertia_of_rotor()
     current_limit: float | None = number(
         "current_limit",
         "A",

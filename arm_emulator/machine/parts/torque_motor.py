@@ -7,7 +7,7 @@ from typing import Self
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.input import TORQUE
-from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData
+from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData, inertia_of_rotor
 from arm_emulator.machine.parts.part import number
 
 
@@ -22,9 +22,7 @@ class TorqueMotor(Motor):
     limit = "torque_limit"
     rules = ("limit at the peak torque, bandwidth of drives that sample at 16 kHz",)
 
-    rotor_inertia: float = number(
-        "Mm", "kg m2", above=0.0, sought="known", text="Mm, rotor and primary side of the gear"
-    )
+    rotor_inertia: float = inertia_of_rotor()
     bandwidth: float | None = number(
         "bandwidth", "Hz", above=0.0, default=None, text="f; none: the torque follows at once"
     )
