@@ -35,7 +35,10 @@ class Changes:
         """In this block no time passes, and all ticks up to now are published."""
         with self._session.between_ticks():
             self.pacer.catch_up()
-            yield
+            try:
+                yield
+            finally:
+                self.pacer.changed()
 
     def make(self, kind: int, change: Callable[[], None]) -> None:
         """Change the machine, and publish the data for repeating the change.
@@ -48,12 +51,13 @@ class Changes:
             change()
             saved = self._session.plant.save()
             self._watched.take()
-        self.reports.event(kind, saved)
-        self._breaks.changed()
+            self.reports.event(kind, saved)
+            self._breaks.changed()
 
     def put(self, kind: int, change: Callable[[], None]) -> None:
         """Change the machine, publish its new state, and continue from there, see `make`."""
-        self.make(kind, change)
-        self.reports.change()
+        with self.between_ticks():
+            self.make(kind, change)
+            self.reports.change()
         if self._session.answered:
             self.pacer.go_on()

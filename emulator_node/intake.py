@@ -50,6 +50,8 @@ class Intake:
 
     def _on_command(self, command: Any, data: bytes) -> None:
         with self._lock:
+            if self._session.by_itself:
+                self._pacer.look()  # it has gone on since
             if command.machine not in (0, STARTED):
                 self._diagnostics.count("motor_commands for another emulator")
                 return

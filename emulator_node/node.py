@@ -38,6 +38,7 @@ from arm_emulator.ros.node_parameters import (
     replaced,
 )
 from arm_emulator.ros.node_shell import Diagnostics, run_node, wall_timer
+from arm_emulator.ros.precedence import precede
 from emulator_node.answered_ticks import AnsweredTicks
 from emulator_node.breaks import Breaks
 from emulator_node.changes import Changes
@@ -46,6 +47,7 @@ from emulator_node.health import Health, Status
 from emulator_node.intake import Intake
 from emulator_node.outbox import Outbox, own_record
 from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
+from emulator_node.real_time_ticks import READERS, HeldCommands
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.repeater import REPEAT_AFTER, Repeater
 from emulator_node.reports import Reports
@@ -128,14 +130,16 @@ class EmulatorNode(ManagedNode):
             self.get_logger().warning(line)
         diagnostics = self._diagnostics
         diagnostics.hardware_id = scene.name
-        outbox = Outbox(diagnostics)
+        outbox = Outbox()
         self.cleanup.callback(outbox.close)
         self._session = session = (
-            real_time_session(scene, config.start, standing=True)
+            real_time_session(scene, config.start, standing=True, readers=READERS)
             if config.clock == "realtime"
             else Session(scene, config.clock, config.start, standing=True)
         )
         diagnostics.values |= build_facts(session.plant)
+        if session.by_itself:
+            diagnostics.values["nice value"] = precede()
         watched = self._watch(session)
         self.cleanup.callback(watched.close)
         view = View(session, config.rerun_file, config.rerun_port)
@@ -149,9 +153,9 @@ class EmulatorNode(ManagedNode):
         self._reports = reports = Reports(own, config.report_period)
         self._status = status = Status(own, reports)
         health = Health(own, lambda: self._config.timeout)
-        pacer = LoopPacer if session.by_itself else LockstepPacer
         breaks = Breaks(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
-        self._pacer: Pacer = pacer(own, reports, health, breaks)
+        loop = LoopPacer(own, reports, health, breaks) if session.by_itself else None
+        self._pacer: Pacer = loop or LockstepPacer(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
         changes = Changes(session, self._pacer, reports, watched, breaks)
         intake = Intake(own, self._pacer, changes, breaks)
@@ -162,8 +166,12 @@ class EmulatorNode(ManagedNode):
             outbox.record = own_record(self, folder, publishers, commands, session.lockstep)
             diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
             self.cleanup.callback(self._end_record)
-        if not session.by_itself:
-            self.hot = AnsweredTicks(own, intake.commands, intake.taking, reports, health, breaks)
+        given = intake.commands, intake.taking
+        self.hot = (
+            HeldCommands(own, loop.ticks, *given)
+            if loop
+            else AnsweredTicks(own, *given, reports, health, breaks)
+        )
         control = TimeControl(own, changes, health, status)
         TimeServices(own, control)
         MachineServices(own, changes)
@@ -237,6 +245,7 @@ class EmulatorNode(ManagedNode):
 
     def _on_status(self) -> None:
         with self._own.lock:
+            self._pacer.look()
             self._status.report()
             if time.monotonic() - self._reports.published_at >= STATUS_PERIOD:
                 self._reports.time_again()

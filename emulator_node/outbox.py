@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,55 +10,31 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 
-from arm_emulator.ros.node_shell import Diagnostics
-
 if TYPE_CHECKING:
     from arm_emulator.ros.run_record import RunRecord
 
-UNPUBLISHED = 1000  # messages that may wait in real time: a controller needs the newest ones
-
 
 class Outbox:
-    """Queue of outgoing messages.
-
-    The thread that takes the ticks of a loop writes messages to the record at once and queues them
-    here, because publishing takes longer; `send` publishes them.
+    """Outgoing messages of Python.
 
     Attributes:
         record: record of published and accepted messages; None: no record.
-        taker: that thread.
+        before_record: called before a message is written into it, to write those of C.
     """
 
-    def __init__(self, diagnostics: Diagnostics) -> None:
+    def __init__(self) -> None:
         self.record: RunRecord | None = None
-        self.taker: threading.Thread | None = None
-        self._diagnostics = diagnostics
-        self._waiting: deque[tuple[Publisher, bytes]] = deque()
-        self._too_late = 0  # messages dropped for newer ones
+        self.before_record: Callable[[], None] = lambda: None
 
     def put(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, or the bytes of one, and write it into the record."""
-        if self.record is None and self.taker is None:
+        if self.record is None:
             publisher.publish(message)
             return
         data = message if isinstance(message, bytes) else serialize_message(message)
-        if self.record is not None:
-            self.record.put(publisher.topic_name, data)
-        if threading.current_thread() is not self.taker:
-            publisher.publish(data)
-            return
-        if len(self._waiting) >= UNPUBLISHED:
-            self._waiting.popleft()
-            self._too_late += 1
-            self._diagnostics.values["messages too late to publish"] = self._too_late
-        self._waiting.append((publisher, data))
-
-    def send(self, most: int = UNPUBLISHED) -> bool:
-        """Publish waiting messages, oldest first, up to a number; return whether more wait."""
-        for _ in range(min(most, len(self._waiting))):
-            publisher, data = self._waiting.popleft()
-            publisher.publish(data)
-        return bool(self._waiting)
+        self.before_record()
+        self.record.put(publisher.topic_name, data)
+        publisher.publish(data)
 
     def close(self) -> None:
         """Finish the record."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from typing import Protocol
 
 import rclpy
@@ -12,9 +13,10 @@ from arm_emulator.ros.node_shell import wall_timer
 from emulator_node.breaks import Breaks
 from emulator_node.context import Context
 from emulator_node.health import Health
+from emulator_node.real_time_ticks import RealTimeTicks
 from emulator_node.reports import Reports
 
-AT_ONCE = 10  # ticks in real time taken, and messages published, at a time
+LOOK = 0.02  # s, wall: interval at which Python looks at the ticks of a loop
 
 
 class Pacer(Protocol):
@@ -27,10 +29,13 @@ class Pacer(Protocol):
         """Leave this tick, unless it waits for something."""
 
     def look(self) -> None:
-        """Check, several times a second, whether time has to advance."""
+        """Check whether time has to advance, or has advanced."""
 
     def catch_up(self) -> None:
         """Publish all ticks reached so far, before a change. Time must stand still."""
+
+    def changed(self) -> None:
+        """Take note of a machine that was changed at this tick. Time must stand still."""
 
     def close(self) -> None:
         """End."""
@@ -77,6 +82,9 @@ class LockstepPacer:
         """Do nothing: every tick is published when reached."""
         self._health.report_fault()
 
+    def changed(self) -> None:
+        """Do nothing: the machine is read at each tick."""
+
     def close(self) -> None:
         """Do nothing: no thread is running."""
 
@@ -94,67 +102,75 @@ class LockstepPacer:
 
 
 class LoopPacer:
-    """Ticks come from a loop. A thread of its own takes and publishes them."""
+    """Ticks come from a loop. A thread in C publishes them; Python looks at the newest ones.
+
+    Attributes:
+        ticks: what C publishes.
+    """
 
     def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
-        self._breaks = breaks
-        self._session, self._outbox, self._lock = own.session, own.outbox, own.lock
+        self._breaks, self._own = breaks, own
+        self._session, self._gate, self._lock = own.session, own.gate, own.lock
         self._reports, self._health = reports, health
+        self.ticks = RealTimeTicks(own, reports)
+        self._topic = own.node.resolve_topic_name("motor_commands")
         self._closing = False
         self._thread: threading.Thread | None = None
+        own.outbox.before_record = self._record
+        wall_timer(own.node, LOOK, self._on_look)
 
     def start(self) -> None:
-        """Take ticks from now on."""
+        """Publish ticks from now on."""
         self._closing = False
-        self._thread = self._outbox.taker = threading.Thread(target=self._run, name="taker")
+        self.ticks.begin()
+        self._thread = threading.Thread(target=self._run, name="publisher")
         self._thread.start()
 
     def go_on(self) -> None:
         """Do nothing: the loop advances by itself."""
 
     def look(self) -> None:
-        """Do nothing: the loop checks by itself."""
+        """Take note of the newest tick."""
+        session, before = self._session, self._session.tick
+        while session.take(newest=not self._own.view.open):
+            if session.fault is None:  # otherwise it has not reached another tick
+                self._own.view.tick()
+        if session.tick != before:
+            self._reports.published_at = self._reports.repeated_at = time.monotonic()
+            self._gate.count(session.tick - before)
+        self._record()
+        self._health.report_fault()
+        self._breaks.look()
 
     def catch_up(self) -> None:
-        """Publish all ticks that the loop has reached, in order, so that a change follows them."""
-        self._outbox.send()
-        while self._take():
-            pass
-        self._health.report_fault()
+        """Publish all ticks that the loop has reached, so that a change follows them."""
+        self.ticks.catch_up()
+        self.look()
+
+    def changed(self) -> None:
+        """Go on from the machine as it is now."""
+        self.ticks.break_at(self._breaks.stop)
+        self.ticks.put()
 
     def close(self) -> None:
         """End the thread."""
         self._closing = True
+        self.ticks.close()
         if self._thread is not None:
             self._thread.join()
+            self._thread = None
+            self.ticks.end()
+
+    def _record(self) -> None:
+        with self._lock:
+            self.ticks.record(self._topic)
+
+    def _on_look(self) -> None:
+        with self._lock:
+            self.look()
 
     def _run(self) -> None:
         while not self._closing and rclpy.ok():
-            if self._session.wait(timeout=0.1):
-                try:
-                    while self._take_some() and not self._closing:
-                        pass
-                except RuntimeError:  # of rclpy, if a signal has ended it meanwhile
-                    if rclpy.ok():
-                        raise
-
-    def _take_some(self) -> bool:
-        """Take some ticks, publish some waiting messages; return whether more of either remain.
-
-        On a machine that is too slow this never ends: topics and services are served in between.
-        """
-        with self._lock:
-            taken = 0
-            while taken < AT_ONCE and self._take():
-                taken += 1
-            self._health.report_fault()
-            return self._outbox.send(AT_ONCE) or taken == AT_ONCE
-
-    def _take(self) -> bool:
-        """Take a tick and publish its state; False after the last."""
-        if not self._session.take():
-            self._breaks.look()
-            return False
-        if self._session.fault is None:  # otherwise it has not reached another tick
-            self._reports.tick()
-        return True
+            if self.ticks.run():
+                with self._lock:
+                    self.look()

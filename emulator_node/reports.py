@@ -12,9 +12,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.machine.call_arguments import truth_at
+from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.ros.doubles import STARTED
-from arm_emulator.ros.middleware import Outgoing
+from arm_emulator.ros.middleware import Numbers, Outgoing
 from arm_emulator.ros.node_shell import (
     DESCRIPTION_QOS,
     EVENT_QOS,
@@ -61,11 +62,9 @@ class Reports:
             0,
             self._fields.places(session.plant.measured_place),
         )
-        zeros = array("d", bytes(8 * len(session.scene.joints)))
-        names = list(session.scene.joint_names)
         self.joint_state = Outgoing(
             create(JointState, "emulator/joint_states", STATE_PUB_QOS),
-            JointState(name=names, position=zeros, velocity=zeros, effort=zeros),
+            self._empty_truth(),
             1,
             list(zip(TRUTH, rows, strict=True)),
         )
@@ -77,6 +76,21 @@ class Reports:
             *(one.publisher for one in self.outgoing), self._descriptions, self._events,
         ]  # fmt: skip
         self.published_at = self.repeated_at = time.monotonic()
+
+    def beside(self, measured: Measured, truth: Numbers) -> tuple[Outgoing, Outgoing, Outgoing]:
+        """Return `outgoing` once more, for a thread that fills them from other places.
+
+        Args:
+            measured: arrays of measurements.
+            truth: rows of `TRUTH`.
+        """
+        motor_state, joint_state, clock = (one.publisher for one in self.outgoing)
+        places = self._fields.places(measured)
+        return (
+            Outgoing(motor_state, self._empty_motor_state(), 0, places),
+            Outgoing(joint_state, self._empty_truth(), 1, list(zip(TRUTH, truth, strict=True))),
+            Outgoing(clock, Clock(), 2),
+        )
 
     def description(self) -> None:
         """Publish the robot's description."""
@@ -146,6 +160,13 @@ class Reports:
         for name, values in zip(TRUTH, (state.q, state.v, state.gear_torque), strict=True):
             getattr(truth, name)[:] = values
         self._outbox.put(self.joint_state.publisher, self.joint_state.layout.data())
+
+    def _empty_truth(self) -> JointState:
+        """Return a true state with all its names and lengths."""
+        scene = self._session.scene
+        zeros = array("d", bytes(8 * len(scene.joints)))
+        names = list(scene.joint_names)
+        return JointState(name=names, position=zeros, velocity=zeros, effort=zeros)
 
     def _empty_motor_state(self) -> MotorState:
         """Return a motor state with all its names and lengths."""

@@ -50,11 +50,12 @@ class TimeControl:
             if paused:
                 self._session.paused = True
 
-        self._changes.make(MachineEvent.KIND_RESET, reset)
-        self._gate.begin()
-        self._status.begin()
-        self._diagnostics.ok("reset")
-        self._reports.tick()
+        with self._changes.between_ticks():
+            self._changes.make(MachineEvent.KIND_RESET, reset)
+            self._gate.begin()
+            self._status.begin()
+            self._diagnostics.ok("reset")
+            self._reports.tick()
 
     def power(self, on: bool) -> None:
         """Switch the drives' power."""

@@ -50,6 +50,7 @@ from arm_emulator.ros.node_shell import (
     time_of,
     wall_timer,
 )
+from arm_emulator.ros.precedence import precede
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
@@ -119,6 +120,8 @@ class ServoNode(ManagedNode):
         """Create the drives, and their topics."""
         own = self._own
         self._lockstep = own.clock == "lockstep"
+        if not self._lockstep:
+            self._diagnostics.values["nice value"] = precede()
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._motion_ticks = round(self._config.motion_period / self._config.period)
         names = self._config.joint_names

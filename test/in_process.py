@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 import rclpy
 from network import bits_of, question
 from rclpy.serialization import deserialize_message, serialize_message
@@ -20,6 +21,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from arm_emulator.base.config_files import find_config
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.message_types import definition_of
 from arm_emulator.ros.ros_domain import own_domain
@@ -41,6 +43,16 @@ class Wires:
         self.timers: list[Timer] = []
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was reported last on each topic
         self.record: list[tuple[str, type, bytes]] | None = None  # all that was reported, if wanted
+        self.publishers: list[Publisher] = []
+        # For threads in C that publish.
+        declared = "int(ros_message *)"  # cffi knows no const
+        self.send = MIDDLEWARE.ffi.callback(declared)(self._send)
+
+    def _send(self, message: Any) -> int:
+        number = int(MIDDLEWARE.ffi.cast("uintptr_t", message.publisher))
+        data = bytes(MIDDLEWARE.ffi.buffer(message.data, message.size))
+        self.publishers[number - 1].publish(data)
+        return 0
 
     def join(self, kind: type) -> Any:
         """Return a node of that kind on these wires."""
@@ -99,12 +111,27 @@ class Timer:
         self._canceled = False
 
 
+class Handle:
+    """A publisher as C knows it, by its number on the wires."""
+
+    def __init__(self, number: int) -> None:
+        self.pointer = number
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
 class Publisher:
     """States messages onto the wires."""
 
     def __init__(self, wires: Wires, kind: type, topic: str) -> None:
         self._wires, self._kind, self._topic = wires, kind, topic
         self.topic_name = f"/{topic}"
+        wires.publishers.append(self)
+        self.handle = Handle(len(wires.publishers))
 
     def publish(self, message: Any) -> None:
         data = message if isinstance(message, bytes) else serialize_message(message)
@@ -129,6 +156,9 @@ class InProcess:
 
     def __init__(self) -> None:
         self._wires = Wires()
+        patch = pytest.MonkeyPatch()
+        calls = SimpleNamespace(ros_send=self._wires.send)
+        patch.setattr("emulator_node.real_time_ticks.middleware", lambda: calls)
         self.states: dict[int, bytes] = {}
         self.tick = -1
         self._heard = _as_message(MotorState, self._on_state)
@@ -137,6 +167,7 @@ class InProcess:
         kinds = {"servo": ServoNode, "motion_controller": MotionControllerNode}
         self.nodes = {name: self._wires.join(kind) for name, kind in kinds.items()}
         self.nodes["emulator"] = self._wires.join(EmulatorNode)
+        patch.undo()
 
     def close(self) -> None:
         for node in self.nodes.values():

@@ -59,7 +59,7 @@ int main() {
     });
     // Changed between two ticks now and then, while commands go on coming.
     for (int taken = 0, change = 50; taken < 300;) {
-      taken += arm_real_time_take(loop, &snapshot);
+      taken += arm_real_time_take(loop, 0, &snapshot);
       if (taken < change) continue;
       change += 50;
       arm_real_time_stop(loop);
@@ -68,7 +68,7 @@ int main() {
     }
     enough.store(true);
     arm_real_time_stop(loop);
-    while (arm_real_time_take(loop, &snapshot)) {
+    while (arm_real_time_take(loop, 0, &snapshot)) {
     }
     arm_reset(machine, q, v);
   }

@@ -22,7 +22,7 @@ from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.breakpoint import breakpoint_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
-from emulator_node.c import answered_ticks_unit
+from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from servo_node.c import answered_states_unit
 
 TEST = Path(__file__).resolve().parent
@@ -76,6 +76,7 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         judges_unit(),
         sampler_unit(),
         answered_ticks_unit(),
+        real_time_ticks_unit(),
         answered_states_unit(),
     )
     names = sorted(set().union(*map(names_of, units)))

@@ -54,11 +54,21 @@ class Answers:
         self._left = left
         self.put(-1, None)
 
-    def put(self, tick: int, rows: Array | None, before: Array | None = None) -> None:
-        """Let this be the newest command; `before` answered the tick before, None: no command."""
+    def put(
+        self, tick: int, rows: Array | None, before: Array | None = None, answered: int = -1
+    ) -> None:
+        """Let this be the newest command.
+
+        Args:
+            tick: that it answers.
+            rows: the command; None: no command.
+            before: the one before it, alike.
+            answered: the tick that this answered; -1: the one before.
+        """
         self.tick, self.newest = tick, rows
+        answered = tick - 1 if answered < 0 else answered
         # The accepted one before it.
-        self._before: tuple[int, Array | None] = (-1 if before is None else tick - 1, before)
+        self._before: tuple[int, Array | None] = (-1 if before is None else answered, before)
 
     def save(self) -> tuple[object, ...]:
         """Return the commands that are known now, for `restore`."""

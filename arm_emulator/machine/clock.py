@@ -30,7 +30,7 @@ class Reached:
     """The machine at a tick that a loop has reached."""
 
     tick: int
-    spent: int  # ns, on the period that led there
+    spent: int  # ns, on the periods since the one that was taken before
     fault: int  # joint that diverged; -1: none
     energy: float  # J
     rows: Array  # (len(ROWS), N), see `PlantState`
@@ -86,6 +86,6 @@ class Clock:
         """Wait at most `timeout` [s] for a tick."""
         return False
 
-    def take(self) -> Reached | None:
-        """Return the oldest tick not taken yet, None after the last."""
+    def take(self, *, newest: bool = False) -> Reached | None:
+        """Return the oldest tick not taken yet, or the newest; None after the last."""
         return None

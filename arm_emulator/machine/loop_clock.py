@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from arm_emulator.build.c_header import CData
@@ -14,15 +16,24 @@ from arm_emulator.machine.session import Session
 
 
 class LoopClock(Clock):
-    """Ticks come from the real-time loop of the core, see `RealTimeLoop`."""
+    """Ticks come from the real-time loop of the core, see `RealTimeLoop`.
+
+    Attributes:
+        loop: that loop.
+
+    Args:
+        plant: the machine.
+        readers: of the loop.
+    """
 
     by_itself = True
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: Plant, readers: int = 1) -> None:
         scene = plant.scene
         period_ns = round(scene.servo_period * 1e9)
         super().__init__(plant)
-        self._loop = RealTimeLoop(plant, period_ns, scene.steps_per_period, scene.cores[0])
+        core, steps = scene.cores[0], scene.steps_per_period
+        self.loop = RealTimeLoop(plant, period_ns, steps, core, readers)
         self._zero = np.zeros(len(scene.joints))
         self._spent_ns = 0  # on exchanges
         self.running = False
@@ -35,46 +46,46 @@ class LoopClock(Clock):
     @property
     def figures(self) -> RealTimeFigures:
         """Punctuality of the loop."""
-        return self._loop.figures()
+        return self.loop.figures()
 
     def begin(self) -> None:
         """Restart at tick 0, see `Clock.begin`."""
-        while self._loop.take() is not None:
+        while self.loop.take() is not None:
             pass
-        self._loop.command(-1, self._zero)
-        self._loop.clear_figures()
+        self.loop.command(-1, self._zero)
+        self.loop.clear_figures()
 
     def command(self, answered: int, rows: Array) -> None:
         """Hold commands and further inputs (1 + I, N), which answer a tick, from now on."""
-        self._loop.command(answered, rows[0], rows[1:])
+        self.loop.command(answered, rows[0], rows[1:])
 
     def start(self, tick: int) -> None:
         """Start time at a tick."""
         self.running = True
-        self._loop.start(tick)
+        self.loop.start(tick)
 
     def stop(self) -> None:
         """Stop within a period. Ticks not taken yet stay."""
         if self.running:
-            self._loop.stop()
+            self.loop.stop()
         self.running = False
 
     def go_on(self) -> None:
         """Continue as if time had not been stopped; missed deadlines are lateness."""
         self.running = True
-        self._loop.go_on()
+        self.loop.go_on()
 
     def break_at(self, stop: CData) -> None:
         """Stop behind the period after which an ``int32_t`` in C is not 0; NULL: never."""
-        self._loop.break_at(stop)
+        self.loop.break_at(stop)
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick, without Python's lock."""
-        return self._loop.wait(timeout)
+        return self.loop.wait(timeout)
 
-    def take(self) -> Reached | None:
-        """Return the oldest tick not taken yet, None after the last."""
-        reached = self._loop.take()
+    def take(self, *, newest: bool = False) -> Reached | None:
+        """Return the oldest tick not taken yet, or the newest; None after the last."""
+        reached = self.loop.take(newest=newest)
         if reached is not None:
             self._spent_ns += reached.spent
             if reached.fault >= 0:
@@ -82,6 +93,9 @@ class LoopClock(Clock):
         return reached
 
 
-def real_time_session(scene: Scene, start: str, *, standing: bool = False) -> Session:
+def real_time_session(
+    scene: Scene, start: str, *, standing: bool = False, readers: int = 1
+) -> Session:
     """Return a session whose ticks come from the real-time loop, see `Session`."""
-    return Session(scene, "realtime", start, LoopClock, standing=standing)
+    clock = partial(LoopClock, readers=readers)
+    return Session(scene, "realtime", start, clock, standing=standing)

@@ -36,17 +36,25 @@ class RealTimeLoop(Turns):
         period_ns: servo period [ns].
         steps: integration steps in a period.
         core: processor core for the thread, -1 for any.
+        readers: who takes its snapshots: 1, `take` alone; 2, code in C beside it.
+
+    Attributes:
+        handle: ``arm_real_time *``.
+        descriptor: see ``arm_real_time_descriptor``.
 
     Raises:
         Refusal: no such counts.
     """
 
-    def __init__(self, plant: Plant, period_ns: int, steps: int, core: int) -> None:
+    def __init__(
+        self, plant: Plant, period_ns: int, steps: int, core: int, readers: int = 1
+    ) -> None:
         super().__init__()
         for quantity, value, least, largest in (
             ("period_ns", period_ns, 1, LONGEST_PERIOD),
             ("steps", steps, 1, LARGEST_STEPS),
             ("core", core, -1, LARGEST_CORE),
+            ("readers", readers, 1, 2),
         ):
             check_count("RealTimeLoop", quantity, value, least, largest)
         self._period_ns = period_ns
@@ -65,9 +73,10 @@ class RealTimeLoop(Turns):
             imus=len(plant.scene.imus),
             readings=len(readings_of(plant.scene)),
             inputs=len(further_inputs(plant.scene)),
+            readers=readers,
         )
-        self._loop = self._calls.arm_real_time_new(options)
-        self._bell = self._calls.arm_real_time_descriptor(self._loop)
+        self.handle = self._calls.arm_real_time_new(options)
+        self.descriptor = self._calls.arm_real_time_descriptor(self.handle)
         self._energy, self._rows = np.zeros(1), np.zeros((len(ROWS), N))
         self._place = MeasuredPlace(plant.scene)
         self._snapshot = REAL_TIME.new("arm_snapshot", **self._place.arrays)
@@ -80,12 +89,12 @@ class RealTimeLoop(Turns):
         self._command = ARM.new("arm_command", tick=-1, **places)
 
     def __del__(self) -> None:
-        loop, self._loop = getattr(self, "_loop", None), None
+        loop, self.handle = getattr(self, "handle", None), None
         if loop:
             self._calls.arm_real_time_delete(loop)
 
     def renew_threads(self) -> None:  # noqa: D102
-        self._loop = NULL  # the thread is the parent's, and the machine may be within a period
+        self.handle = NULL  # the thread is the parent's, and the machine may be within a period
 
     def start(self, tick: int) -> None:
         """Run from `tick` on, until `stop` or a fault.
@@ -95,21 +104,21 @@ class RealTimeLoop(Turns):
         """
         where = "RealTimeLoop.start"
         check_count(where, "tick", tick, 0, LARGEST // (2 * self._period_ns))
-        if not self._loop:
+        if not self.handle:
             raise Refusal(where, "the process", "be the one that made it", "a forked child")
-        self._calls.arm_real_time_start(self._loop, tick)
+        self._calls.arm_real_time_start(self.handle, tick)
 
     def stop(self) -> None:
         """Stop within a period. Snapshots not taken yet stay."""
-        self._calls.arm_real_time_stop(self._loop)
+        self._calls.arm_real_time_stop(self.handle)
 
     def go_on(self) -> None:
         """Continue as if it had not stopped; missed deadlines are lateness and lost periods."""
-        self._calls.arm_real_time_go_on(self._loop)
+        self._calls.arm_real_time_go_on(self.handle)
 
     def break_at(self, stop: CData) -> None:
         """End behind the period after which an ``int32_t`` in C is not 0; NULL: never."""
-        self._calls.arm_real_time_break(self._loop, stop)
+        self._calls.arm_real_time_break(self.handle, stop)
 
     def command(self, answered: int, command: Array, further: Array | None = None) -> None:
         """Set the commands (N,) [V, N m, A] for the periods to come; -1 answers no tick.
@@ -124,22 +133,23 @@ class RealTimeLoop(Turns):
         self._commands["value"] = COMMAND.row(where, command, self._N)
         self._further[:] = 0.0 if further is None else further
         self._command.tick = answered
-        self._calls.arm_real_time_command(self._loop, self._command)
+        self._calls.arm_real_time_command(self.handle, self._command)
 
     def wait(self, timeout: float) -> bool:
         """Wait for a snapshot, at most `timeout` [s], without Python's lock."""
-        if not select.select([self._bell], [], [], timeout)[0]:
+        if not select.select([self.descriptor], [], [], timeout)[0]:
             return False
-        os.read(self._bell, 8)
+        os.read(self.descriptor, 8)
         return True
 
-    def take(self) -> Reached | None:
-        """Return the oldest tick not taken yet, None after the last."""
-        if not self._calls.arm_real_time_take(self._loop, self._snapshot):
+    def take(self, *, newest: bool = False) -> Reached | None:
+        """Return the oldest tick not taken yet, or the newest; None after the last."""
+        skipped = self._calls.arm_real_time_skip(self.handle, 0) if newest else 0
+        if not self._calls.arm_real_time_take(self.handle, 0, self._snapshot):
             return None
         return Reached(
             self._snapshot.tick,
-            self._snapshot.spent,
+            self._snapshot.spent + skipped,
             self._snapshot.truth.fault,
             float(self._energy[0]),
             self._rows.copy(),
@@ -149,11 +159,11 @@ class RealTimeLoop(Turns):
     def figures(self) -> RealTimeFigures:
         """Return the loop's figures."""
         figures = REAL_TIME.new("arm_real_time_figures")
-        self._calls.arm_real_time_get_figures(self._loop, figures)
+        self._calls.arm_real_time_get_figures(self.handle, figures)
         return RealTimeFigures(
             **{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)}
         )
 
     def clear_figures(self) -> None:
         """Count from now on."""
-        self._calls.arm_real_time_clear_figures(self._loop)
+        self._calls.arm_real_time_clear_figures(self.handle)

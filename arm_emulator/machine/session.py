@@ -455,6 +455,35 @@ class Session(Turns):
         self._tick = tick
 
     @in_turn
+    def take_over_held(self, newest: tuple[int, Array], before: tuple[int, Array]) -> None:
+        """Take over which commands code in C has given to a loop.
+
+        Args:
+            newest: the tick that they answer, and the commands (N,).
+            before: the same of those before them.
+        """
+        others = np.zeros((len(self._answers.inputs), len(newest[1])))
+        (tick, rows), (tick_before, rows_before) = (
+            (tick, np.vstack([row, others])) for tick, row in (newest, before)
+        )
+        self._answers.put(tick, rows, rows_before, tick_before)
+
+    @property
+    def clock(self) -> Clock:
+        """The clock."""
+        return self._clock
+
+    @property
+    def held(self) -> Array:
+        """The newest commands and further inputs, 0 before the first ones (1 + I, N)."""
+        return self._answers.rows
+
+    @property
+    def answered_tick(self) -> int:
+        """The tick that the newest commands answer; -1: none."""
+        return self._answers.tick
+
+    @in_turn
     def close(self) -> None:
         """Stop the machine for good: it can be read, and no longer changed."""
         self._clock.stop()
@@ -481,9 +510,9 @@ class Session(Turns):
         return self._clock.wait(timeout)
 
     @in_turn
-    def take(self) -> bool:
-        """Take the next tick that a loop has reached; False after the last."""
-        reached = self._clock.take()
+    def take(self, *, newest: bool = False) -> bool:
+        """Take the next tick that a loop has reached, or the newest; False after the last."""
+        reached = self._clock.take(newest=newest)
         if reached is None:
             return False
         self._tick = reached.tick

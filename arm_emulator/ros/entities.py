@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Collection
 from contextlib import ExitStack
 from typing import Any, Self
 
@@ -70,6 +71,13 @@ class Entities:
     def ready_subscriptions(self) -> list[Any]:
         """Return those that have messages."""
         return self._ready("subscription", self.subscriptions)
+
+    def timers_alone(self, timers: Collection[Any]) -> bool:
+        """Return whether nothing is ready but some of these timers."""
+        others = ("subscription", "service", "guard_condition")
+        if any(self._all.get_ready_entities(kind) for kind in others):
+            return False
+        return all(one in timers for one in self._ready("timer", self.timers))
 
     def serve_timers(self) -> None:
         """Call back for each timer that is due."""

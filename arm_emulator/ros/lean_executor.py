@@ -106,14 +106,20 @@ class LeanExecutor:
         """Wait for everything else while messages are taken in C."""
         generation = self._generation
         others = [one for one in entities.subscriptions if one not in arrivals]
-        while (now := time.monotonic()) < until and generation == self._generation:
-            wait = until - now if arrivals.open() else 0.0
-            entities.wait(wait, others, arrivals.guard)
+        beside = getattr(self._hot, "beside", ())
+        while time.monotonic() < until and generation == self._generation:
+            open_ = arrivals.open()
+            while True:
+                left = until - time.monotonic() if open_ else 0.0
+                entities.wait(left, others, arrivals.guard)
+                if left <= 0.0 or not entities.timers_alone(beside):
+                    break
+                entities.serve_timers()
             in_c = arrivals.close()
-            left = arrivals.left()
-            self._count(in_c, left is not None)
-            if left is not None:
-                subscription, data = left
+            message = arrivals.left()
+            self._count(in_c, message is not None)
+            if message is not None:
+                subscription, data = message
                 subscription.callback(data)
             entities.serve_timers()
             entities.serve_services()

@@ -41,7 +41,11 @@ def middleware() -> Library:
 
 
 class HotPath(Protocol):
-    """A node's messages that are taken and published in C."""
+    """A node's messages that are taken and published in C.
+
+    Attributes:
+        beside: timers, if it has the attribute, during whose callbacks messages may be taken in C.
+    """
 
     @property
     def takes(self) -> Sequence[tuple[Subscription, CData, CData]]:

@@ -74,15 +74,21 @@ class RunRecord:
             words.append(f"{self.missing} ticks came too fast to be recorded")
         return "; ".join(words)
 
-    def put(self, topic: str, data: bytes) -> None:
-        """Queue a message; from now on only a failing disk can lose it."""
+    def put(self, topic: str, data: bytes, at: int | None = None) -> None:
+        """Queue a message; from now on only a failing disk can lose it.
+
+        Args:
+            topic: of it.
+            data: its bytes.
+            at: wall time at which it came, or was published [ns]; None: now.
+        """
         while self._waits and len(self._waiting) >= CAPACITY and self._failure is None:
             time.sleep(BREATH)
         if len(self._waiting) >= CAPACITY or self._failure is not None:
             self.dropped += self._failure is None
             return
         # Answers come after their questions, even if wall time is set back.
-        self._newest = max(self._newest + 1, time.time_ns())
+        self._newest = max(self._newest + 1, time.time_ns() if at is None else at)
         self._waiting.append((self._numbers[topic], self._newest, data))
 
     def count(self, tick: int) -> None:

@@ -1,4 +1,4 @@
-"""The emulator's hot path in C: what is compiled, without ROS."""
+"""The emulator's hot paths in C: what is compiled, without ROS."""
 
 from pathlib import Path
 
@@ -9,12 +9,23 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.ros.c import FOLDER as ROS_FOLDER
 
 FOLDER = Path(__file__).resolve().parent
-ANSWERED_TICKS = Header(FOLDER / "answered_ticks.h", (BOUNDARY, ROS_FOLDER))
+FOLDERS = (FOLDER, ROS_FOLDER, BOUNDARY)
+MOTOR_COMMANDS = Header(FOLDER / "motor_commands.h", FOLDERS)
+ANSWERED_TICKS = Header(FOLDER / "answered_ticks.h", FOLDERS)
+REAL_TIME_TICKS = Header(FOLDER / "real_time_ticks.h", FOLDERS)
 
 
 def answered_ticks_unit() -> Unit:
     """Return answered_ticks.h as what is compiled."""
-    source = '#include "messages.c"\n#include "answered_ticks.c"\n'
-    folders, headers = (FOLDER, ROS_FOLDER, BOUNDARY), (ANSWERED_TICKS,)
-    about, part = "lock-step", "answered_ticks.c"
-    return Unit("answered_ticks", source, C_FLAGS, folders, headers, "emulator", about, part)
+    return _unit("answered_ticks", ANSWERED_TICKS, "lock-step")
+
+
+def real_time_ticks_unit() -> Unit:
+    """Return real_time_ticks.h as what is compiled."""
+    return _unit("real_time_ticks", REAL_TIME_TICKS, "messages in real time")
+
+
+def _unit(name: str, header: Header, about: str) -> Unit:
+    parts = ("messages.c", "motor_commands.c", f"{name}.c")
+    source = "".join(f'#include "{one}"\n' for one in parts)
+    return Unit(name, source, C_FLAGS, FOLDERS, (header,), "emulator", about, f"{name}.c")

@@ -4,7 +4,7 @@
 #define ANSWERED_TICKS_H
 
 #include "arm.h"
-#include "messages.h"
+#include "motor_commands.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -21,14 +21,7 @@ typedef struct answered_ticks {
   arm_command* command;
   arm_measurement* measurement;
   arm_truth* truth;
-  /* motor_commands: what they must be like, and where their numbers lie. */
-  ros_pattern pattern;
-  int64_t tick_at, machine_at, command_at;
-  const int64_t* place; /* of each joint of the message */
-  const double* most;   /* of the commands, as all arrays by the machine's order of joints */
-  double* came;         /* of the newest message */
-  uint64_t emulator;    /* commands are for this one, or for any: 0 */
-  int64_t number;       /* of the topic in the log */
+  motor_commands commands;
   /* Published at each tick, and at each tick that is a multiple of `report_ticks`. */
   int (*publish)(ros_message*, int64_t time, int64_t tick, ros_log* log);
   ros_message *motor_state, *joint_state, *clock;

@@ -32,7 +32,7 @@ from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.breakpoint import breakpoint_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
-from emulator_node.c import answered_ticks_unit
+from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from oracles.mixtures import write_mixture
 from servo_node.c import answered_states_unit
 
@@ -82,7 +82,7 @@ def units(folder: Path) -> Iterator[Unit]:
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
     yield from (record_ring_unit(), breakpoint_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
-    yield from (middleware_unit(), answered_ticks_unit(), answered_states_unit())
+    yield from (middleware_unit(), answered_ticks_unit(), real_time_ticks_unit(), answered_states_unit())
     if find_spec("unicorn"):
         from arm_emulator.doors.microcontroller.microcontroller import runner_unit
 

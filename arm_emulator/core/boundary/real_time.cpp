@@ -82,10 +82,10 @@ constexpr double* arm_truth::* kRows[] = {&arm_truth::current,     &arm_truth::m
                                           &arm_truth::motor_speed, &arm_truth::q,
                                           &arm_truth::v,           &arm_truth::gear_torque};
 
-// Snapshots that one thread writes and another takes.
+// Snapshots that one thread writes; each reader, a thread of its own, takes all of them.
 class Ring {
  public:
-  Ring(int joints, int imus, int readings, int inputs)
+  Ring(int joints, int imus, int readings, int inputs, int readers)
       : N(static_cast<std::size_t>(joints)),
         M(static_cast<std::size_t>(imus)),
         R(static_cast<std::size_t>(readings)),
@@ -94,7 +94,8 @@ class Ring {
         measured_(kSnapshots * N),
         sensors_(kSnapshots * N),
         units_(kSnapshots * M),
-        snapshots_(kSnapshots) {
+        snapshots_(kSnapshots),
+        taken_(readers > 1 ? 2 : 1) {
     double* next = numbers_.data();
     for (std::size_t k = 0; k < kSnapshots; ++k) {
       arm_snapshot& snapshot = snapshots_[k] = {};
@@ -110,16 +111,32 @@ class Ring {
     }
   }
 
-  // Place of the next snapshot, null if the oldest one has not been taken.
+  // Place of the next snapshot, null if a reader has not taken the oldest one.
   arm_snapshot* free() {
     const std::size_t w = written_.load(std::memory_order_relaxed);
-    return w - taken_.load(std::memory_order_acquire) == kSnapshots ? nullptr
-                                                                    : &snapshots_[w % kSnapshots];
+    for (const Count& taken : taken_)
+      if (w - taken.of.load(std::memory_order_acquire) == kSnapshots) return nullptr;
+    return &snapshots_[w % kSnapshots];
   }
   void publish() { written_.fetch_add(1, std::memory_order_release); }
 
-  bool take(arm_snapshot& out) {
-    const std::size_t t = taken_.load(std::memory_order_relaxed);
+  bool has(int reader) const {
+    return reader >= 0 && static_cast<std::size_t>(reader) < taken_.size();
+  }
+
+  std::int64_t skip(int reader) {
+    std::atomic<std::size_t>& taken = taken_[static_cast<std::size_t>(reader)].of;
+    const std::size_t w = written_.load(std::memory_order_acquire);
+    std::int64_t spent = 0;
+    std::size_t t = taken.load(std::memory_order_relaxed);
+    for (; t + 1 < w; ++t) spent += snapshots_[t % kSnapshots].spent;
+    taken.store(t, std::memory_order_release);
+    return spent;
+  }
+
+  bool take(int reader, arm_snapshot& out) {
+    std::atomic<std::size_t>& taken = taken_[static_cast<std::size_t>(reader)].of;
+    const std::size_t t = taken.load(std::memory_order_relaxed);
     if (t == written_.load(std::memory_order_acquire)) return false;
     const arm_snapshot& from = snapshots_[t % kSnapshots];
     out.tick = from.tick, out.answered = from.answered;
@@ -134,7 +151,7 @@ class Ring {
     if (out.current_d) std::copy_n(from.current_d, N, out.current_d);
     if (out.readings) std::copy_n(from.readings, R * N, out.readings);
     if (out.further) std::copy_n(from.further, I * N, out.further);
-    taken_.store(t + 1, std::memory_order_release);
+    taken.store(t + 1, std::memory_order_release);
     return true;
   }
 
@@ -147,8 +164,11 @@ class Ring {
   std::vector<arm_joint_sensors> sensors_;
   std::vector<arm_imu_measurement> units_;
   std::vector<arm_snapshot> snapshots_;
+  struct alignas(64) Count {
+    std::atomic<std::size_t> of = 0;
+  };
+  std::vector<Count> taken_;  // by each reader
   alignas(64) std::atomic<std::size_t> written_ = 0;
-  alignas(64) std::atomic<std::size_t> taken_ = 0;
 };
 
 // Statistics of the thread's late wake-ups.
@@ -206,7 +226,7 @@ struct arm_real_time {
       : arm(options),
         bell(eventfd(0, EFD_NONBLOCK)),
         cell(options.joints, options.inputs),
-        ring(options.joints, options.imus, options.readings, options.inputs) {}
+        ring(options.joints, options.imus, options.readings, options.inputs, options.readers) {}
 
   ~arm_real_time() {
     stop();
@@ -339,7 +359,8 @@ arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
   const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
                      options->machine && options->exchange && options->get_truth &&
                      options->join_schedule && options->period > 0 && options->core >= -1 &&
-                     options->imus >= 0 && options->readings >= 0 && options->inputs >= 0;
+                     options->imus >= 0 && options->readings >= 0 && options->inputs >= 0 &&
+                     options->readers >= 0 && options->readers <= 2;
   return sound ? new arm_real_time(*options) : nullptr;
 }
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }
@@ -358,9 +379,12 @@ void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
 void arm_real_time_break(arm_real_time* loop, const std::int32_t* stop) {
   if (loop) loop->breaks = stop;
 }
-int arm_real_time_take(arm_real_time* loop, arm_snapshot* out) {
+int arm_real_time_take(arm_real_time* loop, std::int32_t reader, arm_snapshot* out) {
   return loop && out && out->size >= sizeof *out && out->truth.size >= sizeof out->truth &&
-         loop->ring.take(*out);
+         loop->ring.has(reader) && loop->ring.take(reader, *out);
+}
+std::int64_t arm_real_time_skip(arm_real_time* loop, std::int32_t reader) {
+  return loop && loop->ring.has(reader) ? loop->ring.skip(reader) : 0;
 }
 int arm_real_time_descriptor(const arm_real_time* loop) { return loop ? loop->bell : -1; }
 void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out) {

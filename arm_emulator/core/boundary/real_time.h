@@ -24,6 +24,7 @@ typedef struct arm_real_time_options {
   int32_t imus;     /* inertial measurement units, arm_description.imus */
   int32_t readings; /* rows of them, arm_description.readings */
   int32_t inputs;   /* rows of further inputs, arm_description.inputs */
+  int32_t readers;  /* threads that take snapshots, each all of them; 0: one, at most 2 */
 } arm_real_time_options;
 
 /* Result of a period: the machine at the tick that ends it. Every pointer may be null, in `truth`
@@ -71,10 +72,13 @@ void arm_real_time_command(arm_real_time* loop, const arm_command* command);
  * exchange; null: never. The loop must not run meanwhile, and starts or continues as after a stop.
  */
 void arm_real_time_break(arm_real_time* loop, const int32_t* stop);
-/* Copy the oldest snapshot that was not taken yet; 0 if all were taken, or if a size is not that of
- * its struct. */
-int arm_real_time_take(arm_real_time* loop, arm_snapshot* out);
-/* A descriptor that is readable when there is a snapshot. */
+/* Copy the oldest snapshot that a reader, from 0 on, has not taken yet; 0 if it has taken all, or
+ * if a size is not that of its struct. */
+int arm_real_time_take(arm_real_time* loop, int32_t reader, arm_snapshot* out);
+/* Leave a reader the newest snapshot alone of those that it has not taken yet; returns the sum of
+ * what the others spent [ns]. */
+int64_t arm_real_time_skip(arm_real_time* loop, int32_t reader);
+/* A descriptor that is readable when there is a snapshot: for one reader, who empties it. */
 int arm_real_time_descriptor(const arm_real_time* loop);
 void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out);
 void arm_real_time_clear_figures(arm_real_time* loop);

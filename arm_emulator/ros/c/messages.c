@@ -1,7 +1,11 @@
+#ifndef _POSIX_C_SOURCE
+#define _POSIX_C_SOURCE 200112L
+#endif
 #include "messages.h"
 
 #include <math.h>
 #include <string.h>
+#include <time.h>
 
 int ros_fits(const ros_pattern* pattern, const uint8_t* data, int64_t size) {
   if (pattern->size <= 0 || size < pattern->size || size >= pattern->size + ROS_PADDING) return 0;
@@ -75,12 +79,17 @@ static void copy_numbers(uint8_t* data, const ros_copy* one) {
 }
 
 void ros_log_put(ros_log* log, int64_t number, const uint8_t* data, int64_t size) {
-  if (!log || !log->data || log->used + 16 + size > log->room) return;
-  uint8_t* to = log->data + log->used;
-  memcpy(to, &number, 8);
-  memcpy(to + 8, &size, 8);
-  memcpy(to + 16, data, (size_t)size);
-  log->used += 16 + size;
+  if (!log || !log->data) return;
+  if (log->used + ROS_LOG_HEAD + size > log->room) {
+    ++log->dropped;
+    return;
+  }
+  struct timespec wall;
+  clock_gettime(CLOCK_REALTIME, &wall);
+  const int64_t head[] = {number, size, (int64_t)wall.tv_sec * ROS_SECOND + wall.tv_nsec};
+  memcpy(log->data + log->used, head, ROS_LOG_HEAD);
+  memcpy(log->data + log->used + ROS_LOG_HEAD, data, (size_t)size);
+  log->used += ROS_LOG_HEAD + size;
 }
 
 void ros_fill(ros_message* message, int64_t time, int64_t tick, ros_log* log) {

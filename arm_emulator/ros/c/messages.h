@@ -39,11 +39,15 @@ typedef struct ros_message {
   int64_t number; /* of its topic in the log */
 } ros_message;
 
-/* Messages in the order in which they were taken and published, for a record. */
+/* Messages in the order in which they were taken and published, for a record. Each one begins with
+ * three numbers of 8 bytes: that of its topic, its size, the wall time [ns]. */
 typedef struct ros_log {
-  uint8_t* data; /* for each: number of its topic, its size (8 bytes each), its bytes; null: none */
+  uint8_t* data; /* null: no message is kept */
   int64_t room, used;
+  int64_t dropped; /* messages for which there was no room */
 } ros_log;
+
+enum { ROS_LOG_HEAD = 24 }; /* bytes before those of a message */
 
 void ros_log_put(ros_log* log, int64_t number, const uint8_t* data, int64_t size);
 /* Fill a message with the numbers of a logical time [ns] and a tick, and keep it in a log. */

@@ -65,12 +65,16 @@ int ros_wait_run(ros_wait* wait, double seconds) {
 
 /* ----------------------------------------------------------------------------- messages out */
 
-int ros_publish(ros_message* message, int64_t time, int64_t tick, ros_log* log) {
-  ros_fill(message, time, tick, log);
+int ros_send(const ros_message* message) {
   rcl_bytes bytes = ros_no_bytes();
   bytes.buffer = message->data;
   bytes.buffer_length = bytes.buffer_capacity = (size_t)message->size;
   const int32_t result = rcl_publish_serialized_message(message->publisher, &bytes, NULL);
   if (result != RCL_RET_OK) rcutils_reset_error(); /* the context was shut down */
   return result;
+}
+
+int ros_publish(ros_message* message, int64_t time, int64_t tick, ros_log* log) {
+  ros_fill(message, time, tick, log);
+  return ros_send(message);
 }

@@ -41,7 +41,9 @@ int ros_wait_run(ros_wait* wait, double seconds);
 
 /* ----------------------------------------------------------------------------- messages out */
 
-/* `ros_fill`, and publish. Returns 0, or what rcl returned. */
+/* Publish a message as it is filled. Returns 0, or what rcl returned. */
+int ros_send(const ros_message* message);
+/* `ros_fill`, and `ros_send`. */
 int ros_publish(ros_message* message, int64_t time, int64_t tick, ros_log* log);
 
 #ifdef __cplusplus

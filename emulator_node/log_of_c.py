@@ -1,0 +1,52 @@
+"""Messages that C has taken and published, written into the emulator's own record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from arm_emulator.build.c_header import CData
+from arm_emulator.ros.c import MESSAGES, MIDDLEWARE
+from arm_emulator.ros.middleware import Outgoing
+from arm_emulator.ros.run_record import RunRecord
+
+HEAD = MESSAGES.constant("ROS_LOG_HEAD")
+PADDING = MESSAGES.constant("ROS_PADDING")
+
+
+def log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) -> int:
+    """Return the room that the messages of some ticks need [bytes].
+
+    Args:
+        ticks: how many.
+        outgoing: messages of a tick.
+        commands: size of the commands that answer it [bytes].
+    """
+    sizes = [commands + PADDING, *(one.layout.size for one in outgoing)]
+    return ticks * sum(HEAD + size for size in sizes)
+
+
+def record_log(record: RunRecord, log: CData, outgoing: Sequence[Outgoing], commands: str) -> None:
+    """Write what a log has kept.
+
+    Args:
+        record: to write into.
+        log: ``ros_log *``, in which messages have the place in `outgoing` as their number, motor
+            states the first.
+        outgoing: messages of a tick.
+        commands: topic of the commands, whose number is the next one.
+    """
+    data = MIDDLEWARE.ffi.buffer(log.data, log.used)
+    topics = [*(one.publisher.topic_name for one in outgoing), commands]
+    tick_at = outgoing[0].layout.places["tick"]
+    at = 0
+    while at < len(data):
+        number, size, wall = np.frombuffer(data[at : at + HEAD], np.int64).tolist()
+        at += HEAD
+        message = data[at : at + size]
+        if number == 0:
+            record.count(int.from_bytes(message[tick_at : tick_at + 8], "little"))
+        record.put(topics[number], message, wall)
+        at += size
+    record.dropped += log.dropped

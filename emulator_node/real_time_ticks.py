@@ -1,0 +1,207 @@
+"""Messages in real time in C (c/real_time_ticks.h): states are published, commands are held."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from functools import cache
+
+import numpy as np
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from arm_emulator.build.c_header import CData, Library, pointer
+from arm_emulator.build.unit import library
+from arm_emulator.machine.call_arguments import commands_of
+from arm_emulator.machine.compiler import real_time_library
+from arm_emulator.machine.loop_clock import LoopClock
+from arm_emulator.machine.measured import MeasuredPlace
+from arm_emulator.machine.phase import Phase
+from arm_emulator.ros.fixed_layout import Taking
+from arm_emulator.ros.middleware import Outgoing, middleware
+from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
+from emulator_node.context import Context
+from emulator_node.known_commands import KnownCommands
+from emulator_node.log_of_c import log_room, record_log
+from emulator_node.reports import TRUTH, Reports
+
+READERS, READER = 2, 1  # of the loop: the session is the first
+LOGGED = 8192  # ticks of which the messages have room in a log
+LARGEST_COMMANDS = 2**12  # bytes, for that room; longer ones leave less ticks
+
+
+@cache
+def real_time_ticks() -> Library:
+    """Return the compiled real_time_ticks.h, compiling it if no cached library fits.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return library(real_time_ticks_unit())
+
+
+class RealTimeTicks:
+    """Publishes the ticks of a loop in C, and gives commands to the loop.
+
+    Attributes:
+        at: ``real_time_ticks *``.
+        number: of the topic of commands in the log.
+
+    Args:
+        own: context with machine and record.
+        reports: publishes the same from Python.
+    """
+
+    def __init__(self, own: Context, reports: Reports) -> None:
+        self._own, self._session = own, own.session
+        scene, clock = own.session.scene, own.session.clock
+        assert isinstance(clock, LoopClock)
+        N = len(scene.joints)
+        self._calls, loop = real_time_ticks(), real_time_library()
+        place, rows = MeasuredPlace(scene), np.zeros((len(TRUTH), N))
+        self._snapshot = REAL_TIME_TICKS.new("arm_snapshot", **place.arrays)
+        truth = REAL_TIME_TICKS.ffi.addressof(self._snapshot, "truth")
+        q, v, gear_torque = rows
+        REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
+        self._messages = reports.beside(place.view(), rows)
+        motor_state, joint_state, time = self._messages
+        self.number = len(self._messages)
+        self._joint, self._held = commands_of(scene), ExitStack()
+        self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)
+        self._newest, self._before = np.zeros(N), np.zeros(N)
+        self._of_c = np.zeros((2, N))  # the same, where C writes
+        self._logs: list[CData] = []  # of C, and another one in exchange for it
+        self.at = REAL_TIME_TICKS.new(
+            "real_time_ticks",
+            joints=N,
+            loop=clock.loop.handle,
+            take=loop.arm_real_time_take,
+            give=loop.arm_real_time_command,
+            descriptor=clock.loop.descriptor,
+            reader=READER,
+            send=middleware().ros_send,
+            snapshot=self._snapshot,
+            motor_state=motor_state.struct,
+            joint_state=joint_state.struct,
+            clock=time.struct,
+            report_ticks=reports.ticks,
+            period=own.session.period_ns,
+            joint=REAL_TIME_TICKS.ffi.cast("arm_joint_command *", self._joint.ctypes.data),
+            command=self._command,
+            answered=-1,
+            commanded=self._of_c[0],
+            commanded_before=self._of_c[1],
+        )
+        if not self._calls.real_time_ticks_begin(self.at):
+            raise MemoryError
+
+    def __del__(self) -> None:
+        self._calls.real_time_ticks_end(self.at)
+
+    def begin(self) -> None:
+        """Let `run` publish from now on."""
+        for message in self._messages:
+            self._held.enter_context(message.bind())
+        self.at.closing = 0
+        if self._own.outbox.record is not None and not self._logs:
+            room = log_room(LOGGED, self._messages, LARGEST_COMMANDS)
+            ffi = REAL_TIME_TICKS.ffi
+            self._logs = [ffi.new("uint8_t[]", room) for _ in range(2)]
+            self.at.log.data, self.at.log.room = self._logs[0], room
+            self._log = REAL_TIME_TICKS.new("ros_log", data=self._logs[1], room=room)
+        self.put()
+
+    def run(self) -> bool:
+        """Publish what the loop reaches; True if Python has to look, False once it is closing."""
+        return bool(self._calls.real_time_ticks_run(self.at))
+
+    def close(self) -> None:
+        """Let `run` return."""
+        self.at.closing = 1
+
+    def end(self) -> None:
+        """Release the publishers; nothing may run any more."""
+        self._held.close()
+
+    def catch_up(self) -> None:
+        """Publish all that the loop has reached."""
+        self._calls.real_time_ticks_catch_up(self.at)
+
+    def put(self) -> None:
+        """Take over the tick and the power of a machine that stands; all ticks are published."""
+        message = self._messages[0].layout
+        message.message.powered = self._session.powered
+        message.written()
+        self._calls.real_time_ticks_put(self.at, self._session.tick)
+
+    def record(self, topic: str) -> None:
+        """Write what C has published and taken into the record; `topic`: of the commands."""
+        record = self._own.outbox.record
+        if record is None or not self._logs:
+            return
+        log = self._log
+        log.used = log.dropped = 0
+        self._calls.real_time_ticks_exchange_log(self.at, log)
+        record_log(record, log, self._messages, topic)
+
+    def break_at(self, stop: CData) -> None:
+        """Let Python look where an ``int32_t`` is not 0; NULL: nowhere."""
+        self.at.stop = stop
+
+    def open(self, in_c: bool) -> None:
+        """Have commands held by C from now on, or not, behind those that the session has."""
+        session = self._session
+        self._newest[:] = session.held[0]
+        self._calls.real_time_ticks_open(
+            self.at, in_c, session.answered_tick, pointer(self._newest)
+        )
+
+    def take_over(self) -> None:
+        """Let the session have the commands that C has given to the loop."""
+        before = REAL_TIME_TICKS.ffi.new("int64_t *")
+        newest, other = pointer(self._newest), pointer(self._before)
+        answered = self._calls.real_time_ticks_held(self.at, newest, other, before)
+        if answered > self._session.answered_tick:
+            held = (answered, self._newest.copy()), (before[0], self._before.copy())
+            self._session.take_over_held(*held)
+
+
+class HeldCommands:
+    """The hot path of the emulator in real time: commands in the form that Python has taken.
+
+    Attributes:
+        takes, outgoing, beside: see `HotPath`.
+
+    Args:
+        own: context with the machine.
+        ticks: gives commands to the loop.
+        subscription: to motor commands.
+        commands: those that Python has taken.
+    """
+
+    def __init__(
+        self, own: Context, ticks: RealTimeTicks, subscription: Subscription, commands: Taking
+    ) -> None:
+        self._session, self._ticks, self._node = own.session, ticks, own.node
+        ffi = REAL_TIME_TICKS.ffi
+        struct = ffi.addressof(ticks.at, "commands")
+        self._commands = KnownCommands(own.session.scene, commands, struct, ticks.number)
+        take = real_time_ticks().real_time_ticks_take
+        self.takes = [(subscription, take, ffi.cast("void *", ticks.at))]
+        self.outgoing: tuple[Outgoing, ...] = ()
+        self._in_c = False
+
+    @property
+    def beside(self) -> list[Timer]:
+        """All timers: none of them changes the machine."""
+        return [*self._node.timers]
+
+    def begin(self) -> None:
+        """Prepare, see `HotPath`."""
+        running = self._session.phase is Phase.RUNNING
+        self._in_c = running and self._commands.known()
+        self._ticks.open(self._in_c)
+
+    def end(self) -> None:
+        """Take over the results of C, see `HotPath`."""
+        if self._in_c:
+            self._ticks.take_over()

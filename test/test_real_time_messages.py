@@ -1,0 +1,70 @@
+"""Real time: commands that C takes are those that Python would, and what C publishes repeats."""
+
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+from in_process import InProcess, in_process
+from test_by_hand import go_on
+
+from arm_emulator.base.bound import COMMAND
+from arm_emulator.ros.doubles import STARTED
+from arm_emulator_msgs.msg import MotorCommand
+
+JOINTS = ["waist", "shoulder", "elbow"]
+
+
+def session_of(one: InProcess) -> Any:
+    return one.nodes["emulator"]._session
+
+
+def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
+    """A command that is due, or spoiled in one way."""
+    spoil = draw.choice(["", "", "nan", "inf", "large", "stale", "same", "future", "machine"])
+    numbers = [draw.uniform(-3.0, 3.0) for _ in JOINTS]
+    bad = {"nan": np.nan, "inf": -np.inf, "large": 2.0 * float(COMMAND.most)}
+    if spoil in bad:
+        numbers[draw.randrange(3)] = bad[spoil]
+    ticks = {"stale": answered - 1, "same": answered, "future": newest + 10**6}
+    tick = ticks.get(spoil, draw.randint(answered + 1, newest))
+    other = STARTED + 1 if spoil == "machine" else draw.choice([0, STARTED])
+    names = draw.sample(JOINTS, 3) if draw.random() < 0.1 else JOINTS
+    return MotorCommand(joint_names=names, command=numbers, tick=tick, machine=other)
+
+
+def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
+    within = all(abs(one) <= COMMAND.most for one in command.command)  # false of a NaN
+    return within and answered <= command.tick <= newest and command.machine in (0, STARTED)
+
+
+@pytest.mark.parametrize("seed", some(range(8), 2))
+def test_only_commands_that_are_due_are_held(seed: int) -> None:
+    """By the rules of docs/concepts/time.md, whichever of C and Python takes them."""
+    draw, taken_in_c = random.Random(seed), 0
+    with in_process("realtime") as one:
+        done = one.take_in_c("emulator")
+        session, look = session_of(one), one.nodes["emulator"]._pacer.look
+        go_on(one, 20, look)
+        for _ in range(200):
+            while session.tick <= session.answered_tick + 2:
+                go_on(one, 1, look)
+            answered, newest, refused = (
+                session.answered_tick, session.tick, one.refused("emulator"),
+            )  # fmt: skip
+            held, in_c = session.held[0].tolist(), done[0]
+            command = drawn(draw, answered, newest)
+            one.send("motor_commands", command)
+            if is_due(command, answered, newest):
+                place = dict(zip(command.joint_names, command.command, strict=True))
+                assert session.held[0].tolist() == [place[name] for name in JOINTS]
+                assert session.answered_tick == command.tick
+                taken_in_c += done[0] - in_c
+            elif command.tick <= newest:  # later ones: time has gone on since
+                assert session.held[0].tolist() == held
+                assert session.answered_tick == answered
+                assert done[0] == in_c
+                elsewhere = command.machine not in (0, STARTED)
+                assert one.refused("emulator") == refused + (not elsewhere)
+    assert taken_in_c > 10, "C takes those of the form that Python has seen before"
