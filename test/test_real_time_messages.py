@@ -67,4 +67,4 @@ def test_only_commands_that_are_due_are_held(seed: int) -> None:
                 assert done[0] == in_c
                 elsewhere = command.machine not in (0, STARTED)
                 assert one.refused("emulator") == refused + (not elsewhere)
-    assert taken_in_c > 10, "C takes those of the form that Python has seen before"
+    assert taken_in_c > 2, "C takes those in the form of the ones before"
