@@ -42,6 +42,7 @@ ENDS: dict[str, list[list[str]]] = {name: [["nowhere"]] for name in command_name
     "fmu": [[ARM, "--out", "{}/arm.fmu", "--target", "native"], [ARM, "--out", "{}/arm.zip"]],
     "identify": [[ARM, "{}/none.csv"]],
     "film": [["{}/none", "{}/run.gif"], ["{}/bag", "{}/run.avi"]],
+    "foxglove": [[ARM, "{}/layout.json"], [ARM, "{}/no/layout.json"]],
     "fork": [["{}/bag", "{}/new", "--at", "0", "--scene", ARM], ["{}/no", "{}/new", "--at", "0"]],
     "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"], ["{}/bag", "{}/none"]],
     "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],

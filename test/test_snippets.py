@@ -23,7 +23,7 @@ from arm_emulator.cli.arguments import page_of, run_with
 from arm_emulator.cli.command import load_command
 
 # Commands of ours that end by themselves within seconds, and need nothing that a page has not made.
-RUN = {"cache", "check-scene", "completion", "fmu", "run"}
+RUN = {"cache", "check-scene", "completion", "fmu", "foxglove", "run"}
 NOT_RUN = {"--clear", "--help", "--page", "--servo"}  # with these they do not end, or do more
 # Why the others are read by their parser alone, beside those that run until Ctrl-C.
 OURS = {

@@ -164,7 +164,7 @@ def test_a_handle_that_is_dragged_pulls_at_its_link(live: Live, browser: Any) ->
     live.until(page, lambda: live.page.server.scene.get_handle_by_name("/push") is not None)
     link = live.page.arm.p_WL("forearm")
     page.wait_for_timeout(2000)  # for playwright's own work: the handle is drawn
-    begin, end = (on_picture(page, live.page, link + [0.0, 0.0, z]) for z in (0.15, 0.3))
+    begin, end = (on_picture(page, live.page, link + np.array([0.0, 0.0, z])) for z in (0.15, 0.3))
     page.mouse.move(*begin)
     page.wait_for_timeout(500)
     page.mouse.down()

@@ -1,0 +1,87 @@
+"""The layout of Foxglove names topics, fields and joints that a network has, each panel once."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from draws import some
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.commands.foxglove import foxglove
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.message_types import definition_of, fields
+
+TABLE = Path(__file__).resolve().parents[1] / "docs/reference/topics.md"
+PATH = re.compile(r"(/[a-z_/0-9]+)\.([a-z_]+)(?:\[(\d+)\])?$")
+SCENES = ["three_axis", "ur5", "panda"]
+
+
+def types() -> dict[str, str]:
+    """Topics of a network by the table of the reference."""
+    rows = re.findall(r"^\| (`[^|]+`) \| ([a-z_]+)/([A-Z]\w+) \|", TABLE.read_text(), re.M)
+    return {
+        topic: f"{package}/msg/{kind}"
+        for topics, package, kind in rows
+        for topic in re.findall("`([a-z_/]+)`", topics)
+    }
+
+
+def panels_of(tree: Any) -> Iterator[str]:
+    """Panels in the tree of a layout."""
+    if isinstance(tree, str):
+        yield tree
+    else:
+        assert tree["direction"] in ("row", "column") and 0 < tree["splitPercentage"] < 100
+        yield from panels_of(tree["first"])
+        yield from panels_of(tree["second"])
+
+
+def named(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Keys and texts of a JSON value."""
+    if isinstance(value, dict):
+        for name, one in value.items():
+            yield from named(one, name)
+    elif isinstance(value, list):
+        for one in value:
+            yield from named(one, key)
+    elif isinstance(value, str):
+        yield key, value
+
+
+@pytest.mark.parametrize("scene", some(SCENES, 2))
+@pytest.mark.parametrize("namespace", ["", "/cell1"])
+def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_path: Path) -> None:
+    file = tmp_path / "layout.json"
+    assert foxglove(scene, file, namespace=namespace) == 0
+    layout = json.loads(file.read_text())
+    panels, joints, known = layout["configById"], load_scene(scene).joint_names, types()
+    shown = list(panels_of(layout["layout"]))
+    shown += [one["layout"] for one in panels["Tab!signals"]["tabs"]]
+    assert sorted(shown) == sorted(panels), "each panel once"
+    topics = 0
+    for key, text in named(panels):
+        if key == "value":
+            found = PATH.match(text)
+            assert found is not None, text
+            topic, field, index = found.groups()
+            kind = known[topic.removeprefix(f"{namespace}/")]
+            have = {one.split()[1]: one.split()[0] for one in fields(definition_of(kind))}
+            assert field in have, (text, have)
+            assert ("[" in have[field]) == (index is not None), text
+        elif text.startswith("/") and "/" in text:
+            assert text.removeprefix(f"{namespace}/") in known, text
+            topics += 1
+    assert topics >= 4
+    plots = [one for name, one in panels.items() if name[:5] == "Plot!" and len(one["paths"]) > 1]
+    assert len(plots) >= 6
+    for one in plots:
+        assert [path["label"] for path in one["paths"]] == list(joints)
+        places = [re.findall(r"\[(\d+)\]$", path["value"]) for path in one["paths"]]
+        assert places == [[str(k)] for k in range(len(joints))]
+    with pytest.raises(Refusal, match="be new"):
+        foxglove(scene, file)
