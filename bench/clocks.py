@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.busy import busy_processes
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import load_scene
@@ -20,7 +21,6 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.drives import Drives
-from bench.busy import busy_processes
 from bench.measure import progress
 
 TITLE = "Two clocks"

@@ -19,9 +19,9 @@ from statistics import median
 from rclpy.serialization import deserialize_message
 
 from arm_emulator import testing
+from arm_emulator.base.busy import busy_processes
 from arm_emulator.ros.bag import Bag
 from arm_emulator_msgs.msg import MotorState
-from bench.busy import busy_processes
 
 SECONDS = 1.5  # logical
 TARGETS = ((0.43, 0.05, 0.64), (0.43, -0.05, 0.64))  # m, at 0.2 s and 0.8 s

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.busy import busy_processes
+from arm_emulator.base.busy import busy_processes
 
 LOGS = Path("log/under_load")
 

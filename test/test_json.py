@@ -44,6 +44,7 @@ ENDS: dict[str, list[list[str]]] = {name: [["nowhere"]] for name in command_name
     "film": [["{}/none", "{}/run.gif"], ["{}/bag", "{}/run.avi"]],
     "foxglove": [[ARM, "{}/layout.json"], [ARM, "{}/no/layout.json"]],
     "fork": [["{}/bag", "{}/new", "--at", "0", "--scene", ARM], ["{}/no", "{}/new", "--at", "0"]],
+    "latency": [[ARM, "--rates", "50", "--seconds", "0.3", "--alone"], ["nowhere"]],
     "look": [["{}/none"], ["{}/bag", "--scene", ARM, "--port", "70000"], ["{}/bag", "{}/none"]],
     "modbus": [[ARM, "--registers"], [ARM, "--station", "0"]],
     "move": [["--joints", "waist"]],

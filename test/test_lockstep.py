@@ -26,6 +26,7 @@ from network import (
 )
 from sensor_msgs.msg import JointState
 
+from arm_emulator.base.busy import busy_processes
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.run import run as run_command
@@ -38,7 +39,6 @@ from arm_emulator.ros.node_shell import NANOSECONDS, stamp
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.servo.servo_config import load_servo_config
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
-from bench.busy import busy_processes
 
 TARGET_AT = 0.1  # s
 TICKS = {"three_axis": 400, "ur5": 300}

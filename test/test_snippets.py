@@ -42,6 +42,7 @@ OURS = {
     "identify": "needs the reader's record; test_identification.py",
     "move": "needs a network; test_move.py",
     "new": "needs the reader's robot; test_new.py",
+    "latency": "its outcome is that of the machine; test_latency.py",
     "moveit-config": "half a minute of compilation; test_json.py",
     "record": "needs a network; test_bags.py",
     "repair": "needs a damaged bag; test_repair.py",

@@ -30,6 +30,7 @@ class Reached:
     """The machine at a tick that a loop has reached."""
 
     tick: int
+    lateness: int  # ns, of the wake-up that computed it
     spent: int  # ns, on the periods since the one that was taken before
     fault: int  # joint that diverged; -1: none
     energy: float  # J

@@ -149,6 +149,7 @@ class RealTimeLoop(Turns):
             return None
         return Reached(
             self._snapshot.tick,
+            self._snapshot.lateness,
             self._snapshot.spent + skipped,
             self._snapshot.truth.fault,
             float(self._energy[0]),

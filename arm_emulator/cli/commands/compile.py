@@ -53,7 +53,12 @@ def compile_scene(
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
     code = [servo_unit(), way_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
     code += [breakpoint_unit(), judges_unit(), sampler_unit()]
-    code += [middleware_unit(), answered_ticks_unit(), real_time_ticks_unit(), answered_states_unit()]
+    code += [
+        middleware_unit(),
+        answered_ticks_unit(),
+        real_time_ticks_unit(),
+        answered_states_unit(),
+    ]
     if servo:
         code.append(servo_data_unit(scene))
     if fieldbus:

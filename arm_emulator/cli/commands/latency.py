@@ -1,0 +1,130 @@
+"""Measure what this machine holds in real time: lateness, lost periods, old commands, by rate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from arm_emulator.analysis.wake_ups import QUANTILES, WakeUps, wake_ups
+from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.count import check_count
+from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.machine.scene import load_scene
+
+RATE = Number("--rates", "Hz", at_least=1.0, at_most=20e3)
+SECONDS = Number("--seconds", "s", at_least=0.1, at_most=3600.0)
+MOST_BUSY = 1000
+FEWEST = 10  # periods
+HELD_LOST, HELD_OLD = 1e-3, 1e-2  # shares of periods below which a rate is held
+
+
+@command(
+    keys="`rates`: by Hz, `late` (quantiles 0.5, 0.99, 0.999, 1 [s]), `spent` (median [s]), "
+    "`periods`, `lost`, `fifo`, `held`, and of the network `answers` (`periods`, `lost`, `old`, "
+    "`p99_lateness`, `worst_lateness`)"
+)
+def latency(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    rates: Annotated[tuple[float, ...], Parameter(metavar="HZ", consume_multiple=True)] = (
+        500.0,
+        1000.0,
+        2000.0,
+    ),
+    seconds: Annotated[float, Parameter(metavar="S")] = 5.0,
+    busy: Annotated[int, Parameter(metavar="N")] = 0,
+    alone: bool = False,
+    picture: Annotated[Path | None, Parameter(metavar="PNG")] = None,
+) -> int:
+    """Measure what this machine holds in real time.
+
+    First the real-time thread alone, with the scene's steps in each period; then emulator and servo
+    as two processes. The exit code is 1 if a rate is not held: more than 0.1 % of its periods are
+    lost, or more than 1 % pass under an old command.
+
+    Args:
+        rates: servo periods per second.
+        seconds: of each measurement.
+        busy: processes that keep processors busy meanwhile.
+        alone: the thread alone, without ROS.
+        picture: histograms of its lateness.
+    """
+    for rate in rates:
+        RATE.take("latency", rate)
+    SECONDS.take("latency", seconds)
+    if seconds * min(rates) < FEWEST:
+        raise Refusal("latency", "--seconds", f"last {FEWEST} periods of each rate [s]", seconds)
+    check_count("latency", "--busy", busy, 0, MOST_BUSY)
+    machine, found = load_scene(scene), list[WakeUps]()
+    facts: dict[str, Any] = {}
+    head = "late by: median      99 %    99.9 %     worst      lost   with nodes: lost        old"
+    output.line(f"{'rate':>8}   {head if not alone else head[:54]}")
+    with busy_processes(busy):
+        for rate in rates:
+            one = wake_ups(machine, 1.0 / rate, seconds)
+            found.append(one)
+            facts[f"{rate:g}"] = fact = _facts(one)
+            words = "".join(f"{late * 1e6:7.0f} us" for late in one.quantiles)
+            words = f"{rate:5g} Hz         {words} {one.lost:9d}"
+            if not alone:
+                from arm_emulator.ros.answers_in_time import answers_in_time
+
+                answers = answers_in_time(scene, 1.0 / rate, seconds)
+                fact["answers"] = answers._asdict()
+                share = answers.old / max(1, answers.periods)
+                fact["held"] = fact["held"] and share < HELD_OLD
+                fact["held"] = fact["held"] and answers.lost < HELD_LOST * answers.periods
+                words += f"   {answers.lost:16d} {100 * share:8.2f} %"
+            output.line(f"{words}   {'held' if fact['held'] else 'not held'}")
+    fifo = all(one.fifo for one in found)
+    output.line(f"the thread ran {'under SCHED_FIFO' if fifo else 'without real-time priority'}")
+    if picture is not None:
+        _draw(found, picture)
+        output.line(str(picture))
+    output.facts({"rates": facts})
+    return int(not all(one["held"] for one in facts.values()))
+
+
+def _facts(one: WakeUps) -> dict[str, Any]:
+    return {
+        "late": dict(zip(map(str, QUANTILES), one.quantiles, strict=True)),
+        "spent": float(sorted(one.spent)[len(one.spent) // 2]),
+        "periods": len(one.late),
+        "lost": one.lost,
+        "fifo": one.fifo,
+        "held": one.lost < HELD_LOST * len(one.late),
+    }
+
+
+def _draw(found: list[WakeUps], picture: Path) -> None:
+    """Draw histograms of lateness, a colour per rate."""
+    import matplotlib as mpl
+    import numpy as np
+
+    mpl.use("Agg", force=False)
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
+    edges = np.geomspace(1e-6, max(1e-3, *(one.late.max() for one in found)), 60)
+    for one in found:
+        label = f"{1.0 / one.period:g} Hz: {one.lost} of {len(one.late) + one.lost} lost"
+        axes.hist(
+            np.maximum(one.late, edges[0]), edges.tolist(), histtype="step", lw=1.8, label=label
+        )
+        axes.axvline(one.period, color=axes.patches[-1].get_edgecolor(), lw=0.8, ls=":")
+    axes.set(xscale="log", yscale="log", xlabel="wake-up late by [s]; dotted: the period",
+             ylabel="periods")  # fmt: skip
+    axes.legend(frameon=False)
+    try:
+        figure.savefig(picture, dpi=140)
+    except (OSError, ValueError) as error:
+        raise Refusal("latency", f"picture {picture}", "be writable", error) from None
+    finally:
+        plt.close(figure)

@@ -1,0 +1,52 @@
+"""Lateness in real time: counts agree with the wall clock, whatever the machine does."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arm_emulator.analysis.wake_ups import wake_ups
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.commands.latency import latency
+from arm_emulator.cli.output import output
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.answers_in_time import answers_in_time
+
+
+@pytest.mark.parametrize("rate", [200.0, 3000.0])
+def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
+    began = time.monotonic()
+    found = wake_ups(load_scene("three_axis"), 1.0 / rate, 0.5)
+    wall = time.monotonic() - began
+    periods = len(found.late) + found.lost
+    assert 0.4 * rate <= periods <= wall * rate, "those that begin and end within it"
+    assert (found.late >= 0.0).all() and (found.spent > 0.0).all()
+    assert found.quantiles == sorted(found.quantiles) and found.quantiles[-1] == found.late.max()
+    # A wake-up that is late by whole periods has lost them.
+    assert found.lost == int(np.sum(np.floor(found.late / round(1e9 / rate) * 1e9 + 1e-9)))
+
+
+def test_emulator_and_servo_run_at_another_rate() -> None:
+    answers = answers_in_time("three_axis", 2e-3, 0.4)
+    assert 0.4 / 2e-3 <= answers.periods < 60.0 / 2e-3
+    assert 0 <= answers.old <= answers.periods and answers.lost >= 0
+    assert 0.0 < answers.p99_lateness and 0.0 < answers.worst_lateness
+
+
+def test_rates_are_reported_drawn_and_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with output.printed(as_json=True):
+        picture = tmp_path / "late.png"
+        code = latency(rates=(100.0, 900.0), seconds=0.1, alone=True, picture=picture)
+    rates = json.loads(capsys.readouterr().out)["rates"]
+    assert [*rates] == ["100", "900"]
+    for one in rates.values():
+        assert one["held"] == (one["lost"] < 1e-3 * one["periods"])
+    assert code == (not all(one["held"] for one in rates.values()))
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    rule = "--rates must be a number from 1 to 20000 Hz, got 0.0"
+    with pytest.raises(Refusal, match=rule):
+        latency(rates=(0.0,))
