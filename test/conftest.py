@@ -17,7 +17,10 @@ pytest.register_assert_rewrite(
     "network",
     "random_messages",
     "random_scenes",
+    "spoiled_archives",
+    "spoiled_bags",
     "spoiled_files",
+    "spoiled_firmware",
     "stick_slip",
 )
 
