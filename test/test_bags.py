@@ -23,23 +23,18 @@ from made_bags import TYPES, synthetic
 from network import PATIENCE, RECORD_QOS, User, network, user
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.cli.commands.replay import offer
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.recorder import request
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
@@ -479,104 +474,3 @@ def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_pat
     code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", other), "--strict")
     assert code == 1, printed
     assert "true joint states of no tick that the bag has" in printed, printed
-
-
-def damaged(folder: Path) -> Path:
-    bag = synthetic(folder, [True] * 50)
-    file = bag / f"{folder.name}_0.mcap"
-    data = bytearray(file.read_bytes())
-    data[len(data) // 4] ^= 1
-    file.write_bytes(data)
-    return bag
-
-
-def other_topics(folder: Path) -> Path:
-    with BagWriter(folder) as writer:
-        number = writer.add_topic(Topic("/talk", "std_msgs/msg/String"))
-        writer.write(number, 1, 1, serialize_message(String(data="hello")))
-    return folder
-
-
-def other_definition(folder: Path) -> Path:
-    with BagWriter(folder) as writer:
-        for topic, kind in TYPES.items():
-            name = f"arm_emulator_msgs/msg/{kind.__name__}"
-            number = writer.add_topic(Topic(topic, name, "uint64 tick\nfloat32[] value\n"))
-            writer.write(number, 1, 1, serialize_message(kind()))
-    return folder
-
-
-def empty_folder(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
-
-
-def text_file(folder: Path) -> Path:
-    file = folder.with_suffix(".mcap")
-    file.write_text("this is not a bag\n")
-    return file
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda folder: folder, "the bag must exist"),
-        (empty_folder, "the bag must hold *.mcap files"),
-        (text_file, "the bag must be undamaged MCAP"),
-        (damaged, "the bag must be undamaged MCAP"),
-        (other_topics, "the bag must have one topic motor_states, got /talk"),
-        (other_definition, "must be the arm_emulator_msgs/msg/MotorCommand of this version"),
-    ],
-)
-def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path: Path) -> None:
-    bag = make(tmp_path / "bag")
-    with pytest.raises(Refusal, match=re.escape(words)) as refusal:
-        check_bag(bag, scene="three_axis")
-    assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("check-bag", "nothing"), "nothing: the bag must exist"),
-        (("replay", "nothing"), "nothing: the bag must exist"),
-        (("replay", "nothing", "--rate", "0"), "replay: rate must be > 0 and finite, got 0.0"),
-        (("record", "."), "record: folder . must be new"),
-    ],
-)
-def test_refusals_are_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
-    code, printed = run(*arguments)
-    assert code == 2
-    assert printed.startswith(words) and printed.count("\n") == 1
-
-
-def test_a_topic_that_is_not_in_the_bag_is_refused(tmp_path: Path) -> None:
-    code, printed = run("replay", other_topics(tmp_path / "bag"), "--topics", "walk")
-    assert code == 2
-    assert "--topics must be in the bag, got /walk; valid: /talk" in printed
-
-
-def test_unknown_message_types_are_refused() -> None:
-    for kind in (
-        "nobody_msgs/msg/Word",
-        "std_msgs/msg/Word",
-        "std_msgs/msg/__name__",
-        "std_msgs",
-        "",
-    ):
-        with pytest.raises(Refusal, match="be installed"):
-            message_class(kind)
-
-
-def test_a_recorder_asks_for_what_all_publishers_offer() -> None:
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    hasty = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    assert request([latched]).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert request([latched, hasty]).durability == DurabilityPolicy.VOLATILE
-    assert request([latched, hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
-    # And a replay offers what serves the listeners of each.
-    assert offer([latched, hasty]).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert offer([latched, hasty]).reliability == ReliabilityPolicy.RELIABLE
-    assert offer([hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
-    manual = QoSProfile(depth=1, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC)
-    assert offer([manual]).liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
