@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.bags.recorded_machine import RecordedMachine, applied_rows
+from arm_emulator.bags.recorded_machine import RecordedMachine, applied_names, applied_rows
 from arm_emulator.bags.recorded_ticks import (
     Change,
     RecordedTick,
@@ -260,11 +260,11 @@ def _computed(side: Side, recorded: Iterable[RecordedTick]) -> Iterator[Recorded
     """Yield the same ticks with the values that the machine, driven again, has."""
     session = Session(side.scene, "lockstep", "first_answer")
     absent = MeasuredFields(side.scene, MotorState.get_fields_and_field_types()).absent
-    powered = True
+    names, powered = applied_names(side.scene), True
     for one in recorded:
         if one.tick != session.tick:
             session.powered = powered = bool(one.values["powered"][0])
-            session.advance_under(applied_rows(side.scene, one), came=True)
+            session.advance_under(applied_rows(names, one), came=True)
             if session.fault is not None:
                 return
         else:

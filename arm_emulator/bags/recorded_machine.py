@@ -30,11 +30,14 @@ class Tick(NamedTuple):
     """Wall time of its motor state [ns]."""
 
 
-def applied_rows(scene: Scene, one: RecordedTick) -> NDArray[np.float64]:
+def applied_names(scene: Scene) -> tuple[str, ...]:
+    """Return the values of a tick that are commands, with those of further inputs."""
+    return "applied", *rows_of(scene)[FURTHER]
+
+
+def applied_rows(names: tuple[str, ...], one: RecordedTick) -> NDArray[np.float64]:
     """Return the commands of the period before a tick, with further inputs (1 + I, N)."""
-    rows = [one.values["applied"]]
-    rows += [one.values[name] for name in rows_of(scene)[FURTHER] if name in one.values]
-    return np.array(rows)
+    return np.array([one.values[name] for name in names if name in one.values])
 
 
 class RecordedMachine:
@@ -111,8 +114,8 @@ class RecordedMachine:
 
     def _read(self, topics: RecordedTopics, run: int) -> None:
         """Read ticks and changes of a run."""
-        count = 0
-        for one in recorded_ticks(topics, self.scene.joint_names):
+        count, names = 0, applied_names(self.scene)
+        for one in recorded_ticks(topics, self.scene.joint_names, names):
             count = one.run
             if run not in (-1, one.run):
                 continue
@@ -122,7 +125,7 @@ class RecordedMachine:
                 rule, got = f"report tick {len(self.ticks)}", f"tick {one.tick} next"
                 raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
             powered = bool(one.values["powered"][0])
-            self.ticks.append(Tick(applied_rows(self.scene, one), powered, one.published))
+            self.ticks.append(Tick(applied_rows(names, one), powered, one.published))
             if made := [*one.before, *one.changes]:
                 self.changes[one.tick] = made
         if not count:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,13 @@ Values = NDArray[Any]
 TRUTH = ("position", "velocity", "effort")
 _OF_UNITS = {name for name, one in KNOWN.items() if one.per_unit}
 _NAMES = ("joint_names", "reading_names", "imu_names")
+_FIELDS = MotorState.get_fields_and_field_types()
+# Its arrays of numbers, commands first.
+_LISTS = ["applied"] + [
+    name
+    for name, kind in _FIELDS.items()
+    if "sequence" in kind and name not in (*_NAMES, "applied", "readings")
+]
 
 
 class Change(NamedTuple):
@@ -43,12 +50,15 @@ class RecordedTick(NamedTuple):
     """Changes by hand after it was reported."""
 
 
-def recorded_ticks(topics: RecordedTopics, joints: tuple[str, ...]) -> Iterator[RecordedTick]:
+def recorded_ticks(
+    topics: RecordedTopics, joints: tuple[str, ...], only: Collection[str] | None = None
+) -> Iterator[RecordedTick]:
     """Yield the ticks of all runs of a bag; a run begins at tick 0.
 
     Args:
         topics: the bag.
         joints: the order of values.
+        only: names of the values beside `powered` that are read, for speed; None: all.
 
     Raises:
         Refusal: other joints, or values of another number.
@@ -56,7 +66,9 @@ def recorded_ticks(topics: RecordedTopics, joints: tuple[str, ...]) -> Iterator[
     where, run, stamp = str(topics.bag.path), 0, -1
     waiting: list[Change] = []
     now: RecordedTick | None = None
-    wanted = ("motor_states", "emulator/joint_states", "emulator/events")
+    wanted = ["motor_states", "emulator/events"]
+    wanted += ["emulator/joint_states"] if only is None else []
+    orders = _Orders(joints, where)
     for name, message, published in topics.read_with_time(*wanted):
         if name == "emulator/events":
             change = Change(int(message.kind), bytes(message.state))
@@ -75,11 +87,11 @@ def recorded_ticks(topics: RecordedTopics, joints: tuple[str, ...]) -> Iterator[
                 now = None
             run += tick == 0
             if run:  # else it began before the record
-                values = _arranged(message, joints, where)
+                values = _arranged(message, orders, where, only)
                 now = RecordedTick(run, tick, published, waiting, values, [])
             waiting, stamp = [], nanoseconds_of(message.header.stamp)
         elif now is not None and nanoseconds_of(message.header.stamp) == stamp:
-            order = _order(message.name, joints, where)
+            order = orders.of(message.name)
             for field in TRUTH:
                 row = np.array(getattr(message, field))[order]
                 now.values.setdefault(f"true {field}", row)
@@ -96,18 +108,33 @@ def count_runs(topics: RecordedTopics) -> int:
     return runs
 
 
-def _order(names: list[str], joints: tuple[str, ...], where: str) -> list[int]:
-    if sorted(names) != sorted(joints):
-        raise Refusal(where, "joints", "be those of the scene", ", ".join(names), ", ".join(joints))
-    return [list(names).index(name) for name in joints]
+class _Orders:
+    """Places of the scene's joints in messages, which have one order for long."""
+
+    def __init__(self, joints: tuple[str, ...], where: str) -> None:
+        self._joints, self._where = joints, where
+        self._names: list[str] = []
+        self._order: list[int] = []
+
+    def of(self, names: list[str]) -> list[int]:
+        """Return the places in a message with these names."""
+        if names != self._names or not self._order:
+            if sorted(names) != sorted(self._joints):
+                known = ", ".join(self._joints)
+                got = ", ".join(names)
+                raise Refusal(self._where, "joints", "be those of the scene", got, known)
+            self._names, self._order = names, [names.index(name) for name in self._joints]
+        return self._order
 
 
-def _arranged(state: MotorState, joints: tuple[str, ...], where: str) -> dict[str, Values]:
-    order = _order(state.joint_names, joints, where)
+def _arranged(
+    state: MotorState, orders: _Orders, where: str, only: Collection[str] | None
+) -> dict[str, Values]:
+    order = orders.of(state.joint_names)
     values: dict[str, Values] = {"powered": np.array([state.powered])}
-    fields = state.get_fields_and_field_types()
-    lists = [name for name, kind in fields.items() if "sequence" in kind and name not in _NAMES]
-    for name in ("applied", *(one for one in lists if one not in ("applied", "readings"))):
+    for name in _LISTS:
+        if only is not None and name not in only:
+            continue
         row = np.array(getattr(state, name))
         values[name] = row[order] if len(row) == len(order) and name not in _OF_UNITS else row
     readings = np.array(state.readings)
@@ -116,5 +143,6 @@ def _arranged(state: MotorState, joints: tuple[str, ...], where: str) -> dict[st
             where, "readings", "have a value per name and joint", f"{len(readings)} values"
         )
     for name, row in zip(state.reading_names, readings.reshape(-1, len(order)), strict=True):
-        values[str(name)] = row[order]
+        if only is None or name in only:
+            values[str(name)] = row[order]
     return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -22,6 +23,7 @@ PATIENCE = 180.0  # s, wall
 
 
 ROOT = Path(__file__).resolve().parents[2]
+LINE = f"page{os.getpid() % 10000}a", f"page{os.getpid() % 10000}b"
 WATCHED = "This machine can only be watched."
 
 
@@ -60,17 +62,37 @@ def stepped(page: Any) -> None:
     (["canopen", "three_axis"], "Pause", pressed),
     (["modbus", "three_axis", "--link", "arm"], "Pause", pressed),
     (["udp", "three_axis", "--listen", "0"], "Pause", pressed),
-    (["ethercat", "three_axis", "--interface", "lo"], "Pause", pressed),
+    (["ethercat", "three_axis", "--interface", LINE[0]], "Pause", pressed),
     (["campaign", str(ROOT / "examples/campaign.yaml"), "--replay", "0"], "Live", looked_at),
     (["run", "three_axis", "--seconds", "0.1"], "Play", stepped),
 ], ids=lambda one: one[0] if isinstance(one, list) else "")  # fmt: skip
 def test_its_page_is_served_to_the_token(
     words: list[str], label: str, press: Callable[[Any], None], tmp_path: Path, browser: Any
 ) -> None:
-    if words[0] == "ethercat" and os.getuid() != 0:
-        pytest.skip("frames need root")
+    with contextlib.ExitStack() as open_:
+        if words[0] == "ethercat":
+            open_.enter_context(line())
+        serve(words, label, press, tmp_path, browser)
+
+
+@contextlib.contextmanager
+def line() -> Iterator[None]:
+    """A line of Ethernet without a master."""
+    made = ["ip", "link", "add", LINE[0], "type", "veth", "peer", "name", LINE[1]]
+    if os.getuid() != 0 or subprocess.run(made, capture_output=True, check=False).returncode:
+        pytest.skip("a line of Ethernet needs root and iproute2")
+    try:
+        yield
+    finally:
+        subprocess.run(["ip", "link", "delete", LINE[0]], check=True)
+
+
+def serve(
+    words: list[str], label: str, press: Callable[[Any], None], folder: Path, browser: Any
+) -> None:
+    """Run a command with a page, and press its buttons."""
     command = [sys.executable, "-u", "-m", "arm_emulator", *words, "--page", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as door:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder) as door:
         late = threading.Timer(PATIENCE, door.kill)
         late.start()
         assert door.stdout is not None
