@@ -16,6 +16,7 @@ from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.build_facts import COMPILED_WITH
 from arm_emulator.machine.scene import Scene
 from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import SCENE
 from arm_emulator.ros.message_types import definition_of, fields
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
 
@@ -97,11 +98,14 @@ class RecordedTopics:
 
     @property
     def scene(self) -> str:
-        """The scene that the emulator named, or the only one that has these joints.
+        """The scene in the bag's folder, the one that the emulator named, or the only fitting one.
 
         Raises:
-            Refusal: there is no such scene, or more than one.
+            Refusal: no scene has these joints, or more than one.
         """
+        own = self.bag.path / SCENE
+        if own.is_file():
+            return str(own)
         folder = config_folder()
         for _, array in self.read("diagnostics"):
             for status in array.status:

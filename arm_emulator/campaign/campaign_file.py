@@ -62,6 +62,7 @@ class Campaign:
     Attributes:
         file: that it was read from.
         scene: with all that varies as data of the machine.
+        overrides: what the scene has in place of its file's values, as `load_scene` takes them.
         servo, motion: parameters of the controller, before what varies.
         data: the file's sections that are read anew where numbers in them vary.
         variation: of the numbers that vary.
@@ -75,6 +76,7 @@ class Campaign:
 
     file: Path
     scene: Scene
+    overrides: Mapping[str, Any]
     servo: ServoConfig
     motion: MotionConfig
     data: Mapping[str, Any]
@@ -180,7 +182,8 @@ def load_campaign(file: Path) -> Campaign:
     servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
     servo = with_gains(servo, controller, file.name)
     patterns = _patterns(root)
-    scene = _scene(root, scene_file, [one for one in patterns if one.split(".")[0] not in DRAWN])
+    of_scene = [one for one in patterns if one.split(".")[0] not in DRAWN]
+    scene, overrides = _scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
     used = {"scene": read_bytes(scene_file, MOST_BYTES), "urdf": scene.urdf.encode()}
@@ -198,6 +201,7 @@ def load_campaign(file: Path) -> Campaign:
     campaign = Campaign(
         file=file,
         scene=scene,
+        overrides=overrides,
         servo=servo,
         motion=motion,
         data=data,
@@ -299,8 +303,8 @@ def _patterns(root: Section) -> list[str]:
     return [] if section is None else section.keys()
 
 
-def _scene(root: Section, file: Path, patterns: Sequence[str]) -> Scene:
-    """Return the scene, with all that varies as data of the machine."""
+def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, Mapping[str, Any]]:
+    """Return the scene, with all that varies as data of the machine, and its overrides."""
     held = read_yaml(file)
     given = root.section("set")
     overrides: dict[str, Any] = {} if given is None else {
@@ -315,9 +319,10 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> Scene:
         wanted.append("seed")
         overrides = {"seed": scene.seed} | overrides
     if not patterns and not wanted:
-        return scene
+        return scene, overrides
+    overrides = overrides | {"varied": [*wanted, *patterns]}
     try:
-        return load_scene(file, overrides | {"varied": [*wanted, *patterns]})
+        return load_scene(file, overrides), overrides
     except Refusal as no:
         if no.quantity != "varied":
             raise

@@ -49,11 +49,15 @@ def write_shrunk(campaign: Campaign, found: Shrunk, folder: Path) -> Files:
         for name, value in found.changes.items()
         if name.startswith(GAINS)
     }
+    of_scene = {
+        name: value for name, value in found.changes.items() if name.split(".")[0] not in DRAWN
+    }
     contents = {
         files.campaign: _campaign(campaign, found, folder),
-        files.scene: _scene(campaign, found, folder, used, bool(gains)),
+        files.scene: scene_data(campaign, dict(campaign.data.get("set") or {}) | of_scene, folder),
     }
     if gains:
+        contents[files.scene]["servo"] = "servo.yaml"
         contents[folder / "servo.yaml"] = _servo(used["servo"], gains)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -99,22 +103,23 @@ def _campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]
     return {key: value for key, value in data.items() if value not in ({}, None)}
 
 
-def _scene(
-    campaign: Campaign, found: Shrunk, folder: Path, used: Mapping[str, Path], gains: bool
-) -> dict[str, Any]:
+def scene_data(campaign: Campaign, overrides: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a campaign's scene as it stands in a file.
+
+    Args:
+        campaign: which one.
+        overrides: values in place of those of its scene's file, as `load_scene` takes them.
+        folder: where the file will be, from which others are named.
+    """
+    used = used_files(campaign.data, campaign.file)
     data, file = read_yaml(used["scene"]), used["scene"]
-    of_scene = {
-        name: value for name, value in found.changes.items() if name.split(".")[0] not in DRAWN
-    }
-    for name, value in ((campaign.data.get("set") or {}) | of_scene).items():
+    for name, value in overrides.items():
         if name == "payload.mass" and not isinstance(data.get("payload"), dict):
             name = "payload"  # a scene's short form
         override(data, name, value, file.name)
     if (file.parent / data["urdf"]).is_file():
         data["urdf"] = _seen_from(folder, file.parent / data["urdf"])
-    data["servo"] = "servo.yaml" if gains else _seen_from(folder, used["servo"])
-    data["motion"] = _seen_from(folder, used["motion"])
-    return data
+    return data | {key: _seen_from(folder, used[key]) for key in ("servo", "motion")}
 
 
 def _servo(file: Path, gains: Mapping[str, float]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from arm_emulator.servo.servo_config import ServoConfig
 
 Array = NDArray[np.float64]
 ROOM = 4096  # samples in a batch for requirements
+MOST = 2**31  # ticks of a piece
 
 
 class Simulator:
@@ -107,15 +108,22 @@ class Simulator:
             one = self.run(case)
             yield Outcomes.of(one)
 
-    def drive(self, case: Case) -> Iterator[int]:
+    def drive(
+        self, case: Case, most: int = MOST, changed: Callable[[Change], None] | None = None
+    ) -> Iterator[int]:
         """Simulate a run piece by piece, for a recorder of the machine.
+
+        Args:
+            case: the run.
+            most: ticks of a piece.
+            changed: gets what a fault has changed in the machine between two pieces.
 
         Yields:
             Ticks done so far, 0 first.
         """
         self._begin(case)
         yield 0
-        yield from self._pieces()
+        yield from self._pieces(most, changed)
 
     # ------------------------------------------------------------------------------------- a run
 
@@ -165,16 +173,21 @@ class Simulator:
             else:
                 run.instructor.add(at, Pose(points[0], R_WT))
 
-    def _pieces(self) -> Iterator[int]:
+    def _pieces(
+        self, most: int = MOST, changed: Callable[[Change], None] | None = None
+    ) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
         last = max(1, ticks_of(self._seconds, self._scene.servo_period))
         events = self._events
         while session.tick < last:
             while events and events[0][0] <= session.tick:
-                _make(session, events.pop(0)[1])
+                change = events.pop(0)[1]
+                _make(session, change)
+                if changed is not None:
+                    changed(change)
             until = min([last, *(tick for tick, _ in events[:1])])
-            ticks = min(until - session.tick, self._sampler.left, self._longest)
+            ticks = min(until - session.tick, self._sampler.left, self._longest, most)
             began = session.tick
             run.advance(ticks)
             if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
@@ -186,7 +199,7 @@ class Simulator:
         """Ticks after which targets that were given to the servo are noted."""
         run = self._run
         if isinstance(run, TableRun):
-            return 2**31
+            return MOST
         return run.motion_ticks - self.session.tick % run.motion_ticks
 
     def _of_arm(self, q: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +19,7 @@ from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.shrinking import shrink
 from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.page.watched import Watched, stay
@@ -101,12 +103,24 @@ def print_shrunk(one: Campaign, case: Case, into: Path) -> int:
         rule = f"fail {found.requirement} when it is simulated again"
         raise Refusal("campaign", str(files.campaign), rule, f"holds by {margin:g}")
     record_case(simulator, drawn_case(again.variation, 0), Kept(record=files.record))
-    for file in (files.campaign, files.scene, files.record):
+    bag = _bag(again, simulator, files.campaign.parent / "bag")
+    for file in (files.campaign, files.scene, files.record, *filter(None, [bag])):
         output.line(f"wrote   {file}")
     output.facts({
         "index": case.index, "requirement": found.requirement, "changes": found.changes,
         "faults": found.faults, "seconds": found.seconds, "margin": margin,
         "runs": found.runs, "campaign": files.campaign, "scene": files.scene,
-        "record": files.record,
+        "record": files.record, "bag": bag,
     })  # fmt: skip
     return 0
+
+
+def _bag(campaign: Campaign, simulator: Simulator, folder: Path) -> Path | None:
+    """Write a campaign's only run as a bag in the place of an earlier one; None without ROS 2."""
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        check_new_bag("campaign", folder)
+    except Refusal:
+        return None
+    write_case_bag(campaign, simulator, drawn_case(campaign.variation, 0), folder)
+    return folder

@@ -33,6 +33,7 @@ from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import Splitter
 from arm_emulator.campaign.summary import Summary, summary_of
+from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Keep, PageAt
 from arm_emulator.cli.output import output
@@ -45,7 +46,8 @@ BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shr
     keys=(
         "`count`, `per_run`, `estimate` (s of all runs), `bytes`; after the runs `shares`, "
         "`quantiles`, `confidence`, `digest`, `results`; with the option replay `index`, "
-        "`values`, `robustness`, `measures`, `failed`"
+        "`values`, `robustness`, `measures`, `failed`; with shrink `index`, `requirement`, "
+        "`changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`, `scene`, `record`, `bag`"
     ),
 )
 def campaign(
@@ -60,6 +62,7 @@ def campaign(
     replay: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     page: PageAt = None,
+    bag: Path | None = None,
     kept: Keep = NOTHING,
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
@@ -73,14 +76,17 @@ def campaign(
         workers: processes (default: one for each processor core).
         dask: scheduler of a Dask cluster, whose workers see the same files.
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
-        replay: simulate one run again, for --record, --rerun and --page.
+        replay: simulate one run again, for --record, --bag, --rerun and --page.
         shrink: find the fewest changes and the shortest time with which a run still fails, and
-            write them beside the results as campaign, scene and record.
+            write them beside the results as campaign, scene, record and bag.
+        bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
     kept.check("campaign")
-    if (kept != NOTHING or page is not None) and replay is None:
+    if (kept != NOTHING or page is not None or bag is not None) and replay is None:
         rule = "come with --replay INDEX, which names the run"
-        raise Refusal("campaign", "--record, --rerun and --page", rule, "no --replay")
+        raise Refusal("campaign", "--record, --bag, --rerun and --page", rule, "no --replay")
+    if bag is not None:
+        check_new_bag("campaign", bag)
     one = load_campaign(file)
     if one.search is not None and count is not None:
         raise Refusal(
@@ -93,7 +99,7 @@ def campaign(
     check_count("campaign", "--workers", workers, 1, 4096)
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
-        return _replay(one, case_of(one, into, replay, "--replay"), kept, page)
+        return _replay(one, case_of(one, into, replay, "--replay"), kept, page, bag)
     if shrink is not None:
         return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
     seconds, ready = seconds_per_run(one)
@@ -208,7 +214,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     })  # fmt: skip
 
 
-def _replay(one: Campaign, case: Case, kept: Kept, page: str | None) -> int:
+def _replay(one: Campaign, case: Case, kept: Kept, page: str | None, bag: Path | None) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
     simulator = Simulator(one)
     outcome = simulator.run(case)
@@ -222,6 +228,9 @@ def _replay(one: Campaign, case: Case, kept: Kept, page: str | None) -> int:
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
+    if bag is not None:
+        write_case_bag(one, simulator, case, bag)
+        output.line(f"wrote   {bag}")
     if kept != NOTHING or page is not None:
         record_case(simulator, case, kept, page)
     return 0

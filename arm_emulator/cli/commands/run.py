@@ -25,6 +25,7 @@ from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given
 from arm_emulator.build.c_header import CData
+from arm_emulator.cli.case_bag import check_new_bag
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
@@ -76,7 +77,7 @@ def run(
     if page is not None:  # a missing package is refused before the run
         import arm_emulator.page.run_page  # noqa: F401
     if bag is not None:
-        _check_bag(bag)
+        check_new_bag("run", bag)
     one = load_offline_run(scene)
     session, kinematics = one.session, one.controller.kinematics
     machine = session.scene
@@ -103,16 +104,6 @@ def run(
     if line is not None and page is not None:
         _serve(line, page)
     return 0
-
-
-def _check_bag(folder: Path) -> None:
-    """Refuse a bag that cannot be written, before the run."""
-    try:
-        import arm_emulator.bags.timeline_bag  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise Refusal("run", "--bag", "find ROS 2", error) from None
-    if folder.exists():
-        raise Refusal("run", f"folder {folder}", "be new", "one that exists")
 
 
 def _serve(line: Timeline[OfflineRun], at: str) -> None:

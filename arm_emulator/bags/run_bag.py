@@ -1,0 +1,128 @@
+"""A bag of a run without a network, with the messages that the emulator sends."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from arm_emulator.machine.build_facts import build_facts
+from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.bag_metadata import Topic
+from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.node_shell import stamp
+from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorState
+
+TYPES: dict[str, Any] = {
+    "motor_states": MotorState,
+    "emulator/joint_states": JointState,
+    "emulator/events": MachineEvent,
+    "emulator/status": EmulatorStatus,
+    "diagnostics": DiagnosticArray,
+}
+
+
+class RunBag:
+    """A bag of a session, which whoever advances it writes tick by tick; `check-bag` repeats it.
+
+    It begins with the session's present tick, which must be 0.
+
+    Args:
+        folder: the new bag.
+        session: machine and clock.
+        about: further facts for its metadata.
+
+    Raises:
+        Refusal: the folder exists, or cannot be made.
+    """
+
+    def __init__(self, folder: Path, session: Session, about: Mapping[str, str]) -> None:
+        self._session, scene = session, session.scene
+        self._names = list(scene.joint_names)
+        self._imus = [one.name for one in scene.imus]
+        self._fields = MeasuredFields(scene, MotorState.get_fields_and_field_types())
+        self._clock, self._events = time.time_ns(), 0
+        self._writer = BagWriter(folder, about)
+        self._numbers = {}
+        for topic, kind in TYPES.items():
+            name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+            message = Topic(f"/{topic}", name, definition_of(name))
+            self._numbers[topic] = self._writer.add_topic(message)
+
+    def __enter__(self) -> Self:
+        self._writer.__enter__()
+        session = self._session
+        facts = [KeyValue(key=key, value=one) for key, one in build_facts(session.plant).items()]
+        health = DiagnosticStatus(name="emulator", hardware_id=session.scene.name, values=facts)
+        self._send("diagnostics", status=[health])
+        self._send("emulator/status", tick=0)
+        if session.plant.save() != Plant(session.scene).save():
+            self.changed(MachineEvent.KIND_RESTORE)
+        self.report()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+    def report(self) -> None:
+        """Write the machine at a new tick, before it is changed there."""
+        session = self._session
+        state = session.state
+        self._send(
+            "motor_states",
+            tick=session.tick,
+            powered=session.powered,
+            machine=1,
+            joint_names=self._names,
+            imu_names=self._imus,
+        )
+        self._send(
+            "emulator/joint_states",
+            name=self._names,
+            position=state.q.tolist(),
+            velocity=state.v.tolist(),
+            effort=state.gear_torque.tolist(),
+        )
+
+    def changed(self, kind: int) -> None:
+        """Write the event of a machine that was changed by hand.
+
+        Args:
+            kind: one of `MachineEvent.KIND_...`.
+        """
+        self._events += 1
+        session = self._session
+        self._send(
+            "emulator/events",
+            tick=session.tick,
+            number=self._events,
+            kind=kind,
+            powered=session.powered,
+            machine=1,
+            state=array("B", session.plant.save()),
+        )
+
+    def _send(self, topic: str, **values: Any) -> None:
+        self._clock += 1000  # answers come after their questions
+        session = self._session
+        message = TYPES[topic](header=Header(stamp=stamp(session.logical_ns)), **values)
+        if topic == "motor_states":
+            self._fields.begin(message, session.measured)
+        data = serialize_message(message)
+        self._writer.write(self._numbers[topic], self._clock, self._clock, data)
