@@ -22,7 +22,7 @@ struct Inputs {
   unsigned char enable[N], close_brake[N], power, external_world_axes;
 };
 
-// All that decides how an instance goes on, but for its machine.
+// State of an instance beside its machine.
 struct Values {
   std::uint64_t mode;
   std::int64_t ticks;      // servo periods that have passed
@@ -52,7 +52,7 @@ struct Shown {
   std::uint32_t powered;
 };
 
-// The truth, as it was asked for last.
+// The true state, as last requested.
 struct Truth {
   double q[N], v[N], gear_torque[N], motor_angle[N], motor_speed[N], current[N];
   double energy, winding_temperature[N];

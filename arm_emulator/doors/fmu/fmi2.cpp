@@ -1,5 +1,5 @@
 // The functions of FMI 2.0 for co-simulation, over one machine per instance (instance.hpp). Every
-// variable is one number here, and counts are real numbers, for integers have 32 bits only.
+// variable is one number here, and counts are real numbers, since integers have 32 bits.
 #include "fmi2.h"
 
 #include "instance.hpp"
@@ -123,7 +123,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi
             [&](Instance& one) { return one.do_step(time, step); });
 }
 
-// ---------------------------------------------------------------------------------- variables
+// --------------------------------------------------------------------------------------- variables
 
 fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
                        fmi2Real values[]) {
@@ -169,7 +169,7 @@ fmi2Status fmi2SetString(fmi2Component component, const fmi2ValueReference[], si
   return no_strings(component, "fmi2SetString", count);
 }
 
-// -------------------------------------------------------------------------------- whole states
+// ------------------------------------------------------------------------------------ whole states
 
 fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate* state) {
   return in(fmu::kAnyMode, component, "fmi2GetFMUstate",
@@ -200,7 +200,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes
   });
 }
 
-// ---------------------------------------------------------------- what became of a step
+// -------------------------------------------------------------------------------- status of a step
 
 // A step is over when it returns, and one that was discarded has moved nothing, unless it was
 // cancelled from another thread.

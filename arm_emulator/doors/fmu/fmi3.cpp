@@ -70,7 +70,7 @@ fmu::Log log_of(fmi3LogMessageCallback function, fmi3InstanceEnvironment environ
   return {log_to, reinterpret_cast<void (*)()>(function), environment, ""};
 }
 
-// At a tick: the importer may look at what variables are then, and ask for an early return.
+// At a tick: the importer may read variables, and request an early return.
 bool watch_at(const fmu::Watch& watch, double time, double* until) {
   bool requested = false;
   reinterpret_cast<fmi3IntermediateUpdateCallback>(watch.function)(

@@ -1,9 +1,9 @@
-// One instance of the unit: a machine, the values of its variables, and where it is in the life
-// that the standard prescribes. What is called from outside is in fmi3.cpp and fmi2.cpp.
+// One instance of the unit: a machine, the values of its variables, and its place in the standard's
+// life cycle. The functions that importers call are in fmi3.cpp and fmi2.cpp.
 //
 // The machine goes from tick to tick of its drives, whatever the steps of the importer: inputs of a
 // tick are held until the next one, and outputs are those of the tick before. So no output depends
-// on an input of now.
+// on an input of the same tick.
 //
 // Included after the table of variables (unit.py). The machine is a source of its own.
 #pragma once
@@ -111,7 +111,7 @@ class Instance {
     values_.mode = kStep;
     return report(kOk, "the machine is at its start");
   }
-  // A step that another thread has under way ends at its next tick.
+  // End a step that another thread runs, at its next tick.
   Status terminate() {
     if (stepping_)
       ending_ = kTerminates;
@@ -231,7 +231,7 @@ class Instance {
     if (values_.mode & kBeforeStart) values_.moved = true;
   }
 
-  // Have everything that these variables report.
+  // Update the data that these variables report.
   void look(const unsigned* references, std::size_t count) {
     put_at_start();
     bool truth = false;
@@ -320,7 +320,7 @@ class Instance {
   enum Ending { kGoesOn, kCancels, kTerminates };
   Status busy() { return report(kError, "no call but gets and an end may come during a step"); }
 
-  // Go on by `step` from one tick to the next, as far as they are due.
+  // Advance by `step` from one tick to the next, as far as they are due.
   Status go(double from, double step) {
     double goal = values_.since_tick + step, left = goal;  // s, from the last tick
     for (double done = 1.0;; ++done) {

@@ -1,4 +1,4 @@
-// States that an importer has an instance keep: magic number, fingerprint of the binary, content,
+// States that an instance keeps for its importer: magic number, fingerprint of the binary, content,
 // check sum. They live as long as the instance.
 #pragma once
 

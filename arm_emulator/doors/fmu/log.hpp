@@ -16,7 +16,7 @@ enum Category { kEvents, kStatusDiscard, kStatusError, kCategories };
 constexpr const char* kCategoryNames[kCategories] = {"logEvents", "logStatusDiscard",
                                                      "logStatusError"};
 
-// Destination of messages: a function of the importer's, called by `call`.
+// Destination of messages: a function of the importer, called by `call`.
 struct Log {
   void (*call)(const Log& log, Status status, const char* category, const char* text);
   void (*function)();
@@ -38,7 +38,7 @@ class Logger {
     const Category category = status == kError     ? kStatusError
                               : status == kDiscard ? kStatusDiscard
                                                    : kEvents;
-    // Errors are reported whatever was asked for, as the standard wants it.
+    // The standard requires errors to be reported, whatever categories are on.
     if (!log_.function || (status != kError && !on_[category])) return;
     char text[1024], escaped[2 * sizeof text];
     std::vsnprintf(text, sizeof text, format, arguments);

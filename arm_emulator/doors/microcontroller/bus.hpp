@@ -1,11 +1,11 @@
-// Registers before the processor.
+// The bus between the processor and memory-mapped registers.
 #pragma once
 
 #include <cstdint>
 
 namespace mcu {
 
-// Registers that are mapped at addresses, as the processor sees them.
+// Reads and writes of the processor, by address.
 class Bus {
  public:
   virtual ~Bus() = default;

@@ -157,7 +157,7 @@ class Cpu {
   bool stop_near() const { return stop_near_; }
   bool stop_here() const { return std::binary_search(stops.begin(), stops.end(), pc); }
 
-  // Go on elsewhere, as a debugger wants.
+  // Continue at another address, as a debugger requests.
   void jump(uint32_t to) {
     pc = to;
     inside_until_ = 0;
@@ -314,7 +314,7 @@ class Cpu {
       if (!body(block_->at + k, halves)) return;
     }
   }
-  // Whether a block may begin although something looks due.
+  // Whether a block may begin although an interrupt seems to be due.
   bool may_begin(uint32_t at, uint32_t size) {
     if (stepping_) {
       if (begun_) {

@@ -9,7 +9,8 @@
 
 namespace mcu {
 
-// Put what is running on the stack and go on in the handler; false: its stack is no memory.
+// Push the interrupted frame and continue in the handler; false: the stack pointer leads to no
+// memory.
 inline bool enter(Cpu& cpu, Memory& memory, int exception, uint32_t vectors) {
   uint32_t handler = 0;
   if (!memory.read(vectors + 4 * static_cast<uint32_t>(exception), &handler, 4))
@@ -44,7 +45,7 @@ inline bool enter(Cpu& cpu, Memory& memory, int exception, uint32_t vectors) {
   return true;
 }
 
-// Take what was running back from the stack; false: there is no such return.
+// Pop the interrupted frame; false: no such return exists.
 inline bool leave(Cpu& cpu, const Memory& memory, uint32_t how) {
   const bool with_fpu = !(how & 0x10), process = (how & 0xf) == 0xd, thread = (how & 0xf) != 1;
   if ((how & 0xffffffe0u) != 0xffffffe0u || ((how & 0xf) != 1 && (how & 0xf) != 9 && !process))

@@ -7,7 +7,7 @@
 
 namespace mcu {
 
-// Why the processor cannot go on.
+// Reason for which the processor cannot continue.
 struct Fault {
   enum class Kind {
     none,  // of the emulator's own: no processor has a handler for it
@@ -53,7 +53,7 @@ inline Reason fault_of(uint32_t number) {
       return {Kind::none, "an exception of the processor"};
   }
 }
-// And of an access where no memory is.
+// The same of an access to an address without memory.
 inline Reason fault_of(uc_mem_type type) {
   switch (type) {
     case UC_MEM_WRITE_UNMAPPED:

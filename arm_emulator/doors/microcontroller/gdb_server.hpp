@@ -73,7 +73,7 @@ class GdbServer {
     moved_ = true;
     stepped_ = stepping_;
   }
-  // It cannot continue: report the reason until the debugger ends.
+  // The firmware cannot continue: report the reason until the debugger ends.
   void ended() {
     if (client_ < 0) return;
     halt(11);

@@ -1,7 +1,7 @@
 // One CiA 402 drive: its dictionary, its state machine, and its motor's command per servo period.
 //
 // A bus reads and writes between two periods. In `begin_period` the drive takes the controlword and
-// its targets, in `end_period` what was measured. What a mode of operation makes of the targets is
+// its targets, in `end_period` measurements. What a mode of operation makes of the targets is
 // in modes/; the drive asks the mode that is chosen, and knows none by its number.
 #pragma once
 
@@ -40,7 +40,7 @@ class Drive {
   const StateMachine& machine() const { return machine_; }
   int periods_per_target() const { return axis_.periods_per_target(); }
 
-  // ------------------------------------------------------------------------------- dictionary
+  // ------------------------------------------------------------------------------------ dictionary
 
   // Read or write an entry: 0, or the abort code of an SDO server; a refused access changes
   // nothing.
@@ -83,7 +83,7 @@ class Drive {
   }
   void lock_mapping(bool locked) { axis_.values.mapping_locked = locked; }
 
-  // ---------------------------------------------------------------------------------- its life
+  // -------------------------------------------------------------------------------------- its life
 
   // Restart at the motor's present position.
   void begin(const arm_joint_measurement& measured, const arm_joint_sensors& sensors,
@@ -127,7 +127,7 @@ class Drive {
     fail(error_code::software, false);
   }
 
-  // ------------------------------------------------------------------------- the servo period
+  // ---------------------------------------------------------------------------------- servo period
 
   // Return the motor's command for the servo period that begins now.
   arm_joint_command begin_period() {
@@ -165,7 +165,7 @@ class Drive {
     return axis_.values.get<index, sub>();
   }
 
-  // ------------------------------------------------------------------------------ what is set
+  // --------------------------------------------------------------------------- values that are set
 
   // Take a value that is in the range of its entry.
   std::uint32_t take(int slot, std::int64_t value) {
@@ -212,7 +212,7 @@ class Drive {
   bool brakes() const { return axis_.joint.brake != 0; }
   bool closed_by_output() const { return brakes() && get<0x60FE, 1>() & get<0x60FE, 2>() & 1; }
 
-  // --------------------------------------------------------------------------------- a period
+  // -------------------------------------------------------------------------------------- a period
 
   void choose_mode() {
     const std::int64_t asked = get<0x6060>();
@@ -270,7 +270,7 @@ class Drive {
     closing_ = left && !machine_.controls() && brakes();
   }
 
-  // ------------------------------------------------------------------------- what was measured
+  // ----------------------------------------------------------------------------- what was measured
 
   void look(const arm_joint_measurement& measured, const arm_joint_sensors& sensors, bool powered) {
     Measured& now = axis_.measured;
@@ -327,7 +327,7 @@ class Drive {
     }
   }
 
-  // ---------------------------------------------------------------------- what a master reads
+  // --------------------------------------------------------------------------- reports to a master
 
   std::uint16_t status() const {
     using namespace fieldbus::status;

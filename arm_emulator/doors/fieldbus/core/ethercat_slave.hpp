@@ -41,7 +41,7 @@ class Slave {
   }
   Slave(const Slave&) = delete;
 
-  // ------------------------------------------------------------------------ where frames come by
+  // ----------------------------------------------------------------------------- passing of frames
 
   // A frame passes; `connected`: another slave is behind this one.
   void pass(const Passage& passage, bool connected, std::int64_t time) {
@@ -111,7 +111,7 @@ class Slave {
     return reads && writes ? read + 2 * written : read + written;
   }
 
-  // ---------------------------------------------------------------------------- servo periods
+  // --------------------------------------------------------------------------------- servo periods
 
   // Whether it takes part in the exchange of process data.
   bool exchanges() const {
@@ -182,8 +182,7 @@ class Slave {
 
   Fmmu fmmu(int k) const { return Fmmu(memory_.at(reg::kFmmu + 16 * static_cast<std::size_t>(k))); }
 
-  // Outputs: bytes of a datagram go to the memory. Single bits come with the rest of their bytes as
-  // it is.
+  // Outputs: bytes of a datagram go to the memory. Other bits of a byte are kept.
   bool take(const Fmmu& unit, std::uint32_t address, std::span<const std::uint8_t> data) {
     if (unit.whole_bytes()) {
       const Mapped one = unit.overlapping(address, data.size());
@@ -281,7 +280,7 @@ class Slave {
     watchdog_.trigger(now_);
   }
 
-  // ------------------------------------------------------------------------------------ states
+  // ---------------------------------------------------------------------------------------- states
 
   AlCode enter(State to) {
     const State from = al_.state();
