@@ -15,8 +15,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench.hard_cases import (
-    CASES,
+from bench.hard_case import (
     DETECTED,
     DRIFTS,
     EARTH,
@@ -26,9 +25,8 @@ from bench.hard_cases import (
     RIGID,
     SHARED,
     Case,
-    report,
-    spin,
 )
+from bench.hard_cases import CASES, report, spin
 
 # Others meet the class of these: free links in test_dynamics.py, voltages to and fro and gears
 # without damping at the corners below.
