@@ -23,7 +23,7 @@ class Breaks:
     def __init__(self, own: Context, catch_up: Callable[[], None]) -> None:
         self._catch_up = catch_up
         self._session, self._lock, self._logger = own.session, own.lock, own.node.get_logger()
-        self._diagnostics = own.diagnostics
+        self._diagnostics, self._view = own.diagnostics, own.view
         self._breakpoint: Breakpoint | None = None
         self._on_events = self._on_refusals = False
 
@@ -60,6 +60,7 @@ class Breaks:
         """Count a message that is refused, and report it."""
         with self._lock:
             self._diagnostics.refuse(topic, reason)
+            self._view.event(f"refused: {reason}", "WARN")
             if self._on_refusals:
                 self._pause(str(reason))
 

@@ -26,6 +26,7 @@ class Health:
     def __init__(self, own: Context, timeout: Callable[[], float]) -> None:
         self._session, self._gate, self._outbox = own.session, own.gate, own.outbox
         self._logger, self._diagnostics = own.node.get_logger(), own.diagnostics
+        self._view = own.view
         self._timeout = timeout
         self._reported: Diverged | EndOfTime | None = None  # the fault that was published last
 
@@ -37,6 +38,7 @@ class Health:
             explain(fault)
             self._diagnostics.error(str(fault))
             self._logger.error(str(fault))
+            self._view.event(str(fault), "ERROR")
 
     def report(self, waited: float) -> None:
         """Publish the machine's health; `waited`: since this tick was published [s]."""

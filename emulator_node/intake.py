@@ -14,8 +14,8 @@ from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import Taking
-from arm_emulator.ros.node_shell import COMMAND_SUB_QOS
-from arm_emulator_msgs.msg import MachineEvent, MotorCommand, RecorderReport
+from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, EVENT_QOS
+from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
 from emulator_node.breaks import Breaks
 from emulator_node.changes import Changes
 from emulator_node.context import Context
@@ -44,6 +44,8 @@ class Intake:
         self.taking = Taking("motor_commands", MotorCommand, self._on_command, breaks.refused)
         self.commands = subscribe(MotorCommand, "motor_commands", self.taking.take, qos, raw=True)
         subscribe(PoseStamped, "tool_target", own.view.target, qos)
+        if own.view.open:
+            subscribe(MotionStatus, "motion/status", own.view.motion, EVENT_QOS)
         for topic, axes in EXTERNAL_WRENCHES.items():
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, axes), qos)
         subscribe(RecorderReport, "emulator/recorders", self._on_recorder, qos)

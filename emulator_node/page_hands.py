@@ -26,24 +26,10 @@ from arm_emulator.ros.node_parameters import SETTABLE
 from arm_emulator.ros.node_shell import EVENT_QOS, STATE_SUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetVaried
+from emulator_node.event_words import change_words, words_of
 
 PATIENCE = 5.0  # s, wall: for an answer
 PHASES = ("running free", "waiting", "running", "paused", "stopped")
-KINDS = {
-    getattr(MachineEvent, name): name.removeprefix("KIND_").lower().replace("_", " ")
-    for name in dir(MachineEvent)
-    if name.startswith("KIND_")
-}
-OF_MOTION = {
-    getattr(MotionStatus, name): name.partition("_")[2].lower().replace("_", " ")
-    for name in dir(MotionStatus)
-    if name.startswith("STATE_")
-}
-OF_KINDS = {
-    getattr(MotionStatus, name): name.partition("_")[2].lower().replace("_", " ")
-    for name in dir(MotionStatus)
-    if name.startswith("KIND_")
-}
 
 
 @dataclass(frozen=True)
@@ -129,17 +115,12 @@ class RosHands(Hands):
             self._phase = status.phase
 
     def _on_event(self, event: MachineEvent) -> None:
-        name = KINDS.get(event.kind, str(event.kind))
-        if event.kind == MachineEvent.KIND_POWER:
-            name = f"power {'on' if event.powered else 'off'}"
-        self._happened(event.tick, name)
+        self._happened(event.tick, change_words(event.kind, event.powered))
 
     def _on_motion(self, status: MotionStatus) -> None:
         now = status.header.stamp
         tick = round((now.sec + 1e-9 * now.nanosec) / self._period)
-        what = f"{OF_KINDS.get(status.kind, status.kind)} {status.number}"
-        reason = f": {status.reason}" if status.reason else ""
-        self._happened(tick, f"{what} {OF_MOTION.get(status.state, status.state)}{reason}")
+        self._happened(tick, words_of(status))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for one in message.status:

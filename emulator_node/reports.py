@@ -25,6 +25,7 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from emulator_node.context import Context
+from emulator_node.event_words import change_words
 
 TRUTH = ("position", "velocity", "effort")  # fields of emulator/joint_states
 
@@ -148,6 +149,7 @@ class Reports:
         )
         event.header.stamp = stamp(session.logical_ns)
         self._outbox.put(self._events, event)
+        self._view.event(change_words(kind, session.powered))
 
     def _set_time(self) -> None:
         session = self._session

@@ -9,6 +9,8 @@ from arm_emulator.machine.session import Session
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.view.rerun_stream import RerunStream
+from arm_emulator_msgs.msg import MotionStatus
+from emulator_node.event_words import words_of
 
 
 class View:
@@ -68,6 +70,15 @@ class View:
         """Show a target beside the arm; the machine does not use it."""
         p = target.pose.position
         self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
+
+    def motion(self, status: MotionStatus) -> None:
+        """Show the state of a motion as an event."""
+        text, stamp = words_of(status), status.header.stamp
+        self._stream.offer_text(nanoseconds_of(stamp), text)
+
+    def event(self, text: str, level: str = "INFO") -> None:
+        """Show an event at this tick."""
+        self._stream.offer_text(self._session.logical_ns, text, level)
 
     def close(self) -> None:
         """Finish the recording."""

@@ -192,6 +192,23 @@ def test_deviation_is_target_minus_tool_from_the_targets_time(tmp_path, oracle):
     assert points.tolist() == [first.tolist(), later.tolist()]  # halves are exact
 
 
+def test_events_are_texts_at_their_times(tmp_path):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, file=file)
+    times, rows = samples(50)
+    offer_all(stream, times[:20], rows[:20])
+    stream.offer_text(19 * MS, "power off")
+    stream.offer_text(30 * MS, "refused: too much", "WARN")
+    offer_all(stream, times[20:], rows[20:])
+    assert stream.close()
+    at, texts = read(file, "/events", "TextLog:text")
+    assert at.tolist() == [19 * MS, 30 * MS]
+    assert [str(one) for one in texts] == ["power off", "refused: too much"]
+    assert [str(one) for one in read(file, "/events", "TextLog:level")[1]] == ["INFO", "WARN"]
+    closed = RerunStream(URDF, NAMES)
+    closed.offer_text(0, "nobody looks")
+
+
 def test_the_line_goes_on_at_a_whole_second_after_a_reset(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)

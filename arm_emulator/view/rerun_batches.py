@@ -15,6 +15,7 @@ from arm_emulator.base.shafts import Shafts
 from arm_emulator.view.rerun_blueprint import (
     COLOURS,
     DEVIATION,
+    EVENTS,
     TIMELINE,
     TOOL_PATH,
     TOOL_TARGET,
@@ -100,6 +101,7 @@ class RerunBatches:
         times = np.array([0, SECOND], np.int64)
         for steps in (
             self.send_targets(nowhere, [(0, (0.0, 0.0, 0.0))]),
+            self.send_texts(nowhere, [(0, "", "INFO")]),
             self.send_poses(nowhere, times, rows),
             self.send_signals(nowhere),
         ):
@@ -169,6 +171,21 @@ class RerunBatches:
                 strict=True,
             )
             yield
+
+    def send_texts(
+        self, recording: rr.RecordingStream, texts: list[tuple[int, str, str]]
+    ) -> Iterator[None]:
+        """Send events: when [ns, logical], text, and level such as "WARN"."""
+        import rerun as rr
+
+        if not texts:
+            return
+        at = np.array([time_ns + self._shift for time_ns, _, _ in texts], np.int64)
+        columns = rr.TextLog.columns(
+            text=[text for _, text, _ in texts], level=[level for _, _, level in texts]
+        )
+        recording.send_columns(EVENTS, [_line(at)], columns, strict=True)
+        yield
 
     def send_poses(
         self, recording: rr.RecordingStream, times: Times, rows: Array

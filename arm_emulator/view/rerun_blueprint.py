@@ -17,6 +17,7 @@ WORLD_AXES = "world_axes"
 TOOL_PATH = "tool/path"
 TOOL_TARGET = "tool/target"
 DEVIATION = "signals/tool_deviation"
+EVENTS = "events"
 
 # Seconds of tool path that stay visible behind the tool.
 PATH_SECONDS = 10.0
@@ -76,7 +77,7 @@ def blueprint(
     arm = rrb.Spatial3DView(
         name="Arm",
         origin="/",
-        contents=["+ /**", f"- /{robot}/collision_geometries/**", "- /signals/**"],
+        contents=["+ /**", f"- /{robot}/collision_geometries/**", "- /signals/**", "- /events"],
         spatial_information=here,
         eye_controls=rrb.EyeControls3D(position=middle + distance * EYE, look_target=middle),
         defaults=solid,
@@ -121,7 +122,8 @@ def blueprint(
                 plot("Motor current [A]", "signals/current", legend=False),
                 plot("Motor command", "signals/applied", legend=False),
                 plot("Gear torque [N m]", "signals/gear_torque", legend=False),
-                row_shares=[3, 2, 2, 2],  # room for seven names
+                rrb.TextLogView(name="Events", origin=f"/{EVENTS}"),
+                row_shares=[3, 2, 2, 2, 1],  # room for seven names
             ),
             column_shares=[5, 4],
         ),

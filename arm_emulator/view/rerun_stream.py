@@ -54,7 +54,7 @@ class RerunStream:
 
     Entities: `signals/<quantity>/<joint>` for each of `QUANTITIES` and those that are further,
     `signals/tool_deviation/<axis>` (target minus tool [m]), `transforms` (of all joints),
-    `tool/path`, `tool/target`, and the geometry of the URDF under the robot's name.
+    `tool/path`, `tool/target`, `events`, and the geometry of the URDF under the robot's name.
 
     Attributes:
         url: where a viewer may connect, None without `port`.
@@ -106,6 +106,7 @@ class RerunStream:
         self._queue = SampleQueue(capacity if self._open else 0, width, len(joint_names))
         self._not_measured = np.full(len(joint_names), np.nan)
         self._targets: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=1000)
+        self._texts: deque[tuple[int, str, str]] = deque(maxlen=1000)
         if not self._open:
             return
         _check_numbers(capacity=capacity, arm_rate=arm_rate, signal_every=signal_every)
@@ -203,6 +204,11 @@ class RerunStream:
             except (TypeError, ValueError, OverflowError):  # a Refusal among them
                 self._lost += 1
 
+    def offer_text(self, time_ns: int, text: str, level: str = "INFO") -> None:
+        """Show an event at a logical time [ns]. Never blocks and never raises."""
+        if self._open:
+            self._texts.append((time_ns, text, level))
+
     def close(self, timeout: float = 5.0) -> bool:
         """Write the waiting samples and end the recording; return whether both succeeded in time
         [s].
@@ -250,6 +256,7 @@ class RerunStream:
         waiting = len(self._queue)
         targets = [self._targets.popleft() for _ in range(len(self._targets))]
         self._spread(self._batches.send_targets(recording, targets), 0)
+        texts = [self._texts.popleft() for _ in range(len(self._texts))]
         while waiting and time.monotonic() < self._deadline:
             count = min(waiting, BATCH_ROWS)
             waiting -= count
@@ -259,6 +266,7 @@ class RerunStream:
                 self._spread(self._batches.send_poses(recording, times, rows), 0)
             if self._batches.waiting >= BATCH_ROWS:
                 self._spread(self._batches.send_signals(recording), self._batches.waiting)
+        self._spread(self._batches.send_texts(recording, texts), 0)
         if signals:
             self._spread(self._batches.send_signals(recording), self._batches.waiting)
 

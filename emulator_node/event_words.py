@@ -1,0 +1,32 @@
+"""Messages on events in words, for pages and viewers."""
+
+from __future__ import annotations
+
+from arm_emulator_msgs.msg import MachineEvent, MotionStatus
+
+
+def _names(message: type, begin: str) -> dict[int, str]:
+    """Return the constants of a message that begin so, in words, by their numbers."""
+    found = (name for name in dir(message) if name.startswith(begin))
+    return {
+        getattr(message, name): name.removeprefix(begin).lower().replace("_", " ") for name in found
+    }
+
+
+_CHANGES = _names(MachineEvent, "KIND_")
+_STATES = _names(MotionStatus, "STATE_")
+_MOTIONS = _names(MotionStatus, "KIND_")
+
+
+def change_words(kind: int, powered: bool) -> str:
+    """Return a change by hand, by its kind in `MachineEvent`."""
+    if kind == MachineEvent.KIND_POWER:
+        return f"power {'on' if powered else 'off'}"
+    return _CHANGES.get(kind, str(kind))
+
+
+def words_of(status: MotionStatus) -> str:
+    """Return the state of a target, trajectory or path."""
+    what = f"{_MOTIONS.get(status.kind, status.kind)} {status.number}"
+    reason = f": {status.reason}" if status.reason else ""
+    return f"{what} {_STATES.get(status.state, status.state)}{reason}"
