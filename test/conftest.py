@@ -39,6 +39,7 @@ LONGEST = [
     "test_schemes",
     "test_by_hand",
     "test_servo_loop",
+    "test_arm_loops",
     "test_new",
     "test_sensors",
     "test_examples",
