@@ -14,6 +14,7 @@ from one_motor import PERIOD, Drivetrain
 
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import ServoConfig
+from bench.tool_paths import drive
 from oracles.followed_line import Known, follow
 
 # A count of 16 bits shows loads of 0.03 N m at the link; one of 10 bits hides all of them.
@@ -105,12 +106,13 @@ def test_an_inertia_far_from_the_announced_one_is_followed_once_it_is_learned(
 @pytest.mark.parametrize("late", [0.02, -0.02])
 def test_a_factor_that_was_wrong_leaves_nothing_behind(late: float) -> None:
     """Right torques, but the load on a soft gear follows them later: the factor leaves 1 for a
-    while, 0.69 and 1.64. What it did is gone with it: the integral ends within 0.01 A of where it
-    ends without a factor; the 5.4 N m of the swing are 1.1 A.
+    while, to its bound of 0.5 and to 1.42. What it did is gone with it: the integral ends within
+    0.01 A of where it ends without a factor; the 5.4 N m of the swing are 1.1 A.
     """
     swung, right = swing(1.0, late=late, rests=0.5), swing(1.0, rests=0.5)
     assert swung.factors[-1] == 1.0
-    assert 0.5 < min(swung.factors) <= max(swung.factors) < 1.8
+    assert 0.5 <= min(swung.factors) <= max(swung.factors) < 1.8
+    assert set(swung.factors) != {1.0}
     assert swung.integral == pytest.approx(right.integral, abs=0.01)
 
 
@@ -184,3 +186,18 @@ def test_friction_that_held_the_joint_is_no_reason_for_a_factor(stuck: float) ->
     """
     swung = swing(1.0, load=stuck, freed=True)
     assert sum(abs(factor - 1.0) > 0.1 for factor in swung.factors) < 40
+
+
+@pytest.mark.parametrize("kind", some(["line", "circle", "corners"], 1))
+@pytest.mark.parametrize("scene", ["ur5", "panda"])
+def test_friction_that_held_the_arm_at_rest_is_no_reason_for_a_factor(
+    scene: str, kind: str
+) -> None:
+    """All numbers are right, and the joints have been held by friction of any size before the path.
+
+    A factor learned from what the friction lets go of at the start took the true tool 0.32 to
+    0.49 mm off its path.
+    """
+    one = drive(scene, kind, 0.25)
+    assert one.end == "REACHED"
+    assert one.off.max() < 0.3e-3

@@ -16,6 +16,7 @@ NUMBERS: list[tuple[str, str, str, float]] = [
     ("motion", "would take more than {} times and", "way_controller.MUCH_LONGER", 1),
     ("motion", "times and {} s longer", "way_controller.LONGER", 1),
     ("motion", "rises to its limit in {} ms", "way_controller.JERK_TIME", 1e3),
+    ("motion", "or in {} motion periods", "way_controller.JERK_PERIODS", 1),
     ("motion", "from the line by at most {} of the reach", "tool_line.OFF_THE_LINE", 1),
     ("motion", "Flat corners are rounded, at most {} um", "tool_path.ROUNDED", 1e6),
     ("motion", "null-space motions of {} rad are tried", "joint_goal._PROBE", 1),

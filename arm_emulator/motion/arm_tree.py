@@ -12,7 +12,7 @@ import pinocchio as pin
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
-from arm_emulator.build.c_header import NULL, pointer
+from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.motion.kinematics import (
     POSE_ROWS,
     POSITION_ROWS,
@@ -100,6 +100,11 @@ class ArmTree(Lasting):
         self._arm.reach = kinematics.reach
         self._held = [self._point(name, array) for name, array in self._arrays.items()]
         self._law = way_library()
+
+    @property
+    def struct(self) -> CData:
+        """The arm as way.h takes it, which must not outlive it."""
+        return self._arm
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.build.c_header import pointer
+from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.motion.polynomials import beyond
-from arm_emulator.motion.way_library import way_library
+from arm_emulator.motion.way_library import WAY, way_library
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class JointCurve:
     """
 
     def __init__(self, breaks: FloatArray, coefficients: FloatArray) -> None:
-        self.breaks, self.coefficients = breaks, coefficients
+        self.breaks, self.coefficients = breaks, np.ascontiguousarray(coefficients)
         self._breaks: list[float] = breaks[1:-1].tolist()
         degree = coefficients.shape[1]
         self._factors = np.array(
@@ -57,6 +57,19 @@ class JointCurve:
         return cls(np.arange(count) * h, coefficients)
 
     @property
+    def struct(self) -> CData:
+        """The curve as way.h takes it, which must not outlive it."""
+        pieces, degrees, columns = self.coefficients.shape
+        return WAY.new(
+            "way_curve",
+            pieces=pieces,
+            degrees=degrees,
+            columns=columns,
+            breaks=self.breaks,
+            coefficients=self.coefficients,
+        )
+
+    @property
     def end(self) -> FloatArray:
         """Its end (N,)."""
         return np.asarray(self.derivatives(np.ones(1))[0, 0])
@@ -65,7 +78,13 @@ class JointCurve:
         """Return place, joint and angle where it leaves a range (N,) first; None: nowhere."""
         low = np.minimum(low, self.coefficients[0, 0]) - ROUNDING
         high = np.maximum(high, self.coefficients[0, 0]) + ROUNDING
-        found = beyond(self.coefficients, np.diff(self.breaks), 0, low, high)
+        lengths = np.diff(self.breaks)
+        at, changes = self.coefficients[:, 0], np.zeros_like(self.coefficients[:, 0])
+        for row in np.abs(self.coefficients[:, :0:-1]).swapaxes(0, 1):
+            changes = (changes + row) * lengths[:, None]  # at most, from the begin of a piece
+        if (at - changes >= low).all() and (at + changes <= high).all():
+            return None
+        found = beyond(self.coefficients, lengths, 0, low, high)
         return None if found is None else (float(self.breaks[found[0]]), *found[1:])
 
     def derivatives(self, s: FloatArray) -> FloatArray:

@@ -119,8 +119,9 @@ class JointGoal:
         self.returning = self._target is not None and left > _LEEWAY
         self._target = target
         x = self._scaled(q)
-        start = min((self._x, x), key=lambda x: _size(self._error(x)))
-        self._start(start)
+        found = [(one, self._error(one)) for one in (self._x, x)]
+        start, error = min(found, key=lambda one: _size(one[1]))
+        self._start(start, error)
         if self.returning and _size(self.error) < left:
             self._start(self._reached)
             for _ in range(_RETURN_STEPS):
@@ -130,8 +131,8 @@ class JointGoal:
             if _size(self.error) > _LEEWAY:
                 self._start(start)
 
-    def _start(self, x: FloatArray) -> None:
-        self._x, self.error = x, self._error(x)
+    def _start(self, x: FloatArray, error: FloatArray | None = None) -> None:
+        self._x, self.error = x, self._error(x) if error is None else error
         self._damping = 1.0
         self._steps = 0
         self._size_before = math.inf

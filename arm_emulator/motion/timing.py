@@ -66,15 +66,6 @@ class Ramps:
         out[2, falling] *= -1.0
         return out
 
-    def inverse(self, s: FloatArray) -> FloatArray:
-        """Return sigma of places s (K,) but for rounding of 1e-9."""
-        table = np.linspace(0.0, 1.0, 257)
-        sigma = np.interp(s, self.derivatives(table)[0], table)
-        for _ in range(3):
-            at, slope = self.derivatives(sigma)[:2]
-            sigma = np.clip(sigma - (at - s) / np.maximum(slope, 1e-3), 0.0, 1.0)
-        return np.asarray(sigma)
-
 
 def places(pieces: int, within: tuple[float, ...] = POINTS) -> FloatArray:
     """Return sigma at places within each of so many equal pieces."""
@@ -138,21 +129,9 @@ class Timing:
         slope, bend = n * (k1 + 2.0 * u * k2), n * n * 2.0 * k2
         return (piece + u) / n, rate, 0.5 * slope, 0.5 * bend * rate
 
-    def rates(self, sigma: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return c and its first two derivatives at places (K,)."""
-        n = self._pieces
-        piece = np.clip((sigma * n).astype(np.int64), 0, n - 1)
-        u = sigma * n - piece
-        k0, k1, k2 = np.array(self._polynomials)[piece].T
-        return k0 + u * (k1 + u * k2), n * (k1 + 2.0 * u * k2), 2.0 * n * n * k2
 
-    def slower(self, factor: float) -> Timing:
-        """Return the same timing, longer by a factor."""
-        return Timing(self.coefficients / factor**2)
-
-
-def least_duration(pieces: int, rows: Rows) -> Timing | int:
-    """Return the timing, or the place at which not even rest keeps the limits.
+def least_duration(pieces: int, rows: Rows) -> FloatArray | int:
+    """Return the coefficients of c, or the place at which not even rest keeps the limits.
 
     Args:
         pieces: of c.
@@ -168,4 +147,4 @@ def least_duration(pieces: int, rows: Rows) -> Timing | int:
     fault: int = law.way_time(
         pieces, most, firsts, f0, fc, fd, thirds, tc, td, te, _GAP, pointer(work), pointer(found)
     )
-    return fault if fault >= 0 else Timing(found)
+    return fault if fault >= 0 else found

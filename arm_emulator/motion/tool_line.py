@@ -36,7 +36,9 @@ def joints_along(
     """
     why = ""
     for nodes in NODES:
-        poses = along_a_line(begin, end, np.arange(1, nodes + 1) / nodes)
+        halves = np.arange(1, 2 * nodes + 1) / (2 * nodes)  # and nodes, in turns
+        every = along_a_line(begin, end, halves)
+        poses, wanted = every[1::2], every[::2]
         q = arm.trace(start, poses.p, poses.R, goal, turns)
         if len(q) <= nodes:
             why = f"the arm cannot follow it at {(len(q) - 1) / nodes:.0%} of its length"
@@ -48,8 +50,7 @@ def joints_along(
         if beyond is not None:
             name = arm.kinematics.joint_names[beyond[1]]
             return f"{name} would leave its limits at {beyond[0]:.0%} of its length"
-        between = (np.arange(nodes) + 0.5) / nodes
-        wanted = along_a_line(begin, end, between)
+        between = halves[::2]
         off = errors(arm, curve.derivatives(between)[0], wanted, turns)
         if float(off.max()) <= OFF_THE_LINE:
             return curve

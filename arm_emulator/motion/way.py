@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.timing import Ramps, Rows, Timing, least_duration, places
+from arm_emulator.motion.way_library import WAY, way_library
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,8 +30,7 @@ MOST_PIECES = 400  # of a way in which the ramps decide how many it has
 IN_A_RAMP = 12  # pieces of it
 MARGIN = 1.002  # of time: for what lies between the checks
 JERK_MARGIN = 1.01  # likewise, of the jerk, which steps
-_CHECKS = (0.0, 0.25, 0.5, 0.75, 1.0)  # places in a piece where limits are held against
-_BESIDE = 1e-7  # of sigma
+_CHECKED = 5  # places in a piece where limits are held against it, see cpp/limits.hpp
 _LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
 
 
@@ -104,11 +105,14 @@ class Way(Lasting):
         self._arm = arm if len(self._loaded) else None
         ramp, pieces = self._ramp()
         self._ramps = Ramps(ramp)
-        rows = self._rows(self._places(places(pieces)), self._arm)
-        timing = least_duration(pieces, rows)
-        if not isinstance(timing, Timing):
-            raise self._too_heavy(places(pieces)[timing], where)
-        self._timing = timing.slower(self._excess(pieces, timing))
+        given = self._given()
+        sigma = places(pieces)
+        found = least_duration(pieces, self._rows(sigma, given))
+        if isinstance(found, int):
+            raise self._too_heavy(sigma[found], where)
+        # Factor of duration with which the way keeps every limit at every check.
+        slower = way_library().way_excess(*given, pieces, pointer(found), JERK_MARGIN) * MARGIN
+        self._timing = Timing(found / slower**2)
         self.duration = self._timing.duration
 
     @property
@@ -147,84 +151,44 @@ class Way(Lasting):
         # Ways of any length are planned in so many pieces at most; a longer ramp is gentler.
         ramp = min(0.5, max(ends / (cruise + ends), IN_A_RAMP / MOST_PIECES))
         # Two checks or more in each piece of the curve, whose third derivative steps.
-        in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / len(_CHECKS))
+        in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _places(self, sigma: FloatArray) -> _Places:
-        s = self._ramps.derivatives(sigma)
-        return _Places(s, _composed(self.curve, s))
+    def _rows(self, sigma: FloatArray, given: tuple[Any, ...]) -> Rows:
+        """Return the limits at places (P,), in parts of them; those of torque with an arm."""
+        joints, along, torques = len(self._limits.speed), self._along is not None, 0
+        if self._arm is not None:
+            torques = len(self._loaded)
+        most = np.empty(len(sigma))
+        firsts = np.empty((3, len(sigma), joints + torques + along))
+        thirds = np.empty((3, len(sigma), joints + along))
+        way_library().way_rows(*given, len(sigma), *map(pointer, (sigma, most, firsts, thirds)))
+        return Rows(most, firsts, thirds)
 
-    def _rows(self, at: _Places, arm: ArmTree | None) -> Rows:
-        """Return the limits at places, in parts of them; those of torque with an arm."""
-        s = at.s
-        q, f1, f2, f3 = at.joints
-        limits = self._limits
-        with np.errstate(divide="ignore"):
-            most = ((limits.speed / np.maximum(np.abs(f1), 1e-12)) ** 2).min(axis=1)
-        if self._asked > 0.0:
-            most = np.minimum(most, 1.0 / np.maximum(self._asked * s[1], 1e-12) ** 2)
-        a, j = limits.acceleration, limits.jerk
-        firsts = [np.zeros_like(f1), f2 / a, 0.5 * f1 / a]
-        thirds = [f3 / j, 1.5 * f2 / j, 0.5 * f1 / j]
-        if arm is not None:
-            torques = self._torques(arm, q, f1, f2)
-            firsts = [np.hstack(pair) for pair in zip(firsts, torques, strict=True)]
-        if self._along is not None:
-            along = self._along
-            g1, g2, g3 = (along.length * s[1:])[:, :, None]
-            most = np.minimum(most, (along.speed / np.maximum(np.abs(g1[:, 0]), 1e-12)) ** 2)
-            part = np.minimum(np.searchsorted(along.ends, s[0]), len(along.ends) - 1)
-            across = along.curvature[part] * g1[:, 0] ** 2
-            most = np.minimum(most, along.acceleration / np.maximum(across, 1e-12))
-            b, k = along.acceleration, along.jerk
-            firsts = [
-                np.hstack([one, more])
-                for one, more in zip(firsts, (0.0 * g1, g2 / b, 0.5 * g1 / b), strict=True)
-            ]
-            thirds = [
-                np.hstack([one, more])
-                for one, more in zip(thirds, (g3 / k, 1.5 * g2 / k, 0.5 * g1 / k), strict=True)
-            ]
-        return Rows(most, np.stack(firsts), np.stack(thirds))
-
-    def _torques(
-        self, arm: ArmTree, q: FloatArray, f1: FloatArray, f2: FloatArray
-    ) -> list[FloatArray]:
-        """Return what torques are by 1, c and c', in parts of their limits, (P, L) each."""
-        still, used = np.zeros_like(q), self._loaded
-        limit = self._limits.torque[used]
-        weight = arm.torques(q, still, still)
-        rate = arm.torques(q, f1, f2) - weight
-        change = arm.torques(q, still, f1) - weight
-        return [weight[:, used] / limit, rate[:, used] / limit, 0.5 * change[:, used] / limit]
-
-    def _excess(self, pieces: int, timing: Timing) -> float:
-        """Return the factor of duration with which the way keeps every limit at every check."""
-        # Third derivatives step at the ends of the ramps and at the breaks of the curve.
-        ramp = np.array([self._ramps.ramp, 1.0 - self._ramps.ramp])
-        breaks = np.concatenate([ramp, self._ramps.inverse(self.curve.breaks[1:-1])])
-        sigma = np.concatenate([places(pieces, _CHECKS), breaks - _BESIDE, breaks + _BESIDE])
-        c, d, e = timing.rates(sigma)
-        at = self._places(sigma)
-        rows = self._rows(at, self._arm if self._overloaded(at, c, d) else None)
-        slower = max(1.0, float((c / rows.most).max()))  # of c
-        f0, fc, fd = rows.firsts
-        moving = fc * c[:, None] + fd * d[:, None]
-        room = np.maximum(1.0 - np.sign(moving) * f0, 1e-6)
-        slower = max(slower, float((np.abs(moving) / room).max()))
-        tc, td, te = rows.thirds
-        third = np.abs(tc * c[:, None] + td * d[:, None] + te * e[:, None]) * np.sqrt(c)[:, None]
-        slower = max(slower, (JERK_MARGIN * float(third.max())) ** (2.0 / 3.0))
-        return math.sqrt(slower) * MARGIN
-
-    def _overloaded(self, at: _Places, c: FloatArray, d: FloatArray) -> bool:
-        """Whether a torque exceeds its limit at places."""
-        if self._arm is None:
-            return False
-        q, f1, f2, _ = at.joints
-        a = f2 * c[:, None] + 0.5 * f1 * d[:, None]
-        torques = self._arm.torques(q, f1 * np.sqrt(c)[:, None], a)
-        return bool((np.abs(torques) > self._limits.torque).any())
+    def _given(self) -> tuple[Any, ...]:
+        """Return arm, curve, limits and ramp as way.h takes them."""
+        limits, along = self._limits, self._along
+        struct = WAY.new(
+            "way_limits",
+            speed=limits.speed,
+            acceleration=limits.acceleration,
+            jerk=limits.jerk,
+            torque=limits.torque,
+            asked=self._asked,
+        )
+        if along is not None:
+            WAY.fill(
+                struct,
+                length=along.length,
+                tool_speed=along.speed,
+                tool_acceleration=along.acceleration,
+                tool_jerk=along.jerk,
+                parts=len(along.ends),
+                ends=along.ends,
+                curvature=along.curvature,
+            )
+        arm = NULL if self._arm is None else self._arm.struct
+        return arm, self.curve.struct, struct, self._ramps.ramp
 
     def _too_heavy(self, sigma: float, where: str) -> Refusal:
         assert self._arm is not None
@@ -237,19 +201,3 @@ class Way(Lasting):
         rule = f"need no more torque of {name} than its limit, {self._limits.torque[j]:.4g} N m"
         got = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s[0]:.0%} of the way"
         return Refusal(where, "the way", rule, got)
-
-
-class _Places(NamedTuple):
-    """Places of a way."""
-
-    s: FloatArray
-    """With its first three derivatives by sigma, (4, K)."""
-    joints: FloatArray
-    """Likewise, (4, K, N)."""
-
-
-def _composed(curve: JointCurve, s: FloatArray) -> FloatArray:
-    """Return the joints and their first three derivatives by sigma, (4, K, N)."""
-    q, q1, q2, q3 = curve.derivatives(s[0])
-    s1, s2, s3 = s[1:, :, None]
-    return np.stack([q, q1 * s1, q2 * s1**2 + q1 * s2, q3 * s1**3 + 3.0 * q2 * s1 * s2 + q1 * s3])

@@ -42,6 +42,9 @@ LOST = 0.2  # rad (or m per reach) between arm and reference: something else mov
 # Of the description's limits; the rest is for links that swing on their gears.
 SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.8
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
+# Periods that this takes at least: the servo knows a change of the acceleration a period late, and
+# the links swing by what has changed meanwhile.
+JERK_PERIODS = 7
 _STEPS = 6  # of the joint goal per motion period
 _LONGEST_SEEK = 20  # periods, for which the arm waits
 _FAR, _NEARER = 1.0, 0.8  # rad, and parts of it: then nearer joint angles are looked for
@@ -97,6 +100,7 @@ class WayController:
         self._target: Pose | None
         self._forget()
         self._motion: Motion
+        self._coming: Reference | None = None  # `coming`, once it was asked for
         self._time = 0.0
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
 
@@ -127,7 +131,9 @@ class WayController:
     @property
     def coming(self) -> Reference:
         """Commanded motion of the joints at the next motion period."""
-        return self._motion.at(self._time)
+        if self._coming is None:
+            self._coming = self._motion.at(self._time)
+        return self._coming
 
     @property
     def motion(self) -> Motion:
@@ -193,7 +199,7 @@ class WayController:
             end: end pose of the tool.
         """
         now = self.coming
-        self._time += self.period
+        self._time, self._coming = self._time + self.period, None
         v = (self.coming.q - now.q) / self.period
         if not np.isfinite(v).all():
             raise ArithmeticError(f"the joint speeds are not finite at q = {q}")
@@ -221,7 +227,7 @@ class WayController:
         self._seeking, self._looking, self._waits = 0, False, 0
 
     def _follow(self, motion: Motion, way: str) -> None:
-        self._motion, self._time, self.way = motion, 0.0, way
+        self._motion, self._time, self._coming, self.way = motion, 0.0, None, way
 
     def stopping(self, now: Reference) -> Motion:
         """Return the joints' motion to rest."""
@@ -412,7 +418,7 @@ def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
     acceleration = np.minimum(
         ACCELERATION_SHARE * kinematics.acceleration_limit, config.acceleration_limit
     )
-    jerk = acceleration / JERK_TIME
+    jerk = acceleration / max(JERK_TIME, JERK_PERIODS * config.period)
     if config.jerk_limit > 0.0:
         jerk = np.full_like(acceleration, config.jerk_limit)
     return WayLimits(speed, acceleration, jerk, kinematics.effort_limit)

@@ -19,9 +19,10 @@ constexpr int POINTS = 3;  // of a piece: begin, middle, end
 constexpr double AT[POINTS] = {0.0, 0.5, 1.0};
 constexpr double SHARE[POINTS] = {1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0};  // Simpson
 constexpr double INSIDE = 0.8;         // of the fastest constant c: start of the search
-constexpr double SHARPER = 12.0;       // from one barrier to the next
+constexpr double BEGIN = 3.0;          // sharpness of the first barrier, per row
+constexpr double SHARPER = 20.0;       // from one barrier to the next
 constexpr int MOST_NEWTON_STEPS = 12;  // at a barrier
-constexpr double CENTRED = 0.05;       // Newton decrement at which a barrier is done
+constexpr double CENTRED = 0.3;        // Newton decrement at which a barrier is done
 
 struct Timing {
   int32_t intervals, firsts, thirds;
@@ -224,7 +225,7 @@ struct Timing {
     const int n = coefficients();
     std::fill(x, x + n, INSIDE);
     const double rows = static_cast<double>(points()) * (1.0 + 2.0 * firsts + 2.0 * thirds);
-    for (double t = 0.3 * rows;; t *= SHARPER) {
+    for (double t = BEGIN * rows;; t *= SHARPER) {
       for (int k = 0; k < MOST_NEWTON_STEPS; ++k) {
         derive(t);
         if (!newton()) break;

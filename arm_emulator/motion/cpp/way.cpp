@@ -1,6 +1,7 @@
 // The functions of way.h.
 #include "way.h"
 
+#include "limits.hpp"
 #include "timing.hpp"
 #include "trace.hpp"
 
@@ -56,6 +57,35 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
     for (int64_t i = n - 3; i >= 1; --i)
       m[i * w + j] = (m[i * w + j] - m[(i + 1) * w + j]) / work[i];
   }
+}
+
+void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
+              int32_t count, const double* sigma, double* most, double* firsts, double* thirds) {
+  for (int64_t p = 0; p < count; ++p) {
+    way::RowsAt at;
+    way::rows_at(arm, *limits, curve->columns, way::joints_at(*curve, ramp, sigma[p]), &at);
+    most[p] = at.most;
+    for (int64_t k = 0; k < 3; ++k) {
+      std::copy_n(at.first[k], at.firsts, firsts + (k * count + p) * at.firsts);
+      std::copy_n(at.third[k], at.thirds, thirds + (k * count + p) * at.thirds);
+    }
+  }
+}
+
+double way_excess(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
+                  int32_t intervals, const double* coefficients, double jerk_margin) {
+  way::Excess excess{arm, *curve, *limits, ramp, intervals, coefficients};
+  for (int32_t m = 0; m < intervals; ++m)
+    for (const double within : way::CHECKS) excess.look((m + within) / intervals);
+  // Third derivatives step at the ends of the ramps and at the breaks of the curve.
+  auto beside = [&](double sigma) {
+    excess.look(sigma - way::BESIDE);
+    excess.look(sigma + way::BESIDE);
+  };
+  beside(ramp);
+  beside(1.0 - ramp);
+  for (int32_t k = 1; k < curve->pieces; ++k) beside(way::ramps_inverse(ramp, curve->breaks[k]));
+  return std::sqrt(std::max(excess.slower, std::pow(jerk_margin * excess.jerk, 2.0 / 3.0)));
 }
 
 int64_t way_work(int32_t intervals, int32_t firsts, int32_t thirds) {

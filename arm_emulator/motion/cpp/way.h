@@ -33,6 +33,31 @@ typedef struct {
   double reach;                /* [m], by which the tool's errors are divided */
 } way_arm;
 
+/* A curve of the coordinates over s in [0, 1]: polynomials piece by piece. */
+typedef struct {
+  int32_t pieces;
+  int32_t degrees;            /* coefficients of a polynomial */
+  int32_t columns;            /* coordinates */
+  const double* breaks;       /* (pieces + 1), where pieces begin, and 1 */
+  const double* coefficients; /* (pieces, degrees, columns), in powers of s - breaks */
+} way_curve;
+
+/* Limits along a way. */
+typedef struct {
+  const double* speed; /* (columns) of the coordinates, as those below */
+  const double* acceleration;
+  const double* jerk;
+  const double* torque;     /* infinite: none */
+  double asked;             /* s, time that no part of the way falls below in proportion; 0: none */
+  double length;            /* m, of the tool's curve; 0: the tool is not limited */
+  double tool_speed;        /* m/s */
+  double tool_acceleration; /* m/s2, along and across */
+  double tool_jerk;         /* m/s3 */
+  int32_t parts;            /* of the tool's curve */
+  const double* ends;       /* (parts) in s */
+  const double* curvature;  /* (parts) 1/m */
+} way_limits;
+
 /* Tool poses p (count, 3), R (count, 3, 3) of joint coordinates q (count, joints). */
 void way_forward(const way_arm* arm, int32_t count, const double* q, double* p, double* R);
 
@@ -62,6 +87,18 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
  *
  * gap: how much longer than the shortest it may be, in parts of it. work: of way_work numbers.
  * Returns -1, or the point at which not even rest keeps the limits. */
+/* The rows of way_time at places sigma (count) of a curve whose s over sigma has ramps
+ * (timing.py): most (count), firsts (3, count, F) and thirds (3, count, G). F is the number of
+ * coordinates, of limited torques unless arm is NULL, and 1 where the tool is limited; G the same
+ * without torques. */
+void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
+              int32_t count, const double* sigma, double* most, double* firsts, double* thirds);
+
+/* Factor of the duration with which the timing keeps all limits at more places, 1 or more.
+ * jerk_margin: factor of jerks. */
+double way_excess(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
+                  int32_t intervals, const double* coefficients, double jerk_margin);
+
 int64_t way_work(int32_t intervals, int32_t firsts, int32_t thirds);
 int32_t way_time(int32_t intervals, const double* most, int32_t firsts, const double* firsts_0,
                  const double* firsts_c, const double* firsts_d, int32_t thirds,

@@ -2,8 +2,9 @@
  * this after joint_number.h, once for a number type.
  *
  * By least squares over the last motion: load = load_mean + (1 + excess) (tau - tau_mean). A load
- * that nobody announced, as friction that held the joint at rest, is part of the mean and not of
- * the factor. What was announced at rest is the integral's; what is added since is multiplied:
+ * that nobody announced is part of the mean and not of the factor. Loads at rest do not count: the
+ * friction that holds a joint there has any size up to its limit, and lets go of it at the start.
+ * What was announced at rest is the integral's; what is added since is multiplied:
  *
  *   expected load = tau + excess (tau - tau_base)
  *
@@ -17,8 +18,6 @@ static const servo_scalar SLOW = (servo_scalar)1.5;
 static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
 /* Announced torques that are right within such a factor stay as they are. */
 static const servo_scalar RIGHT = (servo_scalar)1.1;
-/* Torque and load at rest before the first motion count as much as so long a motion [s]. */
-static const servo_scalar AT_REST = (servo_scalar)0.05;
 /* The load on a soft gear follows its torques late: no factor counts before so long a motion [s].
  */
 static const servo_scalar SETTLED = (servo_scalar)0.05;
@@ -52,18 +51,15 @@ SERVO_INLINE servo_real expected_load(const servo_learned* learned, servo_real t
   return tau + learned->excess * (tau - learned->tau_base);
 }
 
-/* The base follows slowly; where no factor counts it is what is announced at rest, and so are the
- * means before the first motion. Returns by how much the base has changed. */
+/* The base follows slowly; where no factor counts it is what is announced at rest. Returns by how
+ * much the base has changed. */
 SERVO_INLINE servo_real follow_slowly(servo_learned* learned, const servo_seen* seen) {
   const servo_real zero = {0}, one = all_of(1);
   const servo_mask rests = seen->follows & (seen->moves == 0);
-  const servo_mask first = rests & (learned->watched == 0);
   const servo_real slow = seen->passed < SLOW ? seen->passed / SLOW : one;
   const servo_real share = (rests & (learned->excess == 0)) ? one : slow;
   const servo_real change = seen->follows ? share * (seen->tau - learned->tau_base) : zero;
   learned->tau_base += change;
-  learned->tau_mean = first ? seen->tau : learned->tau_mean;
-  learned->load_mean = first ? seen->load : learned->load_mean;
   return change;
 }
 
@@ -73,7 +69,7 @@ SERVO_INLINE void gather(servo_learned* learned, const servo_seen* seen) {
   const servo_real kept = seen->passed < KEPT ? one - seen->passed / KEPT : zero;
   const servo_real watched = kept * learned->watched + seen->passed;
   const servo_real tau = seen->tau - learned->tau_mean, load = seen->load - learned->load_mean;
-  const servo_real share = seen->passed / (watched + AT_REST);
+  const servo_real share = watched > 0 ? seen->passed / watched : zero;
   const servo_real rest = (one - share) * seen->passed * tau;
   const servo_mask moves = seen->moves;
   learned->watched = moves ? watched : learned->watched;
