@@ -17,17 +17,23 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from browser import PATIENCE, chromium, opened, shows, tick_of
+from machines import own_three_axis
 from made_bags import synthetic
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
+from arm_emulator.bags.comparison import compare
 from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
 from arm_emulator.page.what_if import WhatIf
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import PARENT
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.runs.order import Push, ScaleGains
 from arm_emulator.runs.timeline import Timeline
 from bench.rewind import new_target
 
@@ -230,6 +236,62 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
         assert shown.line is fork and fork.newest == 200
         line.go_to(300)
         assert line.run.session.powered, "the run itself is as it was"
+        page.close()
+    finally:
+        shown.close()
+
+
+def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_path: Path) -> None:
+    scene = own_three_axis(tmp_path / "scene", "external_wrench: true")
+    line = Timeline(load_offline_run(str(scene)), every=100)
+    line.advance(120)
+    shown = RunPage(Subject.of(line, 120), lambda: (TermsNow({}, {}), []))
+    WhatIf(shown, line, write_timeline)
+    try:
+        page = opened(browser, shown.url)
+        page.get_by_role("tab", name="Push").click()
+        force = page.locator("xpath=//*[text()='Force [N], world axes']/following::input[2]")
+        force.fill("4")
+        force.press("Enter")
+        for _ in range(20):  # a field's number arrives some moments later
+            page.get_by_role("button", name="Push", exact=True).click()
+            page.wait_for_timeout(300)
+            if "forearm is pushed with 0, 4, 0 N" in page.inner_text("body"):
+                break
+        shows(page, "forearm is pushed with 0, 4, 0 N")
+        box = page.locator("input[type=text]").first
+        box.fill("70")
+        box.press("Enter")
+        shows(page, "tick 70,")
+        page.get_by_role("tab", name="What if").click()
+        gains = page.locator("xpath=//*[text()='Position gains times']/following::input[1]")
+        gains.fill("2")
+        gains.press("Enter")
+        seconds = page.locator("xpath=//*[text()='Go on for [s]']/following::input[1]")
+        seconds.fill("0.05")
+        seconds.press("Enter")
+        page.wait_for_timeout(500)
+        page.get_by_role("button", name="Go on from this moment").click()
+        shows(page, "position gains times 2, forearm is pushed with 0, 4, 0 N")
+        straight = load_offline_run(str(scene))
+        straight.advance(70)
+        ScaleGains(2.0)(straight)
+        Push("forearm", (0.0, 4.0, 0.0))(straight)
+        straight.advance(50)
+        fork = shown.line
+        fork.go_to(120)
+        assert fork.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
+        folder = page.locator("xpath=//*[text()='New folder for bags']/following::input[1]")
+        folder.fill(str(tmp_path / "kept"))
+        folder.press("Enter")
+        page.wait_for_timeout(500)
+        page.get_by_role("button", name="Keep all as bags").click()
+        shows(page, "2 bags in")
+        for name in ("the_run", "fork_1"):
+            assert compare(tmp_path / "kept" / name, str(scene)).difference is None
+        assert Bag(tmp_path / "kept/fork_1").about[PARENT] == str(tmp_path / "kept/the_run")
+        page.get_by_role("button", name="Keep all as bags").click()
+        shows(page, "be new")
         page.close()
     finally:
         shown.close()
