@@ -89,8 +89,11 @@ int main(int count, char** words) {
     std::printf("without power %d\n", arm.advance() == Outcome::no_power);
     arm.power(true);
     const std::int64_t before = arm.time();
-    arm.command(0, std::nan(""));
-    std::printf("nan %d %d\n", arm.advance() == Outcome::refused, arm.time() == before);
+    int taken = 0;
+    for (const double wrong : {std::nan(""), HUGE_VAL, -HUGE_VAL, 1e300})
+      taken += arm.command(0, wrong);
+    const bool went_on = arm.advance() == Outcome::advanced && arm.time() > before;
+    std::printf("wrong %d %d\n", taken, went_on && std::isfinite(arm.reading(0).true_position));
     arm.reset(zero);
     arm.enable(true);
     shake(arm, std::atoi(words[3]), static_cast<unsigned>(std::atoi(words[4])));

@@ -72,7 +72,7 @@ def test_each_loop_does_what_it_is_commanded(folder: Path, period: int) -> None:
     # The current sensor and the motor's data sheet, not the servo's own estimate, judge the effort.
     seen = readings(effort)["current"] * NUMBERS["torque_constant"] / NUMBERS["ratio"]
     assert np.allclose(seen, 10.0, rtol=0.05)
-    assert lines[6:8] == ["without power 1", "nan 1 1"]
+    assert lines[6:8] == ["without power 1", "wrong 0 1"]
 
 
 def test_switches_of_loops_drives_and_power_leave_every_reading_finite(folder: Path) -> None:

@@ -73,6 +73,13 @@ ArmSystem::CallbackReturn ArmSystem::refuse(const std::string& why) const {
   return CallbackReturn::ERROR;
 }
 
+// The newest sound command of the joint holds; a controller may repeat the other one each cycle.
+void ArmSystem::refuse(const Command& one, double got) {
+  RCLCPP_ERROR_THROTTLE(
+      get_logger(), steady_, 1000, "%s: %s must be within +-%g, got %g; its command before holds",
+      info_.name.c_str(), one.value->get_name().c_str(), DrivenMachine::kLargest, got);
+}
+
 ArmSystem::CallbackReturn ArmSystem::on_init(
     const hardware_interface::HardwareComponentInterfaceParams& params) {
   if (SystemInterface::on_init(params) != CallbackReturn::SUCCESS) return CallbackReturn::ERROR;
@@ -230,11 +237,12 @@ return_type ArmSystem::write(const rclcpp::Time&, const rclcpp::Duration&) {
     return handle->template get_optional<double>().value_or(kUnset);
   };
   if (power_)
-    if (const double wanted = value(power_); !std::isnan(wanted)) machine_->power(wanted != 0.0);
-  for (const Command& one : commands_)
-    if (machine_->selected(one.joint) == one.loop)
-      if (const double wanted = value(one.value); !std::isnan(wanted))
-        machine_->command(one.joint, wanted);
+    if (const double wanted = value(power_); std::isfinite(wanted)) machine_->power(wanted != 0.0);
+  for (const Command& one : commands_) {
+    if (machine_->selected(one.joint) != one.loop) continue;
+    const double wanted = value(one.value);
+    if (!std::isnan(wanted) && !machine_->command(one.joint, wanted)) refuse(one, wanted);
+  }
   switch (machine_->advance()) {
     case Outcome::advanced:
       return return_type::OK;
@@ -245,7 +253,7 @@ return_type ArmSystem::write(const rclcpp::Time&, const rclcpp::Duration&) {
       refuse(info_.name + ": windings must stay below their limit, got one too hot; deactivated");
       return return_type::DEACTIVATE;
     case Outcome::refused:
-      refuse(info_.name + ": commands must be finite, got another");
+      refuse(info_.name + ": commands must be those of the machine's drives, got others");
       return return_type::ERROR;
     case Outcome::diverged:
       refuse(info_.name + ": motion must stay within bounds, got a divergence");

@@ -8,6 +8,7 @@
 
 #include "driven_machine.hpp"
 #include "hardware_interface/system_interface.hpp"
+#include "rclcpp/clock.hpp"
 
 namespace arm_emulator_hardware {
 
@@ -47,12 +48,14 @@ class ArmSystem : public hardware_interface::SystemInterface {
 
   // Log a refusal, one line.
   CallbackReturn refuse(const std::string& why) const;
+  void refuse(const Command& one, double got);
   void check_interfaces() const;
   std::vector<double> start() const;
   void find_interfaces();
   const Command* command_of(const std::string& name) const;
   void publish();
 
+  rclcpp::Clock steady_{RCL_STEADY_TIME};  // for the log alone
   std::unique_ptr<DrivenMachine> machine_;
   std::vector<Command> commands_;
   std::vector<Reading> readings_;

@@ -161,15 +161,15 @@ void DrivenMachine::select(int j, Loop loop) {
   if (one.loop != loop) one = Demand{loop};
 }
 
-void DrivenMachine::command(int j, double value) {
+bool DrivenMachine::command(int j, double value) {
+  if (!(std::abs(value) <= kLargest)) return false;  // nor is a NaN
   Demand& one = demands_[at(j)];
   one.value = value;
   one.given = true;
+  return true;
 }
 
 Outcome DrivenMachine::advance() {
-  for (const Demand& one : demands_)
-    if (one.given && !std::isfinite(one.value)) return Outcome::refused;
   Outcome outcome = Outcome::advanced;
   for (std::int64_t k = 0; k < periods_ && outcome != Outcome::diverged; ++k)
     outcome = std::max(outcome, exchange(k));

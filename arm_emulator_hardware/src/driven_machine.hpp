@@ -23,7 +23,7 @@ enum class Outcome {
   advanced,
   no_power,  // the motors got no command
   hot,       // a winding is beyond its limit: its motor got no command
-  refused,   // a command is not finite: nothing has changed
+  refused,   // by the machine, of what it was given: nothing has changed
   diverged,  // the machine stays at its last sound state until `reset`
 };
 
@@ -60,7 +60,9 @@ class DrivenMachine {
   // Select the loop that a joint's command goes to; `none` holds the joint where it stands.
   void select(int j, Loop loop);
   Loop selected(int j) const { return demands_[static_cast<std::size_t>(j)].loop; }
-  void command(int j, double value);
+  // False: the value is not finite, or its size beyond `kLargest`; the joint's command stays.
+  static constexpr double kLargest = 1e9;
+  bool command(int j, double value);
   // Go through one period of the controllers.
   Outcome advance();
   const JointReading& reading(int j) const { return readings_[static_cast<std::size_t>(j)]; }

@@ -20,7 +20,7 @@ namespace {
 const char* const kTrajectory = "joint_trajectory_controller";
 const std::vector<std::string> kControllers = {kTrajectory, "position", "velocity", "effort"};
 const char* const kPower = "power";
-constexpr long kTurn = 40, kCut = 970, kWrong = 2350;        // cycles between
+constexpr long kTurn = 40, kCut = 970, kWrong = 210;         // cycles between
 constexpr double kStep = 0.05, kSpeed = 0.3, kEffort = 3.0;  // rad, rad/s, N m
 
 struct Random {
@@ -50,6 +50,7 @@ class Turns {
     for (long k = 1; k <= cycles; ++k) {
       if (k % kTurn == 0 && !turn()) return false;
       if (k % kCut == 0 && !cut()) return false;
+      if (k % kWrong == 0 && !wrong()) return false;
       session_.lockstep.cycle();
       look();
     }
@@ -115,6 +116,17 @@ class Turns {
     std_msgs::msg::Float64MultiArray message;
     message.data = values;
     return session_.send("/" + controller + "/commands", message);
+  }
+
+  // Command what no drive can do: it is refused, and the arm goes on.
+  bool wrong() {
+    if (active_.empty() || active_ == kTrajectory) return true;
+    for (const double value : {HUGE_VAL, -HUGE_VAL, 1e300})
+      if (!send(active_, std::vector<double>(joints_.size(), value))) return false;
+    session_.lockstep.cycle();
+    if (session_.manager->component(component_) != "active") return false;
+    ++count_["wrong"];
+    return true;
   }
 
   // Cut the power: drives and their controllers stop. Then all begin again.
