@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL
-from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_msgs.srv import BreakWhen
 from emulator_node.context import Context
+
+if TYPE_CHECKING:
+    from arm_emulator.runs.breakpoint import Breakpoint
 
 
 class Breaks:
@@ -38,6 +40,9 @@ class Breaks:
         Raises:
             Refusal: a condition that is not valid; nothing has changed.
         """
+        # It imports Pinocchio, which takes a tenth of a second.
+        from arm_emulator.runs.breakpoint import Breakpoint
+
         text, plant = request.condition, self._session.plant
         new = Breakpoint(plant, text, "break_when") if text else None
         if self._breakpoint is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from arm_emulator.analysis.stability import explain
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.phase import Phase
 from arm_emulator.machine.session import EndOfTime
@@ -35,6 +34,8 @@ class Health:
         fault = self._session.fault
         if fault is not None and fault is not self._reported:
             self._reported = fault
+            from arm_emulator.analysis.stability import explain  # not needed before
+
             explain(fault)
             self._diagnostics.error(str(fault))
             self._logger.error(str(fault))

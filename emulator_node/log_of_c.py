@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MESSAGES, MIDDLEWARE
 from arm_emulator.ros.middleware import Outgoing
-from arm_emulator.ros.run_record import RunRecord
+
+if TYPE_CHECKING:
+    from arm_emulator.ros.run_record import RunRecord  # a stock machine may lack packages for bags
 
 HEAD = MESSAGES.constant("ROS_LOG_HEAD")
 PADDING = MESSAGES.constant("ROS_PADDING")

@@ -25,7 +25,8 @@ int main(int argc, char** argv) {
 
   double factor = 1.0;
   manager->get_parameter("real_time_factor", factor);
-  if (!(factor >= 0.0) || !std::isfinite(factor)) {
+  const bool sound = factor >= 0.0 && std::isfinite(factor);
+  if (!sound) {
     RCLCPP_ERROR(manager->get_logger(),
                  "controller_manager: real_time_factor must be at least 0, got %g", factor);
   } else {
@@ -42,5 +43,5 @@ int main(int argc, char** argv) {
   executor->cancel();
   spinner.join();
   rclcpp::shutdown();
-  return 0;
+  return sound ? 0 : 2;
 }

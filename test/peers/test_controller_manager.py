@@ -208,3 +208,11 @@ def test_wrong_descriptions_are_one_line(
     done = move(prefix, tmp_path / "wrong.urdf", controllers, TARGETS["three_axis"])
     assert done.returncode != 0
     assert len([line for line in done.stderr.splitlines() if why in line]) == 1, done.stderr
+
+
+def test_lockstep_node_refuses_a_rate_in_a_line(prefix: Path, folder: Path) -> None:
+    ros2_control("three_axis", into=folder)
+    words = "--params-file", folder / "three_axis_controllers.yaml", "-p", "real_time_factor:=-1.0"
+    done = run(prefix, "lockstep_node", "--ros-args", *words)
+    why = "real_time_factor must be at least 0, got -1"
+    assert done.returncode == 2 and done.stderr.count(why) == 1, done.stderr
