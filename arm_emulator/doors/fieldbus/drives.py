@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -192,6 +192,18 @@ def _walk_modes(calls: Library) -> Iterator[Mode]:
         row += 1
 
 
+@dataclass(frozen=True)
+class SavedDrives:
+    """Machine and drives at one moment."""
+
+    machine: bytes = field(repr=False)
+    drives: bytes = field(repr=False)
+    owner: Drives = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.machine) + len(self.drives)
+
+
 class Drives:
     """CiA 402 drives, one per joint of a scene in its order, on a plant.
 
@@ -276,6 +288,29 @@ class Drives:
     def begin(self) -> None:
         """Begin anew at the present state of the machine, after its reset or restore."""
         self.calls.drives_begin(self.pointer)
+
+    def save(self) -> SavedDrives:
+        """Return machine and drives as they are now, for `restore` of these drives."""
+        state = DRIVES.ffi.new("uint8_t[]", int(self.calls.drives_state_size(self.pointer)))
+        self.calls.drives_save(self.pointer, state)
+        return SavedDrives(self.plant.save(), bytes(DRIVES.ffi.buffer(state)), self)
+
+    def restore(self, saved: SavedDrives) -> None:
+        """Go on from the tick at which `save` of these drives has returned this, to the last bit.
+
+        Transfers of service data in progress end.
+
+        Raises:
+            Refusal: something else; nothing has changed.
+        """
+        if not isinstance(saved, SavedDrives) or saved.owner is not self:
+            raise Refusal("drives", "saved", "be what `save` of the same drives returned", saved)
+        self.plant.restore(saved.machine)
+        self.calls.drives_restore(self.pointer, saved.drives)
+
+    def advance(self, ticks: int) -> None:
+        """Advance by so many servo periods, as a run of `Timeline`; see `period`."""
+        self.period(ticks)
 
     def period(self, periods: int = 1) -> None:
         """Advance by so many servo periods.

@@ -74,6 +74,13 @@ int32_t drives_count(const drives* all);
  * or a restore of the machine. */
 void drives_begin(drives* all);
 
+/* Bytes of the state of all drives: dictionaries, state machines, modes, loops. */
+uint64_t drives_state_size(const drives* all);
+/* Write the state, between two periods. It is good for these drives alone. */
+void drives_save(const drives* all, void* state);
+/* Go on from a state, once the machine has been restored to that moment. SDO transfers end. */
+void drives_restore(drives* all, const void* state);
+
 /* Advance by one servo period: every drive's loops, one arm_exchange. Returns its result; once it
  * is not ARM_OK the drives are in Fault. */
 int drives_period(drives* all);

@@ -1,6 +1,7 @@
 // The functions of drives.h. Included once in the unit of a bus, before what uses it.
 #pragma once
 
+#include <cstring>
 #include <deque>
 #include <vector>
 
@@ -106,6 +107,29 @@ void drives_delete(drives* all) { delete all; }
 std::int32_t drives_count(const drives* all) { return all ? all->count() : 0; }
 void drives_begin(drives* all) {
   if (all) all->begin();
+}
+// A drive keeps its place, and what it points to is in it or does not change: so its bytes are its
+// state.
+std::uint64_t drives_state_size(const drives* all) {
+  return all ? all->one.size() * sizeof(fieldbus::Drive) : 0;
+}
+void drives_save(const drives* all, void* state) {
+  if (!all || !state) return;
+  auto* out = static_cast<std::byte*>(state);
+  for (const fieldbus::Drive& drive : all->one) {
+    std::memcpy(out, static_cast<const void*>(&drive), sizeof drive);
+    out += sizeof drive;
+  }
+}
+void drives_restore(drives* all, const void* state) {
+  if (!all || !state) return;
+  const auto* in = static_cast<const std::byte*>(state);
+  for (fieldbus::Drive& drive : all->one) {
+    std::memcpy(static_cast<void*>(&drive), in, sizeof drive);
+    in += sizeof drive;
+  }
+  for (int j = 0; j < all->count(); ++j) drives_sdo_begin(all, j);
+  all->machine.measure(all->machine.machine, &all->measurement);
 }
 int drives_period(drives* all) { return all ? all->period() : int{ARM_REFUSED}; }
 int drives_periods(drives* all, std::int64_t periods) {
