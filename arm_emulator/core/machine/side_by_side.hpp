@@ -102,7 +102,7 @@ class SideBySide {
       const int at = j * width + lane;
       current[at] = of_current, angle[at] = of_angle, speed[at] = of_speed;
     };
-    if constexpr (Numbers<S, X>::varied)
+    if constexpr (Numbers<S, X>::drives_vary)
       for (int lane = 0; lane < width; ++lane)
         numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
           const auto here = input_in_lane(drive, j, at_.x, X{}, lane);

@@ -11,7 +11,7 @@ template <class S, class X>
 ARM_INLINE void bound_commands(const Numbers<S, X>& n, const State<S, X>& x, X* u) {
   if constexpr (!any_drive<S>([](const auto& drive) { return !drive.bounded_by_supply; })) {
     for_each<S::N>([&](auto j) __attribute__((always_inline)) { u[j] = clamp(u[j], n.supply()); });
-  } else if constexpr (kWidth<X> == 1 || !Numbers<S, X>::varied) {
+  } else if constexpr (kWidth<X> == 1 || !Numbers<S, X>::drives_vary) {
     n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
       u[j] = drive.command(input_of(drive, j, x, u[j]), n.supply());
     });

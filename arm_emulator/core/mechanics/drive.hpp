@@ -35,6 +35,8 @@ struct Drive {
   Rotor rotor;
   std::tuple<Extras...> extras = {};
 
+  constexpr bool operator==(const Drive&) const = default;
+
   static constexpr bool driven = Motor::present;
   static constexpr bool elastic = driven && !Gear::rigid;
   static constexpr bool carries_rotor = driven && Gear::rigid;

@@ -69,7 +69,7 @@ class EnergyBalance {
   template <class X>
   ARM_INLINE static X largest_power(const Numbers<S, X>& n, const State<S, X>& x, const X* u) {
     X power = {};
-    if constexpr (kWidth<X> == 1 || !Numbers<S, X>::varied) {
+    if constexpr (kWidth<X> == 1 || !Numbers<S, X>::drives_vary) {
       n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
         power += given_at_most_to(drive, input_of(drive, j, x, u[j]));
       });

@@ -101,6 +101,35 @@ struct Constants {
   }
 };
 
+// A drive as lanes know it: its link's dry friction, if that is a torque or two, stands in rows of
+// `Numbers`.
+template <class Drive>
+constexpr Drive in_lanes(Drive drive) {
+  if constexpr (requires { drive.friction.without_torques(); })
+    drive.friction = drive.friction.without_torques();
+  return drive;
+}
+// Whether machines side by side need drives of their own: whether a varied number changes a drive
+// as lanes know it. Parts that cannot be compared may have changed.
+template <class S>
+constexpr bool drives_vary() {
+  const auto same = [](const auto& one, const auto& other) {
+    if constexpr (requires { in_lanes(one) == in_lanes(other); })
+      return in_lanes(one) == in_lanes(other);
+    else
+      return false;
+  };
+  const Sheet<S> before = sheet_with<S>(-1);
+  for (int k = 0; k < S::parameters; ++k) {
+    const Sheet<S> after = sheet_with<S>(k);
+    const bool all = [&]<int... j>(std::integer_sequence<int, j...>) {
+      return (true && ... && same(std::get<j>(before.drives), std::get<j>(after.drives)));
+    }(std::make_integer_sequence<int, S::N>{});
+    if (!all) return true;
+  }
+  return false;
+}
+
 template <class S, class X = Real>
 class Numbers;
 struct Nothing {};
@@ -110,7 +139,7 @@ template <class S>
 class Numbers<S, Real> {
  public:
   static constexpr int N = S::N;
-  static constexpr bool varied = kOwnNumbers<S> > 0;
+  static constexpr bool varied = kOwnNumbers<S> > 0, drives_vary = varied;
   using Number = Real;
 
   // Of the values of the varied numbers, the brakes open.
@@ -207,6 +236,7 @@ class Numbers {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
   static constexpr bool varied = S::parameters > 0;
+  static constexpr bool drives_vary = arm::drives_vary<S>();
   using Number = std::conditional_t<varied, X, Real>;
 
   // All lanes as `first`.
@@ -244,7 +274,7 @@ class Numbers {
   // body(drive, j) for the drive of every joint, which all lanes have in common.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive(TheBody&& body) const
-    requires(!varied)
+    requires(!drives_vary)
   {
     [&]<int... j>(std::integer_sequence<int, j...>) __attribute__((always_inline)) {
       (body(std::get<j>(Constants<S>::sheet.drives), j), ...);
@@ -253,7 +283,7 @@ class Numbers {
   // The same of one lane.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive_of([[maybe_unused]] int lane, TheBody&& body) const {
-    if constexpr (varied)
+    if constexpr (drives_vary)
       of_[lane]->for_each_drive(body);
     else
       for_each_drive(body);

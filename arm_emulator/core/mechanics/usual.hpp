@@ -10,7 +10,7 @@ namespace arm {
 template <class S, class X>
 ARM_INLINE Mask<X> is_usual(const Numbers<S, X>& n, const State<S, X>& x, const X* u) {
   Mask<X> usual = X{} == X{};
-  if constexpr (kWidth<X> == 1 || !Numbers<S, X>::varied) {
+  if constexpr (kWidth<X> == 1 || !Numbers<S, X>::drives_vary) {
     n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
       usual &= drive.is_usual(input_of(drive, j, x, u[j]));
     });

@@ -12,6 +12,8 @@
 namespace arm {
 
 struct BacklashGear {
+  constexpr bool operator==(const BacklashGear&) const = default;
+
   Real Ng;    // link turns per motor turn
   Real Kg;    // N m/rad at the link
   Real Dg;    // N m s/rad at the link

@@ -12,12 +12,16 @@
 namespace arm {
 
 struct Brake {
+  constexpr bool operator==(const Brake&) const = default;
+
   Real torque;                      // N m, at the motor's shaft
   Real close_delay, release_delay;  // s, from the request to the change
 };
 
 template <class Law>
 struct Braked : Law {
+  constexpr bool operator==(const Braked&) const = default;
+
   Brake brake;
   Real closed;  // 1 or 0
 

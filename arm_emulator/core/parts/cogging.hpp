@@ -12,6 +12,8 @@ namespace arm {
 
 template <int n>
 struct Cogging {
+  constexpr bool operator==(const Cogging&) const = default;
+
   std::array<Harmonic, n> waves;  // N m
 
   static constexpr Place place = Place::rotor;

@@ -20,6 +20,8 @@
 namespace arm {
 
 struct Counterbalance {
+  constexpr bool operator==(const Counterbalance&) const = default;
+
   Real a, b;  // m
   Real phi;   // rad
   Real F0;    // N, at the length l0

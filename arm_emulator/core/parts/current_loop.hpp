@@ -22,6 +22,8 @@ namespace arm {
 
 // As the scene states it: a bandwidth, or gains.
 struct CurrentControl {
+  constexpr bool operator==(const CurrentControl&) const = default;
+
   Real bandwidth = 0.0;    // Hz; 0: gains are given
   Real P = 0.0, I = 0.0;   // V/A, V/(A s)
   Real feedforward = 1.0;  // share of the induced voltage
@@ -29,12 +31,16 @@ struct CurrentControl {
 
 // R, L and Kb may vary with faults and heat; the gains follow from the data sheet.
 struct DataSheet {
+  constexpr bool operator==(const DataSheet&) const = default;
+
   Real R, L, Kb;  // ohm, H, V s/rad
   Real supply;    // V
 };
 
 template <class Motor>
 struct CurrentLoop : Motor {
+  constexpr bool operator==(const CurrentLoop&) const = default;
+
   CurrentControl control;
   DataSheet nominal;
 

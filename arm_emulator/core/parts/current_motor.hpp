@@ -11,6 +11,8 @@
 namespace arm {
 
 struct CurrentMotor {
+  constexpr bool operator==(const CurrentMotor&) const = default;
+
   Real Kt;                   // N m/A
   Real R = 0.0;              // ohm
   Real Mm;                   // kg m2, with the gear's primary side

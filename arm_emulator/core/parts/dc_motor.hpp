@@ -15,6 +15,8 @@ namespace arm {
 
 template <bool limited>
 struct DcMotorOf {
+  constexpr bool operator==(const DcMotorOf&) const = default;
+
   Real R;                    // ohm
   Real L;                    // H
   Real Kt;                   // N m/A

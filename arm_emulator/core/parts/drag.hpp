@@ -8,6 +8,8 @@
 namespace arm {
 
 struct Drag {
+  constexpr bool operator==(const Drag&) const = default;
+
   Real c;  // N m s2/rad2
 
   static constexpr Place place = Place::link;

@@ -11,6 +11,8 @@
 namespace arm {
 
 struct EndStops {
+  constexpr bool operator==(const EndStops&) const = default;
+
   Real lower, upper;  // rad (m)
   Real K;             // N m/rad
   Real D;             // N m s/rad

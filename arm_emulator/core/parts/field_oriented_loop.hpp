@@ -23,6 +23,8 @@ namespace arm {
 // Numbers of the data sheet, which set up the drive; those of the motor may vary with faults and
 // heat.
 struct SynchronousDataSheet {
+  constexpr bool operator==(const SynchronousDataSheet&) const = default;
+
   Real R, Ld, Lq, psi, p;
   Real amplitude;  // V
 };
@@ -30,6 +32,8 @@ struct SynchronousDataSheet {
 // `whole` false: without limits and products, which is linear.
 template <class Motor, bool whole = true>
 struct FieldOrientedLoop : Motor {
+  constexpr bool operator==(const FieldOrientedLoop&) const = default;
+
   CurrentControl control;
   SynchronousDataSheet nominal;
 

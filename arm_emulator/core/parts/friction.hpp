@@ -10,6 +10,8 @@
 namespace arm {
 
 struct Friction {
+  constexpr bool operator==(const Friction&) const = default;
+
   Real Dv = 0.0;            // N m s/rad, viscous
   Real Dc = 0.0, Ds = 0.0;  // N m, while the shaft slides, and what holds it at rest
 
@@ -21,6 +23,9 @@ struct Friction {
 
   // See drive.hpp.
   constexpr const Friction& linear() const { return *this; }
+
+  // The same with other torques of dry friction.
+  constexpr Friction without_torques() const { return {Dv, 1.0, 1.0}; }
 
   // Whether it can hold a shaft at rest; the breakaway torque may still be 0 at times.
   constexpr bool is_dry() const { return Dc > 0.0; }

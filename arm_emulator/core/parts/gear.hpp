@@ -8,6 +8,8 @@ namespace arm {
 
 // A spring and a damper between the rotor, reduced, and the link.
 struct ElasticGear {
+  constexpr bool operator==(const ElasticGear&) const = default;
+
   Real Ng;  // link turns per motor turn
   Real Kg;  // N m/rad at the link
   Real Dg;  // N m s/rad at the link
@@ -38,6 +40,8 @@ struct ElasticGear {
 
 // The rotor turns with its link and has no state of its own.
 struct RigidGear {
+  constexpr bool operator==(const RigidGear&) const = default;
+
   Real Ng = 1.0;
 
   static constexpr bool rigid = true;

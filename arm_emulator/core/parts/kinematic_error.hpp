@@ -17,6 +17,8 @@ namespace arm {
 
 template <int of_motor, int of_link>
 struct KinematicErrorGear {
+  constexpr bool operator==(const KinematicErrorGear&) const = default;
+
   Real Ng;                               // link turns per motor turn
   Real Kg;                               // N m/rad at the link
   Real Dg;                               // N m s/rad at the link

@@ -10,6 +10,8 @@
 namespace arm {
 
 struct LoadFriction {
+  constexpr bool operator==(const LoadFriction&) const = default;
+
   Real Dv = 0.0, Dc = 0.0, Ds = 0.0;  // as of Friction
   Real vs = 0.0;                      // as of Stribeck; 0: the torque of sliding is Dc
   Real mu;                            // N m of friction per N m of the gear's torque

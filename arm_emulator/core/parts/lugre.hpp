@@ -19,6 +19,8 @@ namespace arm {
 
 template <Place where>
 struct LuGre {
+  constexpr bool operator==(const LuGre&) const = default;
+
   Real Dc, Ds;  // N m, of sliding fast, and of breaking away
   Real vs;      // rad/s, as of Stribeck
   Real s0;      // N m/rad, of the bristles

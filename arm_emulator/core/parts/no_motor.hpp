@@ -7,6 +7,8 @@
 namespace arm {
 
 struct NoMotor {
+  constexpr bool operator==(const NoMotor&) const = default;
+
   static constexpr bool present = false;
   static constexpr int states = 0, modes = 0;
   static constexpr Real Mm = 0.0;

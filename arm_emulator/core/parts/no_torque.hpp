@@ -8,6 +8,8 @@ namespace arm {
 
 template <Place where>
 struct NoTorque {
+  constexpr bool operator==(const NoTorque&) const = default;
+
   static constexpr Place place = where;
   static constexpr int states = 0, modes = 0;
   constexpr const NoTorque& linear() const { return *this; }

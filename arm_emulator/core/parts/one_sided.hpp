@@ -14,6 +14,8 @@
 namespace arm {
 
 struct OneSided {
+  constexpr bool operator==(const OneSided&) const = default;
+
   Real K;  // N m/rad
   Real D;  // N m s/rad
 

@@ -17,6 +17,8 @@ namespace arm {
 // `whole` false: without the products of speed and currents, which is linear.
 template <bool whole>
 struct PmsmOf {
+  constexpr bool operator==(const PmsmOf&) const = default;
+
   Real R;                    // ohm
   Real Ld;                   // H
   Real Lq;                   // H

@@ -8,6 +8,8 @@
 namespace arm {
 
 struct ProgressiveGear {
+  constexpr bool operator==(const ProgressiveGear&) const = default;
+
   Real Ng;   // link turns per motor turn
   Real Kg;   // N m/rad at the link
   Real Dg;   // N m s/rad at the link

@@ -12,6 +12,8 @@ namespace arm {
 
 // Torques on a rotor, beside its friction.
 struct OnRotor {
+  constexpr bool operator==(const OnRotor&) const = default;
+
   Real torque;    // N m, of all
   Real of_gear;   // N m, of the gear alone
   Real rounding;  // N m, uncertainty by rounding of angles
@@ -19,6 +21,8 @@ struct OnRotor {
 
 template <class Law = Friction>
 struct RotorFriction {
+  constexpr bool operator==(const RotorFriction&) const = default;
+
   Law law;
 
   static constexpr int modes = 1;
@@ -81,6 +85,8 @@ struct RotorFriction {
 
 // A rotor without friction.
 struct FreeRotor {
+  constexpr bool operator==(const FreeRotor&) const = default;
+
   static constexpr int modes = 0;
   static constexpr bool varies = false, loaded = false;
   constexpr const FreeRotor& linear() const { return *this; }

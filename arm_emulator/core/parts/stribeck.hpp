@@ -9,6 +9,8 @@
 namespace arm {
 
 struct Stribeck {
+  constexpr bool operator==(const Stribeck&) const = default;
+
   Real Dv, Dc, Ds;  // as of Friction
   Real vs;          // rad/s, at 63 % of the fall
 

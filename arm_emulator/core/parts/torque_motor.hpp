@@ -12,6 +12,8 @@
 namespace arm {
 
 struct TorqueMotor {
+  constexpr bool operator==(const TorqueMotor&) const = default;
+
   Real Mm;                  // kg m2, with the gear's primary side
   Real bandwidth = 0.0;     // Hz; 0: the torque follows at once
   Real torque_limit = 0.0;  // N m; 0: none

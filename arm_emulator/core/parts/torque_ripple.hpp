@@ -14,6 +14,8 @@ namespace arm {
 
 template <class Motor, int n>
 struct RippledMotor : Motor {
+  constexpr bool operator==(const RippledMotor&) const = default;
+
   std::array<Harmonic, n> waves;  // of 1
 
   constexpr decltype(auto) linear() const { return Motor::linear(); }

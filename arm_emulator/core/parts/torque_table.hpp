@@ -16,6 +16,8 @@ namespace arm {
 
 template <int n, bool periodic>
 struct TorqueTable {
+  constexpr bool operator==(const TorqueTable&) const = default;
+
   struct Piece {
     Real q0;              // rad (m), where it begins
     Real T0, T1, T2, T3;  // N m/rad^0, 1, 2, 3

@@ -14,6 +14,8 @@
 namespace arm {
 
 struct Winding {
+  constexpr bool operator==(const Winding&) const = default;
+
   Real C;              // J/K
   Real Rth;            // K/W, to the ambient
   Real ambient;        // degC
@@ -26,6 +28,8 @@ struct Winding {
 // `whole` false: at fixed temperatures and without the loss, which is linear.
 template <class Motor, bool whole = true>
 struct HeatedMotor : Motor {
+  constexpr bool operator==(const HeatedMotor&) const = default;
+
   Winding winding;
 
   static constexpr int rise = Motor::states, states = rise + 1;  // Theta [K]

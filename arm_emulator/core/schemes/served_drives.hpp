@@ -20,7 +20,7 @@ class ServedDrives {
   using In = StepInput<K, M, R>;
   static constexpr bool modal = M > 0;
   // Lanes may have drives of their own.
-  static constexpr bool own = arm::Numbers<S, X>::varied && width > 1;
+  static constexpr bool own = arm::Numbers<S, X>::drives_vary && width > 1;
   using Modes = DriveModes<M>;
   // For each input a number of every joint.
   using Inputs = arm::Row<N, X>[In::count];

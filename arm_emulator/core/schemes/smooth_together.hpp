@@ -141,7 +141,7 @@ class SmoothTogether {
   void torques(const State<S, X>& x, const X* u, const Dynamics& links, X* rhs) const {
     const auto put = [&](int j, const X& g)
                          __attribute__((always_inline)) { rhs[j] = g - links.nle[j]; };
-    if constexpr (Numbers<S, X>::varied) {
+    if constexpr (Numbers<S, X>::drives_vary) {
       X g[N];
       for (int lane = 0; lane < width; ++lane)
         n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
