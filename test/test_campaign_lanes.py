@@ -28,6 +28,7 @@ from arm_emulator.runs.servo_fleet import ServoFleet
 # Lanes round otherwise, by some 1e-16 a step; torques are 1e2 N m and more at 1e-14 rad.
 NEAR, SHARE = 1e-12, 1e-13
 CHECKS = "def margin(trace):\n    return 2.0 - abs(trace['v.waist']).max() + trace['t'][-1]\n"
+TARGETS = "t,elbow,waist,shoulder\n0.01,0.9,0.1,0.6\n0.05,0.8,0.2,0.5\n0.1,0.9,0.3,0.6\n"
 JUDGED: dict[str, Any] = {
     "requirements": {
         "near": "always abs(error.*) < 0.3",
@@ -68,6 +69,10 @@ DRAWN = {
             "cut": {"kind": "power_cut", "at": 0.16},
         },
     },
+    "a table of targets": {
+        "scenario": {"seconds": 0.2, "table": "targets.csv"},
+        "vary": {"payload.mass": "uniform(0, 3)"},
+    },
     "noise and lost commands": {
         "set": {
             "payload": 1.0,
@@ -84,6 +89,7 @@ DRAWN = {
 
 def campaign_of(folder: Path, change: dict[str, Any]) -> Campaign:
     (folder / "checks.py").write_text(CHECKS)
+    (folder / "targets.csv").write_text(TARGETS)
     return load_campaign(written(folder, TABLE | JUDGED | change))
 
 

@@ -123,7 +123,8 @@ class Targets:
         """Return those of runs, of each the samples and the positions."""
         first = np.concatenate([[0], np.cumsum([len(since) for since, _ in runs])])
         since = np.concatenate([np.asarray(one, np.int64) for one, _ in runs])
-        return cls(since, np.concatenate([q for _, q in runs]), first.astype(np.int64))
+        q = np.ascontiguousarray(np.concatenate([rows for _, rows in runs]))
+        return cls(since, q, first.astype(np.int64))
 
 
 class Program:
