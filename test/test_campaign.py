@@ -25,7 +25,7 @@ from arm_emulator.campaign.distributions import parse_distribution
 from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.outcome import Outcomes
-from arm_emulator.campaign.results import Results, digest_of, write_part
+from arm_emulator.campaign.results import Results, digest_of, schema_of, write_part
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.variation import Variation, Varying, correlation_of
 from arm_emulator.cli.commands.campaign import campaign
@@ -349,6 +349,9 @@ def digest_alone(file, count=None):
 def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     file = written(tmp_path, TABLE)
     digest, columns = digest_alone(file)
+    units = {one.name: (one.metadata or {}).get(b"unit") for one in schema_of(load_campaign(file))}
+    assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
+    assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
     facts = finished(file, tmp_path / "two", "--workers", "2")
     assert facts["digest"] == digest and facts["count"] == 300
     assert facts["shares"][1]["hits"] == np.count_nonzero(columns["robustness.never"] < 0) > 0
@@ -421,6 +424,9 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
 def test_a_campaign_stops_when_it_knows_enough(tmp_path):
     data = changed(TABLE, "stop", {"width": 0.16, "confidence": 0.9})
     file = written(tmp_path, data)
+    units = {one.name: (one.metadata or {}).get(b"unit") for one in schema_of(load_campaign(file))}
+    assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
+    assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
     facts = finished(file, tmp_path / "two", "--workers", "2")
     assert facts["count"] == 200 and facts["digest"] == digest_alone(file, 200)[0]
     assert all(one["high"] - one["low"] <= 0.16 for one in facts["shares"])

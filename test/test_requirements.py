@@ -13,6 +13,7 @@ from arm_emulator.base.formula import Constant, Operation, Signal, parse_formula
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.program import Program, Rows, Targets, judges
 from arm_emulator.campaign.requirement import Robustness
+from arm_emulator.campaign.units import of_formula
 
 PERIOD = 0.01
 NAMES = ("a", "b.c", "d")
@@ -280,3 +281,21 @@ def test_arithmetic_of_signals_equals_numpy(seed):
         # Sums in another order: rounding of `count` terms.
         same = value == expected or (math.isnan(value) and math.isnan(expected))
         assert same or abs(value - expected) <= 1e-15 * count * most
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("always abs(q.a - 0.5) < 0.1", "rad"),
+        ("always (q.a < 0.1 and abs(current.a) < 3)", ""),
+        ("eventually[0, 1] always[0, 1] max(current.a, 2 * current.a) < 3", "A"),
+        ("always current.a / 2 + 1 < 3", "A"),
+        ("always q.a * current.a < 3", ""),
+        ("always 2 / current.a < 3", ""),
+        ("always sqrt(current.a) < 3", ""),
+        ("always 1 < 2", None),
+    ],
+)
+def test_robustness_has_the_unit_of_what_is_compared(text, unit):
+    units = {"q.a": "rad", "current.a": "A"}
+    assert of_formula(parse_formula(text, "c", "r"), units) == unit

@@ -20,18 +20,25 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.outcome import Outcomes
+from arm_emulator.campaign.units import judged_units
 
 PARTS, ABOUT = "parts", "campaign.json"
 INDEX, FAILED, DIVERGED = "index", "failed", "diverged"
 ROBUSTNESS, MEASURE = "robustness.", "measure."
 
 
+_units: dict[bytes, dict[str, str]] = {}  # by the keys of campaigns
+
+
 def column_units(campaign: Campaign) -> dict[str, str]:
     """Return the columns of results with their units, in their order."""
-    units = {INDEX: "", FAILED: "", DIVERGED: "s"}
-    units |= {one.name: one.unit for one in campaign.variation.numbers}
-    units |= dict.fromkeys((f"{ROBUSTNESS}{name}" for name in campaign.requirements), "")
-    return units | dict.fromkeys((f"{MEASURE}{name}" for name in campaign.measures), "")
+    if campaign.key not in _units:
+        units = {INDEX: "", FAILED: "", DIVERGED: "s"}
+        units |= {one.name: one.unit for one in campaign.variation.numbers}
+        robustness, measures = judged_units(campaign)
+        units |= {f"{ROBUSTNESS}{name}": unit for name, unit in robustness.items()}
+        _units[campaign.key] = units | {f"{MEASURE}{name}": u for name, u in measures.items()}
+    return _units[campaign.key]
 
 
 def schema_of(campaign: Campaign) -> Any:

@@ -6,6 +6,8 @@
 namespace arm {
 
 struct Harmonic {
+  constexpr bool operator==(const Harmonic&) const = default;
+
   Real k;          // waves per turn
   Real amplitude;  // of the quantity of the part
   Real phase;      // rad

@@ -31,6 +31,8 @@ struct LuGre {
 
   // Bristles that only bend: the shaft at rest on its spring and damper.
   struct Spring {
+    constexpr bool operator==(const Spring&) const = default;
+
     Real s0, s1;
 
     static constexpr Place place = where;

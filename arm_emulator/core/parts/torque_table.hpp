@@ -16,9 +16,9 @@ namespace arm {
 
 template <int n, bool periodic>
 struct TorqueTable {
-  constexpr bool operator==(const TorqueTable&) const = default;
-
   struct Piece {
+    constexpr bool operator==(const Piece&) const = default;
+
     Real q0;              // rad (m), where it begins
     Real T0, T1, T2, T3;  // N m/rad^0, 1, 2, 3
     Real U0;              // J, potential at q0
@@ -26,6 +26,8 @@ struct TorqueTable {
   std::array<Piece, n> pieces;
   Real end;    // rad (m), where the last of them ends
   Real U_end;  // J
+
+  constexpr bool operator==(const TorqueTable&) const = default;
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;
