@@ -11,6 +11,7 @@ import os
 import resource
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -53,10 +54,10 @@ def write_targets(file: Path) -> None:
     np.savetxt(file, rows, delimiter=",", header="t," + ",".join(scene.joint_names), comments="")
 
 
-def run(name: str, data: dict[str, object], count: int, workers: int, folder: Path) -> str:
+def run(name: str, data: Mapping[str, object], count: int, workers: int, folder: Path) -> str:
     """Simulate a campaign; return a row of the table."""
     file = folder / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(data | {"count": count}, sort_keys=False))
+    file.write_text(yaml.safe_dump({**data, "count": count}, sort_keys=False))
     campaign = load_campaign(file)
     seconds, _ = seconds_per_run(campaign)  # compiles, too
     results = Results(folder / name, campaign)
