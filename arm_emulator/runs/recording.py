@@ -108,7 +108,7 @@ class Recording(Uncopied, Closed):
     def _rows(self) -> Rows:
         if len(self._taken) > 1:
             # As bytes: NumPy joins records field by field, in more time than their steps took.
-            joined = bytearray().join(one.data for one in self._taken)
+            joined = bytearray().join(one.tobytes() for one in self._taken)
             self._taken = [np.frombuffer(joined, self._taken[0].dtype)]
         return self._taken[0]
 
