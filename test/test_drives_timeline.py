@@ -74,7 +74,7 @@ def whole(drives: Drives) -> tuple[bytes, list[bytes]]:
 
 
 def drawn(seed: int) -> list[tuple[int, Callable[[Drives], None]]]:
-    """What is written, by ticks."""
+    """Changes by their ticks."""
     rng = random.Random(seed)
     return [(tick, words(rng)) for tick in sorted(rng.sample(range(LAST), 60))]
 
