@@ -14,7 +14,7 @@ from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import Taking
-from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, EVENT_QOS
+from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
 from emulator_node.breaks import Breaks
 from emulator_node.changes import Changes
@@ -42,7 +42,9 @@ class Intake:
         self._diagnostics, node = own.diagnostics, own.node
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
         self.taking = Taking("motor_commands", MotorCommand, self._on_command, breaks.refused)
-        self.commands = subscribe(MotorCommand, "motor_commands", self.taking.take, qos, raw=True)
+        self.commands = subscribe(
+            MotorCommand, "motor_commands", self.taking.take, ANSWER_SUB_QOS, raw=True
+        )
         subscribe(PoseStamped, "tool_target", own.view.target, qos)
         if own.view.open:
             subscribe(MotionStatus, "motion/status", own.view.motion, EVENT_QOS)

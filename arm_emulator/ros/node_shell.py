@@ -39,6 +39,9 @@ COMMAND_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 STATE_PUB_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 STATE_SUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Answers to states, which come again if one is lost: acknowledgements would take a quarter of the
+# processor time of a tick.
+ANSWER_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 DESCRIPTION_QOS = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
