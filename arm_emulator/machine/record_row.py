@@ -42,13 +42,13 @@ class RecordRow(Turns):
 
     @in_turn
     def take(self) -> Rows:
-        """Return the machine as it is now, one row, which cannot be written to."""
+        """Return the machine as it is now, one row."""
         plant, rows = self._plant, self.rows
         plant.core.arm_measure(plant.machine, self.measurement)
         plant.core.arm_get_truth(plant.machine, self.truth)
         rows["t"], rows["tick"] = self.truth.time, self.measurement.tick
         # As bytes: NumPy copies structs number by number.
-        return np.frombuffer(rows.tobytes(), rows.dtype)
+        return np.frombuffer(bytearray(rows.tobytes()), rows.dtype)
 
 
 def row_type(scene: Scene) -> np.dtype[np.void]:
