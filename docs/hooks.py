@@ -89,18 +89,23 @@ def _interfaces(place: str) -> str:
     )
 
 
-def _doors(_: str) -> str:
-    """Return a row for each page that states what its door offers, in a comment `door: ...`."""
-    rows = []
+def _doors(which: str) -> str:
+    """Return a row for each page that states what its door offers, in a comment `door: ...`.
+
+    Args:
+        which: what it `needs`, the last of the columns; or nothing, for the others.
+    """
+    heads = ["door", "control law", "time", "measurements", "true state", "record",
+             "needs beside Python and a compiler"]  # fmt: skip
+    rows = [heads, ["---"] * len(heads)]
     for page in sorted(DOCS.rglob("*.md"), key=lambda one: (one.parent.name, one), reverse=True):
         if stated := DOOR.search(page.read_text()):
             at = posixpath.relpath(page.relative_to(DOCS).as_posix(), "reference")
-            rows.append(f"| [{stated[1]}]({at}) | {stated[2]} |")
-    if not rows:
+            rows.append([f"[{stated[1]}]({at})", *stated[2].split(" | ")])
+    if len(rows) < 3:
         raise Missing("pages of doors")
-    heads = ("door", "control law", "time", "measurements", "true state", "record",
-             "needs beside Python and a compiler")  # fmt: skip
-    return "\n".join((f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *rows))
+    shown = ([row[0], row[-1]] if which == "needs" else row[:-1] for row in rows)
+    return "\n".join(f"| {' | '.join(row)} |" for row in shown)
 
 
 def _of_campaigns(what: str) -> str:
