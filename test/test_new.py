@@ -314,8 +314,9 @@ XACRO = """<?xml version="1.0"?>
 
 
 @pytest.mark.usefixtures("untuned")
-def test_a_xacro_source_is_expanded_with_its_arguments(tmp_path: Path) -> None:
-    file = tmp_path / "rods.urdf.xacro"
+@pytest.mark.parametrize("name", ["rods.urdf.xacro", "rods.urdf"])
+def test_a_xacro_source_is_expanded_with_its_arguments(name: str, tmp_path: Path) -> None:
+    file = tmp_path / name
     file.write_text(XACRO)
     for length, arguments in ((0.4, {}), (0.7, {"length": "0.7"})):
         written = write_new(file, tmp_path / f"{length}", arguments=arguments)

@@ -20,7 +20,7 @@ from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import published
 from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.mesh_file import move_meshes
-from arm_emulator.design.own_collisions import own_collisions
+from arm_emulator.design.own_collisions import own_collisions, own_shapes
 from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import (
     forget_impossible,
@@ -204,9 +204,11 @@ def _texts(
     The servo is not among them: its gains are those of the scene as it is written.
     """
     name = scene_name(robot)
-    links = _links_alone(text, robot.name, choice)
+    move_meshes(description, robot.parent)
+    links = _links_alone(ET.tostring(description, encoding="unicode"), robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
-    bare = survey(links, kinematics)
+    shapes = own_shapes(links.urdf, links.joint_names)
+    bare = survey(links, kinematics, shapes)
     seen = bare
     if payload:
         seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
@@ -243,10 +245,7 @@ def _texts(
     }
     # The motion controller reads the joints' limits from the robot description.
     write_limits(description, {drive.joint.name: drive for drive in drives})
-    move_meshes(description, robot.parent)
-    moved = ET.tostring(description, encoding="unicode")
-    made = _links_alone(moved, robot.name, choice)
-    motion["collisions"], why = own_collisions(made.urdf, made.joint_names, bare.start)
+    motion["collisions"], why = own_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
     given = Given(robot.name, choice, payload, assumed)
     scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
@@ -256,7 +255,7 @@ def _texts(
         "",
         motion_text(motion, comments, known_drives(drive.joint for drive in drives)),
         demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
-        moved + "\n",
+        ET.tostring(description, encoding="unicode") + "\n",
     )
     return drives, dict(zip(PLACES, contents, strict=True))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,8 @@ from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import MOST_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
 
+_XACRO = re.compile(r"<xacro:|\$\{|\$\(")  # as no URDF has it, whatever the file's name is
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 PATIENCE = 30.0  # s, by the clock: for a source that waits, or a machine that is busy
 
 
@@ -23,7 +26,7 @@ def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
     """Return the URDF that a file holds, or that its xacro source expands to.
 
     Args:
-        file: ends in ``.urdf`` or ``.xacro``.
+        file: ends in ``.urdf`` or ``.xacro``; some sources of xacro end in ``.urdf``.
         arguments: of the xacro source, its ``<xacro:arg>``.
 
     Raises:
@@ -35,9 +38,11 @@ def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
     if file.suffix not in ROBOTS:
         raise Refusal("new", f"file {file.name}", "be a robot", "another", "*.urdf, *.xacro")
     if file.suffix == ".urdf":
-        if arguments:
-            raise Refusal(file.name, "arguments", "come with a xacro source", list(arguments))
-        return read_urdf(file)
+        text = read_urdf(file)
+        if not _XACRO.search(_COMMENT.sub("", text)):
+            if arguments:
+                raise Refusal(file.name, "arguments", "come with a xacro source", list(arguments))
+            return text
     return _expanded(file, arguments)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from arm_emulator.analysis.link_loads import LinkLoads
 from arm_emulator.analysis.servo_loop import FREE_SLIDE, FREE_TURN
 from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
 
 Array = NDArray[np.float64]
@@ -39,8 +40,15 @@ class Survey:
     """Of the tool from the start, within reach, (3,) [m]."""
 
 
-def survey(scene: Scene, kinematics: Kinematics) -> Survey:
-    """Look at an arm in many poses within its limits, drawn always the same."""
+def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = None) -> Survey:
+    """Look at an arm in many poses within its limits, drawn always the same.
+
+    Args:
+        scene: the links.
+        kinematics: of the arm.
+        shapes: of the arm, of which no two touch at the start if there is such a start; None:
+            not known.
+    """
     low, high = _ranges(scene, kinematics)
     rng = np.random.default_rng(0)
     N = len(low)
@@ -53,7 +61,7 @@ def survey(scene: Scene, kinematics: Kinematics) -> Survey:
         least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
         coupling = np.maximum(coupling, np.abs(M))
         weight = np.maximum(weight, np.abs(loads.weight(q)))
-    start = _start(kinematics, low, high, rng)
+    start = _start(kinematics, low, high, rng, shapes)
     inertia = np.stack([least, np.diag(coupling)], axis=1)
     displacement = _displacement(kinematics, start, low, high)
     return Survey(inertia, coupling, weight, start, displacement)
@@ -71,15 +79,27 @@ def _ranges(scene: Scene, kinematics: Kinematics) -> tuple[Array, Array]:
     return np.minimum(np.maximum(bottom, low), high), np.maximum(np.minimum(top, high), low)
 
 
-def _start(kinematics: Kinematics, low: Array, high: Array, rng: np.random.Generator) -> Array:
-    """Return the pose in the middle of the ranges whose smallest singular value is largest."""
+def _start(
+    kinematics: Kinematics,
+    low: Array,
+    high: Array,
+    rng: np.random.Generator,
+    shapes: Collisions | None,
+) -> Array:
+    """Return the pose in the middle of the ranges whose smallest singular value is largest.
+
+    Of those in which no parts touch; of all where parts touch in each.
+    """
     middle, half = 0.5 * (low + high), 0.5 * MIDDLE * (high - low)
     nearest = np.clip(0.0, low, high)
     bottom = np.clip(middle - half, nearest - FARTHEST_START, nearest + FARTHEST_START)
     top = np.clip(middle + half, nearest - FARTHEST_START, nearest + FARTHEST_START)
     poses = bottom + (top - bottom) * rng.random((POSES, len(low)))
-    best = max(poses, key=lambda q: float(kinematics.singular_values(q)[-1]))
-    return np.asarray(np.round(best, 3), dtype=np.float64)
+    poses = np.round(poses, 3)
+    dexterity = np.array([kinematics.singular_values(q)[-1] for q in poses])
+    best = poses[np.argsort(-dexterity, kind="stable")]
+    free = (q for q in best if shapes is None or not shapes.first(q))
+    return np.asarray(next(free, best[0]), dtype=np.float64)
 
 
 def _displacement(kinematics: Kinematics, start: Array, low: Array, high: Array) -> Array:

@@ -82,7 +82,12 @@ def units(folder: Path) -> Iterator[Unit]:
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
     yield from (record_ring_unit(), breakpoint_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
-    yield from (middleware_unit(), answered_ticks_unit(), real_time_ticks_unit(), answered_states_unit())
+    yield from (
+        middleware_unit(),
+        answered_ticks_unit(),
+        real_time_ticks_unit(),
+        answered_states_unit(),
+    )
     if find_spec("unicorn"):
         from arm_emulator.doors.microcontroller.microcontroller import runner_unit
 
