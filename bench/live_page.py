@@ -22,7 +22,7 @@ from typing import Any
 
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
-from bench.lockstep import listener
+from bench.lockstep import listener, processor_time
 from bench.page_browsers import browsers, drawing, page_process, resident, sent, taking
 
 SECONDS = 5.0  # wall, of each run
@@ -56,8 +56,8 @@ def turn(scene: str, browser: Any) -> dict[str, float]:
     """Run a network for some seconds, with a browser at its page or without a page.
 
     Returns:
-        How many times faster than real time it runs, and per second of wall time what its page
-        has sent [kB] and how many pictures were drawn.
+        How many times faster than real time it runs, processor time of emulator and servo per tick
+        [us], and per second of wall time what its page has sent [kB] and pictures drawn.
     """
     with contextlib.ExitStack() as open_:
         one = open_.enter_context(network(scene, browser is not None))
@@ -67,13 +67,16 @@ def turn(scene: str, browser: Any) -> dict[str, float]:
         while ticks() < 500:
             if one.ended() is not None:
                 raise RuntimeError(f"a node ended: {one.ended()}")
+        lock_step = [one.process(name).pid for name in ("emulator", "servo")]
         begin, began = ticks(anew=True), time.monotonic()
+        spent = sum(map(processor_time, lock_step))
         bytes_, pictures, end = sent(url) if url else 0, drawn(), begin
         while time.monotonic() - began < SECONDS:
             end = ticks(anew=True)
         wall = time.monotonic() - began
         return {
             "factor": float(end - begin) * 1e-3 / wall,
+            "us": (sum(map(processor_time, lock_step)) - spent) / (end - begin) * 1e6,
             "kB/s": ((sent(url) if url else 0) - bytes_) / wall / 1e3,
             "pictures/s": (drawn() - pictures) / wall,
         }
@@ -100,8 +103,16 @@ def main() -> None:
     rows["pictures/s drawn"] = [one["pictures/s"] for _, one in turns]
     print(f"| {given.scene} in lock-step | real-time factor, each turn |\n|---|---|")
     for name, of in rows.items():
-        print(f"| {name} | {', '.join(f'{one:.3g}' for one in of)} |")
+        print(f"| {name} | {_list(of)} |")
     print(f"| ratio, median | {median(each):.3f} |")
+    without, with_ = ([one["us"] for one in side] for side in zip(*turns, strict=True))
+    print(f"| us of emulator and servo per tick, without | {_list(without)} |")
+    print(f"| with | {_list(with_)} |")
+    print(f"| ratio of the medians | {median(with_) / median(without):.3f} |")
+
+
+def _list(numbers: list[float]) -> str:
+    return ", ".join(f"{one:.3g}" for one in numbers)
 
 
 def soak(scene: str, minutes: float, browser: Any, rate: float) -> None:

@@ -95,7 +95,7 @@ def _run(scene: str, only: tuple[str, ...]) -> dict[str, float]:
                 if network.ended() is not None:
                     raise RuntimeError(f"a node ended: {network.ended()}")
             begin, began = ticks(anew=True), time.monotonic()
-            spent = {name: _processor_time(one.pid) for name, one in processes.items()}
+            spent = {name: processor_time(one.pid) for name, one in processes.items()}
             while time.monotonic() - began < SECONDS:
                 end = ticks(anew=True)
             wall = time.monotonic() - began
@@ -104,7 +104,7 @@ def _run(scene: str, only: tuple[str, ...]) -> dict[str, float]:
                 "factor": new * 1e-3 / wall,
                 "tick": wall / new * 1e6,
                 **{
-                    name.replace("_", " "): (_processor_time(one.pid) - spent[name]) / new * 1e6
+                    name.replace("_", " "): (processor_time(one.pid) - spent[name]) / new * 1e6
                     for name, one in processes.items()
                 },
             }
@@ -146,7 +146,7 @@ def listener() -> Iterator[Any]:
         rclpy.try_shutdown()
 
 
-def _processor_time(process: int) -> float:
+def processor_time(process: int) -> float:
     """Return the processor time that a process has spent [s]."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
