@@ -34,7 +34,7 @@ class Measured(ByValue):
     def __getattr__(self, name: str) -> NDArray[Any]:
         output = KNOWN.get(name)
         if output is None:
-            raise AttributeError(f"{name} is not measured; valid: {', '.join(KNOWN)}")
+            raise self._unknown(name)
         values = self.place(output)
         return values.astype(np.int64) if output.kind in ("flag", "bits") else values
 
