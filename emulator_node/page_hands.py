@@ -1,4 +1,4 @@
-"""Hands of a page on the network: the services and topics that anybody has."""
+"""Actions of a page on the network, by the services and topics that anybody has."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PHASES = ("running free", "waiting", "running", "paused", "stopped")
 
 @dataclass(frozen=True)
 class HandsOnNetwork:
-    """Makes the hands in the page's process.
+    """Makes the actions in the page's process.
 
     Attributes:
         namespace: of the emulator's node.
@@ -47,7 +47,7 @@ class HandsOnNetwork:
     lockstep: bool
 
     def __call__(self) -> Hands:
-        """Return the hands."""
+        """Return the actions."""
         return RosHands(self.namespace, self.period, self.lockstep)
 
 

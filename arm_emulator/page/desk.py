@@ -1,4 +1,4 @@
-"""Hands that a page has in another process: requests through a pipe, answered between two ticks."""
+"""Actions of a page in another process: requests through a pipe, answered between two ticks."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ LOOK = 0.05  # s, wall, between two looks for requests while time stands still
 
 
 class Desk:
-    """The machine's side: fulfils what a page asks for. Without a page it does nothing.
+    """The machine's side: answers the requests of a page. Without a page it does nothing.
 
     Args:
-        hands: on the machine.
+        hands: actions on the machine.
         near: end of the pipe; None: there is no page.
     """
 
@@ -34,10 +34,10 @@ class Desk:
         self._hands, self._near, self._closing = hands, near, threading.Event()
 
     def attends(self) -> bool:
-        """Fulfil what waits, between two ticks; while time stands still on request, stay here.
+        """Answer waiting requests between two ticks; while time stands still on request, stay here.
 
         Returns:
-            True, for loops that go on as long as someone attends.
+            True, for the conditions of loops.
         """
         self._fulfil(0.0)
         while self._hands.stands and not self._closing.is_set():
@@ -45,7 +45,7 @@ class Desk:
         return True
 
     def drive(self, advance: Callable[[int], None], ticks: int) -> None:
-        """Let so many ticks pass, and attend in between."""
+        """Let so many ticks pass, and answer requests in between."""
         if self._near is None:
             advance(ticks)
             return
@@ -57,7 +57,7 @@ class Desk:
         self._hands.changed()
 
     def attend_always(self, session: Session) -> None:
-        """Fulfil in a thread; its owner lets the session's time pass meanwhile."""
+        """Answer requests in a thread, while its owner lets the session's time pass."""
         assert self._near is not None
         while not self._closing.is_set():
             with contextlib.suppress(OSError):
@@ -66,7 +66,7 @@ class Desk:
                         self.attends()
 
     def close(self) -> None:
-        """Fulfil nothing any more."""
+        """Answer no more requests."""
         self._closing.set()
 
     def _fulfil(self, timeout: float) -> None:
@@ -87,7 +87,7 @@ class Desk:
 def watched(
     machine: Plant | Session, at: str | int | None, *, steps: bool = False, waits: bool = False
 ) -> Iterator[Desk]:
-    """Serve a page with a machine in this block, and hands on it.
+    """Serve a page with a machine, and with actions on it, in this block.
 
     The owner of a plant calls `attends` of the desk between two ticks; that of a session need not.
 
@@ -128,11 +128,11 @@ def watched(
 
 @dataclass(frozen=True)
 class _FarHands:
-    """Makes the page's side in its process.
+    """Makes the page's end of the pipe in its process.
 
     Attributes:
         descriptor: of the pipe there.
-        able: what the hands at the desk can do.
+        able: names of the actions that the desk takes.
     """
 
     descriptor: int
@@ -143,7 +143,7 @@ class _FarHands:
 
 
 class _PipedHands(Hands):
-    """Hands whose every method is a request to a desk; docs: see `Hands`."""
+    """Actions that are requests to a desk; see `Hands`."""
 
     def __init__(self, pipe: Connection, able: frozenset[str]) -> None:
         self._pipe, self._able, self._turn = pipe, able, threading.Lock()

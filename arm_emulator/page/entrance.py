@@ -1,4 +1,4 @@
-"""The first answer to a browser: it comes back for the page in dark or light, as its user likes."""
+"""The first answer to a browser, which asks again for the dark or the light page, as it prefers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hands of a page on a machine that goes on; each door has its own."""
+"""Actions of a page on a running machine; each door has its own."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ Vector = tuple[float, float, float]
 
 @dataclass
 class News:
-    """Events and states since the last look.
+    """Events and states since the last call.
 
     Attributes:
-        state: how the machine is doing, in words; empty: as before.
+        state: phase of the machine, in words; empty: as before.
         paused: whether time stands still on request; None: not known.
         powered: whether the drives have power; None: not known.
         events: ticks and texts.
@@ -25,13 +25,13 @@ class News:
 
 
 class Hands:
-    """Base of all hands. A page shows the controls of the methods that are overridden.
+    """Base of all actions. A page shows the controls of the methods that a subclass overrides.
 
-    Each returns the answer in words, and raises a `Refusal` if it is refused.
+    Each returns its answer in words, and raises a `Refusal` if it is refused.
     """
 
     def can(self) -> frozenset[str]:
-        """Return the names of the methods that do something."""
+        """Return the names of the methods that are overridden."""
         own = (name for name in vars(Hands) if not name.startswith("_"))
         return frozenset(one for one in own if getattr(type(self), one) is not getattr(Hands, one))
 
@@ -52,7 +52,7 @@ class Hands:
         raise NotImplementedError
 
     def reset(self) -> str:
-        """Begin anew at tick 0."""
+        """Return to tick 0."""
         raise NotImplementedError
 
     def power(self, on: bool) -> str:
@@ -92,4 +92,4 @@ class Hands:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Let go."""
+        """Release all resources."""

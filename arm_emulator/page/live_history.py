@@ -1,4 +1,4 @@
-"""Rows of a machine that goes on: the newest ones, and the whole run thinned, in bounded memory."""
+"""Rows of a running machine: the newest ones, and the whole run thinned, in bounded memory."""
 
 from __future__ import annotations
 

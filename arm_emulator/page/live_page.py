@@ -1,4 +1,4 @@
-"""The page of a machine that goes on: the arm now and before, its signals, and hands on it."""
+"""The page of a running machine: the arm now and before, its signals, and actions on it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LivePage:
         scene: the machine.
         columns: of its rows.
         kind: of a row.
-        hands: what can be done to it.
+        hands: actions on it.
         at: [HOST:]PORT, see `PageServer`.
         varied: numbers of the machine that can be set, as they are now.
 
@@ -125,7 +125,7 @@ class LivePage:
 
     @property
     def hands(self) -> Hands:
-        """Hands on the machine."""
+        """Actions on the machine."""
         return self._hands
 
     @property
@@ -242,7 +242,7 @@ class LivePage:
             self._show()
 
     def ask(self, what: str, *given: Any) -> str:
-        """Let the hands do something, and show the answer; empty: it was refused."""
+        """Do an action by its name, and show its answer; return "" if it was refused."""
         try:
             answer: str = getattr(self._hands, what)(*given)
         except Refusal as reason:

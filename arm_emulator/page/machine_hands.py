@@ -1,4 +1,4 @@
-"""Hands on a machine in its own process, between two ticks."""
+"""Actions on a machine in its own process, between two ticks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def nothing() -> None:
 
 
 class MachineHands(Hands):
-    """Changes a plant or a session; its owner sees to it that no tick is under way.
+    """Changes a plant or a session; its owner calls it between two ticks.
 
     Attributes:
         paused: whether time has to stand still.
@@ -34,7 +34,7 @@ class MachineHands(Hands):
         self.changed: Callable[[], None] = nothing
 
     def can(self) -> frozenset[str]:
-        """Return what it can do; a scene without such numbers or wrenches leaves some out."""
+        """Return the actions that this scene and this owner permit."""
         scene = self._machine.scene
         able = set(super().can())
         able -= set() if self._steps else {"step"}

@@ -1,4 +1,4 @@
-"""The secret in the page's address: one for each user, by which a restarted page is known."""
+"""The secret in the page's address, one per user: a restarted page has the same one."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Watched:
     Args:
         plant: the machine.
         at: [HOST:]PORT of the page, see `PageServer`; None: no page.
-        hands: makes, in the page's process, what can be done to the machine. It is pickled.
+        hands: makes the actions on the machine, in the page's process. It is pickled.
         files: descriptors that `hands` needs there.
         waits: whether the machine waits for the page, as a run without a network may; else rows
             that find no room are dropped and counted.
