@@ -55,8 +55,9 @@ def move(
 ) -> int:
     """Send a target over ROS, and print its states: accepted, moving, reached.
 
-    The exit code is 0 when the target is reached, and 1 when it is refused, unreachable, replaced
-    or aborted, or after the timeout.
+    A target is reached when the tool is within `reached_within` of motion control, by default 1 mm.
+    The exit code is 0 then, and 1 when the target is refused, unreachable, replaced or aborted, or
+    after the timeout.
 
     Args:
         to: target of the tool (m, in the world).
