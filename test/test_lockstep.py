@@ -90,10 +90,11 @@ def begin(user: User, target: Pose) -> None:
     assert user.call("emulator/pause", False).success
 
 
-def offline(scene: str) -> dict[int, bytes]:
+def offline(scene: str, ticks: int = 0) -> dict[int, bytes]:
+    """Return the states up to a tick, at least `TICKS`."""
     run = load_offline_run(scene)
     run.instructor.add(round(TARGET_AT * 1e9), target_of(scene))
-    return offline_states(run, TICKS[scene])
+    return offline_states(run, max(ticks, TICKS[scene]))
 
 
 def test_three_processes_give_the_same_bits_twice_and_under_load(
@@ -181,7 +182,7 @@ def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: Shar
         nodes.start("servo")
         user.wait("the run to go on", lambda: user.tick >= tick + 150)
         # Up to there nothing was lost: it waited, it did not step.
-        assert_same_bits(user.motor_states(), offline("three_axis"), tick)
+        assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
 
 
 def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
@@ -201,7 +202,7 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
         assert tick % 50 == 0  # at the start of a motion period
         nodes.start("motion_controller")
         user.wait("the run to go on", lambda: user.tick >= tick + 150)
-        assert_same_bits(user.motor_states(), offline("three_axis"), tick)
+        assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
         # The new one knows of no tool target and holds the arm, until it is reported again.
         user.wait(
             "it to hold", lambda: user.printed("motion_controller", "holding, no tool target")
