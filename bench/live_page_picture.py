@@ -29,7 +29,8 @@ def draw(folder: Path) -> Path:
     """
     scene, log = pushed_scene(folder), folder / "log"
     file = folder / "live_page.png"
-    network = Bringup(str(scene), start="first_answer", emulator={"page_port": 0}, log=log)
+    emulator = {"page_port": 0, "real_time_factor": 1.0}
+    network = Bringup(str(scene), start="first_answer", emulator=emulator, log=log)
     with own_domain(), network, in_chromium(url_of(log / "emulator.log"), SIZE) as shown:
         shown.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
         shown.get_by_role("tab", name="Push").click()

@@ -196,7 +196,7 @@ class LivePage:
         else:
             words.append("**in the past**")
         if self._dropped:
-            words.append(f"{self._dropped} ticks not shown, this page was too slow for them")
+            words.append(f"{self._dropped} ticks not shown: the page is too slow for them")
         self._moment.content = ", ".join(words)
         if self._at is not None:
             self._arm.show(row["q"][0])
