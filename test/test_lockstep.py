@@ -336,5 +336,5 @@ def test_the_run_command_reports(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(abs(x), abs(y), abs(z)) < 0.1  # of 10 mm; the encoders' residual is 0.07 mm
     with pytest.raises(Refusal, match="run: seconds must be at least"):
         run_command("three_axis", seconds=float("nan"))
-    with pytest.raises(Refusal, match="run: displacement: position must be numbers within"):
+    with pytest.raises(Refusal, match="a move of the tool: position must be numbers within"):
         run_command("three_axis", seconds=1.0, displacement=(0.0, float("inf"), 0.0))
