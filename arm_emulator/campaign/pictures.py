@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 Columns = Mapping[str, Array]
-HOLDS, FAILS, INK, LIGHT = "#4878a8", "#d1495b", "#22313f", "#dfe5ea"
+HOLDS, FAILS, INK = "#4878a8", "#d1495b", "#22313f"
 MOST_LINES, MOST_POINTS, MOST_AXES = 150, 4000, 10  # lines: of each kind
 _STYLE = {
     "font.size": 9.5,

@@ -19,7 +19,6 @@ NAMES = {
     "q_ref": "q_ref", "v_mot": "v_motor",
 }  # fmt: skip
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-SIDES = ("link", "motor")
 OF_ANGLE = ("q_motor", "q_link", "q_ref", "v_motor")
 
 

@@ -20,7 +20,6 @@ MS = 1_000_000  # ns
 LOST, TOO_SHORT, NOT_TAKEN, STOPPED_BY_MASTER = 0x8130, 0x8210, 0x8200, 0x8100
 INVALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID
 ASYNCHRONOUS = (254, 255)  # transmission types
-ON_REQUEST = (252, 253)
 
 
 @dataclass(frozen=True, slots=True)
