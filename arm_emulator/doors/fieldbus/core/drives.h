@@ -78,8 +78,9 @@ void drives_begin(drives* all);
 uint64_t drives_state_size(const drives* all);
 /* Write the state, between two periods. It is good for these drives alone. */
 void drives_save(const drives* all, void* state);
-/* Go on from a state, once the machine has been restored to that moment. SDO transfers end. */
-void drives_restore(drives* all, const void* state);
+/* Go on from a state, once the machine has been restored to that moment. SDO transfers end.
+ * ARM_REFUSED: a state of other drives; nothing has changed. */
+int drives_restore(drives* all, const void* state);
 
 /* Advance by one servo period: every drive's loops, one arm_exchange. Returns its result; once it
  * is not ARM_OK the drives are in Fault. */

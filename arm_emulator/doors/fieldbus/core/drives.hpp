@@ -111,25 +111,28 @@ void drives_begin(drives* all) {
 // A drive keeps its place, and what it points to is in it or does not change: so its bytes are its
 // state.
 std::uint64_t drives_state_size(const drives* all) {
-  return all ? all->one.size() * sizeof(fieldbus::Drive) : 0;
+  return all ? sizeof all + all->one.size() * sizeof(fieldbus::Drive) : 0;
 }
 void drives_save(const drives* all, void* state) {
   if (!all || !state) return;
   auto* out = static_cast<std::byte*>(state);
+  std::memcpy(out, &all, sizeof all);
+  out += sizeof all;
   for (const fieldbus::Drive& drive : all->one) {
     std::memcpy(out, static_cast<const void*>(&drive), sizeof drive);
     out += sizeof drive;
   }
 }
-void drives_restore(drives* all, const void* state) {
-  if (!all || !state) return;
-  const auto* in = static_cast<const std::byte*>(state);
+int drives_restore(drives* all, const void* state) {
+  if (!all || !state || std::memcmp(state, &all, sizeof all) != 0) return ARM_REFUSED;
+  const auto* in = static_cast<const std::byte*>(state) + sizeof all;
   for (fieldbus::Drive& drive : all->one) {
     std::memcpy(static_cast<void*>(&drive), in, sizeof drive);
     in += sizeof drive;
   }
   for (int j = 0; j < all->count(); ++j) drives_sdo_begin(all, j);
   all->machine.measure(all->machine.machine, &all->measurement);
+  return ARM_OK;
 }
 int drives_period(drives* all) { return all ? all->period() : int{ARM_REFUSED}; }
 int drives_periods(drives* all, std::int64_t periods) {
