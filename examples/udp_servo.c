@@ -12,8 +12,8 @@
 #include "udp_three_axis.h"
 
 static const double target[ARM_UDP_JOINTS] = {9000, 1000, 14000};  // counts
-static const double gain = 0.004;                                 // V per count
-static const double damping = 0.04;                               // V per count and period
+static const double gain = 0.004;                                  // V per count
+static const double damping = 0.04;                                // V per count and period
 
 // Send a command until the reply is there: UDP may lose either of them.
 static arm_udp_measurement exchange(int socket, arm_udp_command command) {

@@ -470,7 +470,8 @@ def test_ways_keep_limits_where_the_third_derivative_of_their_curve_steps(case: 
     along = None
     if case % 2:
         ends = np.sort(rng.random(3)) + np.array([0.0, 0.0, 1.0])
-        along = AlongLimits(*rng.uniform(0.3, 3.0, 4), ends, rng.uniform(0.0, 5.0, 3))
+        length, top, most, jerk = rng.uniform(0.3, 3.0, 4)
+        along = AlongLimits(length, top, most, jerk, ends, rng.uniform(0.0, 5.0, 3))
     way = Way(curve, limits, along=along)
     rows = [way.at(t) for t in np.linspace(0.0, way.duration, 4000)]
     for key, limit in (("v", speed), ("a", acceleration), ("jerk", limits.jerk)):
