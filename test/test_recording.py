@@ -293,6 +293,12 @@ def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
     assert one.lost == kept[-1] - kept[0] + 1 - len(kept)
     assert one.newest == kept[-1]
 
+    lost = one.lost
+    one.forget()
+    for number in (one.newest + 1, one.newest + 8):
+        one.take(number)
+    assert one.lost == 6, f"beside {lost} that are forgotten"
+
     publishers = draw.randrange(2, 5)
     several = Numbered(lambda: publishers)
     next_numbers = [draw.randrange(1, 1000) for _ in range(publishers)]

@@ -52,6 +52,7 @@ class Numbered:
         self._count = 0
         self._gaps = 0  # between chains that have been joined
         self._reported_lost = 0
+        self._forgotten = 0, 0  # of the gaps, and of what the middleware has reported
 
     @property
     def newest(self) -> int:
@@ -62,7 +63,15 @@ class Numbered:
     def lost(self) -> int:
         """Missing messages between received ones."""
         self._most_publishers = max(self._most_publishers, self._publishers())
-        return max(self._gaps + self._join(self._chains), self._reported_lost)
+        gaps, reported = self._all_lost()
+        return max(gaps - self._forgotten[0], reported - self._forgotten[1])
+
+    def forget(self) -> None:
+        """Count what is lost from now on."""
+        self._forgotten = self._all_lost()
+
+    def _all_lost(self) -> tuple[int, int]:
+        return self._gaps + self._join(self._chains), self._reported_lost
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware reports as lost."""
@@ -118,6 +127,7 @@ class RecordedRuns:
         numbered: of the same topic.
         recorder: unique name.
         from_start: reset a machine that is already running.
+        begun: called when a run begins that was asked for.
 
     Attributes:
         topic: as given.
@@ -125,11 +135,17 @@ class RecordedRuns:
     """
 
     def __init__(
-        self, node: Node, topic: str, numbered: Numbered, recorder: str, from_start: bool
+        self,
+        node: Node,
+        topic: str,
+        numbered: Numbered,
+        recorder: str,
+        from_start: bool,
+        begun: Callable[[], None],
     ) -> None:
         self.topic = topic
         self.missing = 0
-        self._numbered = numbered
+        self._numbered, self._begun = numbered, begun
         self._emulator = topic.removesuffix(STATES) + "emulator"
         self._message = RecorderReport(recorder=recorder)
         self._reports = node.create_publisher(
@@ -151,8 +167,9 @@ class RecordedRuns:
             self.missing += tick  # a new run
         else:
             self.missing += max(0, tick - before - 1)
-        if tick == 0:
-            self._reset = None
+        if tick == 0 and self._reset is not None:
+            self._reset, self.missing = None, 0
+            self._begun()
         self._unreported += 1
         if tick == 0 or self._unreported >= REPORT_EVERY:
             self.report()

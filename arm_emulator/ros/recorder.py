@@ -145,6 +145,11 @@ class _Recorder(Node):
                 missing[name] = f"{numbered.lost} messages"
         return ", ".join(f"{what} of {name}" for name, what in sorted(missing.items()))
 
+    def _forget_losses(self) -> None:
+        """Count losses from the run on that was asked for: a machine does not wait before it."""
+        for numbered in self._numbered.values():
+            numbered.forget()
+
     def leave(self) -> None:
         """Report to the emulators that they need not wait for this recorder any more."""
         for run in self._runs:
@@ -188,7 +193,9 @@ class _Recorder(Node):
         self._numbered[name] = numbered
         on_message = self._writer(number, numbered)
         if name.endswith(f"/{STATES}") and message is MotorState:
-            run = RecordedRuns(self, name, numbered, self._name, self._from_start)
+            run = RecordedRuns(
+                self, name, numbered, self._name, self._from_start, self._forget_losses
+            )
             self._runs.append(run)
             on_message = _both(on_message, run.take)
         events = SubscriptionEventCallbacks(message_lost=numbered.on_lost)
