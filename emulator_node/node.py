@@ -200,7 +200,8 @@ class EmulatorNode(ManagedNode):
         from emulator_node.page_hands import HandsOnNetwork
 
         period = session.scene.servo_period
-        hands = HandsOnNetwork(self.get_namespace(), period, session.lockstep)
+        factor = self._config.real_time_factor
+        hands = HandsOnNetwork(self.get_namespace(), period, session.lockstep, factor)
         watched = Watched(session.plant, f"{host}:{port}", hands)
         print(f"page: {watched.url}", flush=True)
         return watched

@@ -40,15 +40,19 @@ class HandsOnNetwork:
         namespace: of the emulator's node.
         period: servo period [s].
         lockstep: whether time follows answers, and may be slowed down.
+        factor: of the pace, as it is now.
     """
 
     namespace: str
     period: float
     lockstep: bool
+    factor: float
 
     def __call__(self) -> Hands:
         """Return the actions."""
-        return RosHands(self.namespace, self.period, self.lockstep)
+        hands = RosHands(self.namespace, self.period, self.lockstep)
+        hands.factor = self.factor
+        return hands
 
 
 class RosHands(Hands):

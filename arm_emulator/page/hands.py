@@ -28,11 +28,16 @@ class Hands:
     """Base of all actions. A page shows the controls of the methods that a subclass overrides.
 
     Each returns its answer in words, and raises a `Refusal` if it is refused.
+
+    Attributes:
+        factor: that of `rate` at the start.
     """
+
+    factor = 0.0
 
     def can(self) -> frozenset[str]:
         """Return the names of the methods that are overridden."""
-        own = (name for name in vars(Hands) if not name.startswith("_"))
+        own = (name for name, one in vars(Hands).items() if name[0] != "_" and callable(one))
         return frozenset(one for one in own if getattr(type(self), one) is not getattr(Hands, one))
 
     def news(self) -> News:

@@ -272,7 +272,9 @@ class LivePage:
                 one = gui.add_command(label, hotkey=key)
                 one.on_trigger(lambda _, ticks=ticks: self.ask("step", ticks))
         if "rate" in can:
-            rate = gui.add_dropdown("Times real time", tuple(RATES))
+            known = (label for label, factor in RATES.items() if factor == self._hands.factor)
+            now = next(known, None)
+            rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
             rate.on_update(lambda _: self.ask("rate", RATES[rate.value]))
 
     def _switch(self) -> None:
