@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import re
 
+from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 
+LOCAL = "127.0.0.1"
 
-def host_and_port(where: str, text: str) -> tuple[str, int]:
+
+def host_and_port(where: str, quantity: str, text: str) -> tuple[str, int]:
     """Return host and port of `[HOST:]PORT`; without a host this machine's own.
+
+    An IPv6 address stands in brackets.
 
     Raises:
         Refusal: another form.
     """
     host, _, port = text.rpartition(":")
-    if not re.fullmatch(r"[0-9]{1,5}", port):
-        raise Refusal(where, "--listen", "be PORT or HOST:PORT", text)
-    return host or "127.0.0.1", int(port)
+    if not re.fullmatch(r"[0-9]{1,9}", port):
+        raise Refusal(where, quantity, "be [HOST:]PORT", text, "8080, 0.0.0.0:8080")
+    check_count(where, f"{quantity}, port", int(port), 0, 65535)
+    return host.strip("[]") or LOCAL, int(port)

@@ -8,10 +8,9 @@ import ipaddress
 import socket
 from dataclasses import dataclass
 
-from arm_emulator.base.count import check_count
+from arm_emulator.base.address import LOCAL, host_and_port
 from arm_emulator.base.refusal import Refusal
 
-LOCAL = "127.0.0.1"
 EVERY = ("0.0.0.0", "::")  # all interfaces of this machine
 
 
@@ -34,14 +33,7 @@ class PageAddress:
         Raises:
             Refusal: it is neither.
         """
-        host, _, port = str(text).rpartition(":")
-        try:
-            number = int(port)
-        except ValueError:
-            rule = "be [HOST:]PORT"
-            raise Refusal("page", "address", rule, text, "8080, 0.0.0.0:8080") from None
-        check_count("page", "port", number, 0, 65535)
-        return cls(host.strip("[]") or LOCAL, number)
+        return cls(*host_and_port("page", "address", str(text)))
 
     @property
     def name(self) -> str:

@@ -61,7 +61,7 @@ def opened(
     for name, value in (("channel", channel), ("bitrate", bitrate)):
         if value is not None:
             raise Refusal("canopen", name, "come with --bus", value)
-    server = CanServer(*host_and_port("canopen", listen))
+    server = CanServer(*host_and_port("canopen", "--listen", listen))
     with contextlib.closing(server):
         yield server, "socketcand on {}:{}".format(*server.address)
 

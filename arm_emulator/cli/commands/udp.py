@@ -44,7 +44,7 @@ def udp(
         header: print the datagrams as structs of C, and end.
     """
     kept.check("udp")
-    host, port = host_and_port("udp", listen)
+    host, port = host_and_port("udp", "--listen", listen)
     machine = load_scene(scene)
     if header:
         text = Datagrams(machine).header()
