@@ -80,6 +80,8 @@ def send(
         )
         for topic in TOPICS
     }
+    heard = [one.get_subscription_count for one in publishers.values()]
+    user.wait("receivers of every topic", lambda: all(count() for count in heard))
     silence = Silence(user, nodes)
     topics = itertools.cycle(TOPICS)
     sent = 0
