@@ -119,7 +119,8 @@ def test_it_listens_on_this_machine_only_unless_asked() -> None:
         assert isinstance(bus, CanServer) and bus.address[0] == "0.0.0.0"
     for listen in ("", "here", "127.0.0.1:", "1:99999", "127.0.0.1:-1", "no such host:1"):
         with pytest.raises(
-            Refusal, match=r"canopen: (--listen must be PORT|address .* must be fr)"
+            Refusal,
+            match=r"canopen: (--listen must be \[HOST:\]PORT|--listen, port|address .* must be fr)",
         ):
             with opened(listen, None, None, None):
                 pass
