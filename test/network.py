@@ -375,6 +375,8 @@ def network(
     **emulator: object,
 ) -> Iterator[tuple[User, Bringup]]:
     """Run nodes and a user in a ROS domain of their own; at the end all must end cleanly."""
+    if clock == "lockstep":  # a pace at which listeners in Python keep up, beside other tests
+        emulator.setdefault("real_time_factor", 3.0)
     nodes = Bringup(scene, clock=clock, start=start, emulator=emulator, log=log, only=only)
     with user(clock=clock) as one, nodes:
         yield one, nodes

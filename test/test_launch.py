@@ -270,7 +270,10 @@ def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> Non
 
 def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
-    file.write_text("/**/motion_controller:\n  ros__parameters: {weight: 0.125}\n")
+    file.write_text(
+        "/**/motion_controller:\n  ros__parameters: {weight: 0.125}\n"
+        "/**/emulator:\n  ros__parameters: {real_time_factor: 3.0}\n"
+    )
     words = ("--namespace", "cell1", "--use-sim-time", "--params-file", str(file))
     with own_domain() as domain:
         user = User(domain, "/cell1")
