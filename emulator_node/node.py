@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from arm_emulator.base.address import LOCAL
 from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.build_facts import build_facts
@@ -27,7 +28,6 @@ from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
-from arm_emulator.page.page_address import LOCAL
 from arm_emulator.page.watched import Watched
 from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.managed_node import ManagedNode
