@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from arm_emulator.machine.build_facts import build_facts
+from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.session import Session
@@ -30,6 +31,11 @@ TYPES: dict[str, Any] = {
     "emulator/events": MachineEvent,
     "emulator/status": EmulatorStatus,
     "diagnostics": DiagnosticArray,
+}
+KINDS: dict[type[Change], int] = {  # of events
+    PowerChange: MachineEvent.KIND_POWER,
+    NumberChange: MachineEvent.KIND_SET_VARIED,
+    WrenchChange: MachineEvent.KIND_EXTERNAL_WRENCH,
 }
 
 

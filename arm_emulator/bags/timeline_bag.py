@@ -5,21 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from arm_emulator.bags.run_bag import RunBag
+from arm_emulator.bags.run_bag import KINDS, RunBag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import OfflineRun
-from arm_emulator.runs.order import Order, Push, SetVaried, SwitchPower, as_data
+from arm_emulator.runs.order import Order, as_data
 from arm_emulator.runs.timeline import Change, Timeline
 from arm_emulator_msgs.msg import MachineEvent
 
 CHANGES, ORDERS = "changes", "orders"  # in words, and as data
-KINDS: dict[type, int] = {  # of orders that change the machine
-    SwitchPower: MachineEvent.KIND_POWER,
-    SetVaried: MachineEvent.KIND_SET_VARIED,
-    Push: MachineEvent.KIND_EXTERNAL_WRENCH,
-}
 
 
 def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None = None) -> None:
@@ -67,11 +62,12 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
         line.run.advance(1)  # not by the timeline: the state before changes is reported
         bag.report()
         made = changed.get(tick, [])
-        if all(isinstance(one.made, Order) for one in made):
-            for one in made:
-                one.made(line.run)
-                if (kind := KINDS.get(type(one.made))) is not None:
-                    bag.changed(kind)
+        orders = [one.made for one in made if isinstance(one.made, Order)]
+        if len(orders) == len(made):
+            for order in orders:
+                order(line.run)
+                if (change := order.change) is not None:
+                    bag.changed(KINDS[type(change)])
         before = session.plant.save() if made else b""
         line.go_to(tick)
         if made and session.plant.save() != before:

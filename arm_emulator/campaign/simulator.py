@@ -17,9 +17,8 @@ from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
 from arm_emulator.campaign.signals import Sampler
-from arm_emulator.machine.change import Change, NumberChange, WrenchChange
+from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.session import Session
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.servo_step import ServoStep
@@ -183,7 +182,7 @@ class Simulator:
         while session.tick < last:
             while events and events[0][0] <= session.tick:
                 change = events.pop(0)[1]
-                _make(session, change)
+                change.make(session)
                 if changed is not None:
                     changed(change)
             until = min([last, *(tick for tick, _ in events[:1])])
@@ -214,17 +213,6 @@ class Simulator:
             since, rows = zip(*self._aimed, strict=True)
             return Targets.of([(since, np.array(rows))])
         return Targets.of([(self._table.ticks(self._scene.servo_period), self._table.q)])
-
-
-def _make(session: Session, change: Change) -> None:
-    """Set in a machine what changes now."""
-    if isinstance(change, NumberChange):
-        assert change.value is not None
-        session.set_varied(change.name, change.value)
-    elif isinstance(change, WrenchChange):
-        session.set_external_wrench(change.link, change.wrench)
-    else:
-        session.powered = change.on
 
 
 def _points(move: Move, p_WT: Array) -> Array:

@@ -11,7 +11,7 @@ from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.shrunk_files import scene_data
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.machine.change import Change, NumberChange, WrenchChange
+from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
 
 
@@ -39,17 +39,11 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
         folder: the bag; its file `scene.yaml` is the campaign's scene.
     """
     # ROS 2 need not be installed for a campaign.
-    from arm_emulator.bags.run_bag import RunBag
+    from arm_emulator.bags.run_bag import KINDS, RunBag
     from arm_emulator.ros.bag_metadata import SCENE
-    from arm_emulator_msgs.msg import MachineEvent
 
     def changed(change: Change) -> None:
-        if isinstance(change, NumberChange):
-            bag.changed(MachineEvent.KIND_SET_VARIED)
-        elif isinstance(change, WrenchChange):
-            bag.changed(MachineEvent.KIND_EXTERNAL_WRENCH)
-        else:
-            bag.changed(MachineEvent.KIND_POWER)
+        bag.changed(KINDS[type(change)])
 
     pieces = simulator.drive(case, 1, changed)
     next(pieces)

@@ -37,7 +37,6 @@ class FleetWay:
         self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
     ) -> None:
         self.of = scene, count
-        self._scene, self._count = scene, count
         self._places = {one.name: place for place, one in enumerate(scene.varied)}
         self.struct = FLEET.new("arm_fleet_way")
         if look is not None:
@@ -55,9 +54,9 @@ class FleetWay:
             Refusal: not a list for each arm, ticks that do not ascend, or a change that the scene
                 does not take; nothing has changed.
         """
-        where = "FleetWay"
-        if len(changes) != self._count:
-            raise Refusal(where, "changes", f"be a list for each of {self._count} arms", changes)
+        where, (scene, count) = "FleetWay", self.of
+        if len(changes) != count:
+            raise Refusal(where, "changes", f"be a list for each of {count} arms", changes)
         first = [0]
         rows: list[tuple[int, int, int, float]] = []
         wrenches: list[tuple[int, int, ExternalWrench]] = []
@@ -69,12 +68,12 @@ class FleetWay:
                 before = tick
                 kind, place, value = _POWER, 0, 0.0
                 if isinstance(change, NumberChange):
-                    one = varied_number(self._scene.varied, change.name, where)
+                    one = varied_number(scene.varied, change.name, where)
                     kind, place = _PARAMETER, self._places[change.name]
                     value = one.number.take(where, change.value)
                 elif isinstance(change, WrenchChange):
                     kind = _WRENCH
-                    place, moved = on_moving_link(self._scene, where, change.link, change.wrench)
+                    place, moved = on_moving_link(scene, where, change.link, change.wrench)
                     wrenches.append((len(rows), AXES.index(moved.axes), moved))
                 else:
                     value = float(change.on)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
@@ -35,13 +36,20 @@ class Order:
         """The change in words."""
         raise NotImplementedError
 
+    @property
+    def change(self) -> Change | None:
+        """The change of the machine; None: it is for servo or motion controller."""
+        return None
+
     def __call__(self, run: OfflineRun) -> None:
         """Make the change between two ticks.
 
         Raises:
             Refusal: the run does not take it; nothing has changed.
         """
-        raise NotImplementedError
+        if self.change is None:
+            raise NotImplementedError
+        self.change.make(run.session)
 
     def give(self, line: Timeline[OfflineRun]) -> None:
         """Make the change in a timeline, see `Timeline.change`."""
@@ -83,9 +91,10 @@ class SwitchPower(Order):
         """The change in words."""
         return f"power {'on' if self.on else 'off'}"
 
-    def __call__(self, run: OfflineRun) -> None:
-        """Switch it."""
-        run.session.powered = self.on
+    @property
+    def change(self) -> PowerChange:
+        """The switch."""
+        return PowerChange(self.on)
 
 
 @dataclass(frozen=True)
@@ -125,9 +134,10 @@ class SetVaried(Order):
         """The change in words."""
         return f"{self.number} = {self.value:g}"
 
-    def __call__(self, run: OfflineRun) -> None:
-        """Set it."""
-        run.session.set_varied(self.number, self.value)
+    @property
+    def change(self) -> NumberChange:
+        """The number."""
+        return NumberChange(self.number, self.value)
 
 
 @dataclass(frozen=True)
@@ -144,10 +154,10 @@ class Push(Order):
         """The change in words."""
         return f"{self.link} is pushed with {', '.join(f'{one:.3g}' for one in self.force)} N"
 
-    def __call__(self, run: OfflineRun) -> None:
-        """Set the wrench."""
-        wrench = ExternalWrench(self.force, self.moment, axes="world")
-        run.session.set_external_wrench(self.link, wrench)
+    @property
+    def change(self) -> WrenchChange:
+        """The wrench."""
+        return WrenchChange(self.link, ExternalWrench(self.force, self.moment, axes="world"))
 
 
 ORDERS: dict[str, type[Order]] = {one.kind: one for one in Order.__subclasses__()}
