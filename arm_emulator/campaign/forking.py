@@ -102,7 +102,7 @@ class ForkingRun(Simulator):
             self._tuned = self._drives.servo.config
             self._table = state.rest[2]
             run.aim(self._table)
-        self._scenario, self._seconds = state.rest[:2]
+        self._scenario, self._last = state.rest[:2]
         self._events, self._least = list(state.events), state.least
 
     def _reseed(self, seed: int) -> None:
@@ -112,7 +112,7 @@ class ForkingRun(Simulator):
         """Return the run as it is now."""
         run = self._run
         offline = isinstance(run, OfflineRun)
-        rest = self._scenario, self._seconds, tuple(self._aimed) if offline else self._table
+        rest = self._scenario, self._last, tuple(self._aimed) if offline else self._table
         return Fork(
             None if offline else self.session.save(),
             None if offline else self._drives.save(),

@@ -6,6 +6,7 @@ changes at their ticks, and its whole way is C.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,34 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.bound_case import BoundCase, bound
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
-from arm_emulator.campaign.fault import changes_of
 from arm_emulator.campaign.judges import Judges
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.program import Targets
-from arm_emulator.campaign.scenario import Scenario, ticks_of
+from arm_emulator.campaign.scenario import Scenario
 from arm_emulator.campaign.signals import FleetSampler
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.machine.change import Change
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.runs.servo_fleet import ServoFleet
-from arm_emulator.servo.servo_config import ServoConfig
 
 Array = NDArray[np.float64]
 WIDTH = 32  # runs at a time
 ROOM = 520  # samples in a piece: those of some runs stay in the processor's cache
 
 
-class _Bound(NamedTuple):
-    """A run as its arm gets it."""
+class _Run(NamedTuple):
+    """A run as its arm gets it, with the numbers of the arm."""
 
     numbers: Array
-    scenario: Scenario
-    servo: ServoConfig
-    changes: Sequence[tuple[int, Change]]
-    last: int
+    bound: BoundCase
 
 
 class RunsInLanes:
@@ -83,46 +79,39 @@ class RunsInLanes:
             Refusal: values of a run that are out of range; those before it have been yielded.
         """
         for first in range(0, len(cases), WIDTH):
-            bound: list[_Bound] = []
+            runs: list[_Run] = []
             refused = None
             for case in cases[first : first + WIDTH]:
                 try:
-                    bound.append(self._bind(case))
+                    runs.append(self._bind(case))
                 except Refusal as no:
                     where = f"{self._campaign.where}, run {case.index}"
                     refused = Refusal(where, no.quantity, no.rule, no.got, no.valid)
                     break
-            if bound:
-                yield self._run(cases[first : first + len(bound)], bound)
+            if runs:
+                yield self._run(cases[first : first + len(runs)], runs)
             if refused is not None:
                 raise refused
 
-    def _bind(self, case: Case) -> _Bound:
+    def _bind(self, case: Case) -> _Run:
         """Return a run as its arm gets it.
 
         Raises:
             Refusal: a value that is out of range.
         """
-        campaign, values = self._campaign, case.values
-        drawn = campaign.draws_sections
-        scenario, faults, servo = campaign.with_values(values) if drawn else campaign.nominal
-        numbers = self._own.copy()
-        for name, value in values.items():
+        found, numbers = bound(self._campaign, case), self._own.copy()
+        for name, value in case.values.items():
             if name in self._numbers:
                 place, number = self._numbers[name]
                 numbers[place] = number.take("", value)
-        if self._seed is not None and "seed" not in values:
+        if self._seed is not None and "seed" not in case.values:
             numbers[self._seed] = case.seed
-        there = [fault for name, fault in faults.items() if name not in case.without]
-        changes = changes_of(there, self._scene, values) if there else ()
-        seconds = min(case.seconds, scenario.seconds)
-        last = max(1, ticks_of(seconds, self._scene.servo_period))
-        return _Bound(numbers, scenario, servo, changes, last)
+        return _Run(numbers, found)
 
-    def _run(self, cases: Sequence[Case], runs: Sequence[_Bound]) -> Outcomes:
+    def _run(self, cases: Sequence[Case], runs: Sequence[_Run]) -> Outcomes:
         self._begin(runs)
         judges, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
-        count, last = len(runs), np.array([one.last for one in runs])
+        count, last = len(runs), np.array([one.bound.last for one in runs])
         judges.begin()
         sampler.begin()
         taken = np.zeros(count, np.int64)
@@ -150,12 +139,13 @@ class RunsInLanes:
             np.where(diverged, frame.t[:count], np.nan),
         )
 
-    def _begin(self, runs: Sequence[_Bound]) -> None:
+    def _begin(self, runs: Sequence[_Run]) -> None:
         """Set arms and servos to the starts of runs; further arms begin as the last one."""
         fleet, servos = self._fleet, self._servos
-        every = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
+        rows = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
+        every = [one.bound for one in rows]
         fleet.powered = True
-        fleet.set_parameters(np.array([one.numbers for one in every]))
+        fleet.set_parameters(np.array([one.numbers for one in rows]))
         fleet.reset(q=np.array([one.scenario.start for one in every]))
         for arm, one in enumerate(every):
             if one.servo is not self._tuned[arm]:
@@ -168,7 +158,7 @@ class RunsInLanes:
     def _aim(self, scenarios: Sequence[Scenario]) -> None:
         """Give the servos the targets of each arm; one scenario is that of all."""
         every = [*scenarios] * (WIDTH if len(scenarios) == 1 else 1)
-        if len(self._aimed) == len(every) and all(map(_same, self._aimed, every)):
+        if len(self._aimed) == len(every) and all(map(operator.is_, self._aimed, every)):
             return
         period = self._scene.servo_period
         tables = [one.table for one in every]
@@ -183,7 +173,3 @@ def runs_of(campaign: Campaign) -> Simulator | RunsInLanes:
     In lanes, but for moves of the tool: the motion controller that leads them is Python.
     """
     return Simulator(campaign) if campaign.nominal[0].moves else RunsInLanes(campaign)
-
-
-def _same(one: Scenario, other: Scenario) -> bool:
-    return one is other

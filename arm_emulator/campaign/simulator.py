@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.bound_case import bound
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case
-from arm_emulator.campaign.fault import changes_of
 from arm_emulator.campaign.judges import Judges
 from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
-from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
+from arm_emulator.campaign.scenario import Move, Scenario
 from arm_emulator.campaign.signals import Sampler
 from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
@@ -130,8 +130,7 @@ class Simulator:
         """Set machine and controller to the start of a run."""
         campaign, session, values = self._campaign, self.session, case.values
         try:
-            given = campaign.with_values(values) if campaign.draws_sections else campaign.nominal
-            self._scenario, faults, servo = given
+            self._scenario, servo, self._events, self._last = bound(campaign, case)
             self._restart(servo)
             for name, value in values.items():
                 if name in self._parameters:
@@ -142,9 +141,6 @@ class Simulator:
         if self._sensed and "seed" not in values:
             session.plant.set_parameter("seed", case.seed)
         session.plant.reset(self._scenario.start)
-        there = [fault for name, fault in faults.items() if name not in case.without]
-        self._events = changes_of(there, self._scene, case.values)
-        self._seconds = min(case.seconds, self._scenario.seconds)
         if isinstance(self._run, OfflineRun):
             self._send(self._run)
 
@@ -177,8 +173,7 @@ class Simulator:
     ) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
-        last = max(1, ticks_of(self._seconds, self._scene.servo_period))
-        events = self._events
+        last, events = self._last, self._events
         while session.tick < last:
             while events and events[0][0] <= session.tick:
                 change = events.pop(0)[1]
