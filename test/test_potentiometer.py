@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sensor_motion import readings_and_truth
 
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
@@ -20,15 +21,10 @@ SENSORS = {
 @pytest.fixture(scope="module")
 def run() -> tuple[np.ndarray, np.ndarray]:
     """Positions measured and true, a row per tick."""
-    plant, rng = Plant(load_scene("three_axis", SENSORS)), np.random.default_rng(8)
-    shown, true = [plant.measured.link_position], [plant.state.q]
-    for tick in range(TICKS):
-        if tick % 100 == 0:
-            command = rng.uniform(-20.0, 20.0, 3)
-        plant.exchange(command)
-        shown.append(plant.measured.link_position)
-        true.append(plant.state.q)
-    return np.array(shown), np.array(true)
+    plant = Plant(load_scene("three_axis", SENSORS))
+    return readings_and_truth(
+        plant, lambda one: (one.measured.link_position, one.state.q), TICKS, 20.0, seed=8
+    )
 
 
 def test_it_has_the_position_before_anything_moves(run: tuple[np.ndarray, np.ndarray]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sensor_motion import readings_and_truth
 
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
@@ -24,16 +25,9 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def run(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Speeds measured and true, a row per tick."""
-    plant = Plant(scene)
-    rng = np.random.default_rng(4)
-    shown, true = [plant.measured.link_speed], [plant.state.v]
-    for tick in range(TICKS):
-        if tick % 100 == 0:
-            command = rng.uniform(-30.0, 30.0, 3)
-        plant.exchange(command)
-        shown.append(plant.measured.link_speed)
-        true.append(plant.state.v)
-    return np.array(shown), np.array(true)
+    return readings_and_truth(
+        Plant(scene), lambda one: (one.measured.link_speed, one.state.v), TICKS, 30.0, seed=4
+    )
 
 
 def test_it_shows_the_speed_with_its_errors(run: tuple[np.ndarray, np.ndarray]) -> None:
