@@ -99,13 +99,14 @@ class Entities:
         return [one for one in entities if one.handle.pointer in pointers] if pointers else []
 
 
-def take_message(subscription: Any) -> None:
-    """Call back with the oldest message of a subscription, if there is one."""
+def take_message(subscription: Any) -> bool:
+    """Call back with the oldest message of a subscription; return whether there was one."""
     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     if taken is None:
-        return
+        return False
     kind = subscription._callback_type  # noqa: SLF001  # as rclpy's executor looks at it
     if kind is subscription.CallbackType.MessageOnly:
         subscription.callback(taken[0])
     else:
         subscription.callback(*taken)
+    return True

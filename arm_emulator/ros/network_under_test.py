@@ -200,6 +200,8 @@ class NetworkUnderTest:
     def _call(self, kind: Any, service: str, request: Any) -> Any:
         client = self._guest.create_client(kind, service)
         self._wait(f"service {service}", client.service_is_ready)
+        # Until then requests are refused: the emulator first looks whether it is the only one.
+        self._wait("an active emulator", lambda: "emulator/status" in self._guest.newest)
         answer = client.call_async(request)
         self._wait(f"an answer of {service}", answer.done)
         self._guest.destroy_client(client)

@@ -22,6 +22,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.end_anyway import end_anyway
+from arm_emulator.ros.entities import take_message
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.message_types import definition_of, message_class
 from arm_emulator.ros.recorded_runs import Numbered, RecordedRuns
@@ -82,11 +83,13 @@ def record(
     bag = BagWriter(out)
     failure: Exception | None = None
     try:
-        with bag, contextlib.suppress(_Ended):
+        with bag:
             clear_left_over()
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = _Recorder(bag, topics, presence.recorder, from_start, reported)
-            LeanExecutor(node).spin()
+            with contextlib.suppress(_Ended):
+                LeanExecutor(node).spin()
+            node.take_the_rest()
     except (OSError, MemoryError) as error:
         failure = error
     finally:
@@ -149,6 +152,13 @@ class _Recorder(Node):
         """Count losses from the run on that was asked for: a machine does not wait before it."""
         for numbered in self._numbered.values():
             numbered.forget()
+
+    def take_the_rest(self) -> None:
+        """Write the messages that have arrived: of one topic they may be older than of another."""
+        for subscription in [*self.subscriptions]:
+            for _ in range(DEPTH):
+                if not take_message(subscription):
+                    break
 
     def leave(self) -> None:
         """Report to the emulators that they need not wait for this recorder any more."""
