@@ -197,7 +197,6 @@ class LivePage:
             words.append("**in the past**")
         if self._dropped:
             words.append(f"{self._dropped} ticks not shown: the page is too slow for them")
-        self._moment.content = ", ".join(words)
         if self._at is not None:
             self._arm.show(row["q"][0])
         columns = {
@@ -211,6 +210,7 @@ class LivePage:
         self._numbers.content = f"{UNITS}\n\n" + number_table(scene.joint_names, columns)
         if self._at is None:
             self._plot()
+        self._moment.content = ", ".join(words)  # last: all of this moment is shown
 
     def _speed(self, t: float) -> str:
         """Return how fast logical time passes, in words."""
@@ -254,11 +254,11 @@ class LivePage:
     def _refused(self, reason: str) -> None:
         with self.exclusive:
             newest = self._history.newest
-            self.answer.content = as_code(reason)
             self._events.append(
                 (int(newest["tick"][0]) if len(newest) else 0, f"refused: {reason}")
             )
             self._list.show(self._events)
+            self.answer.content = as_code(reason)
 
     def _time_controls(self, gui: Any, can: frozenset[str]) -> None:
         if "pause" in can:

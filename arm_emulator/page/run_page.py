@@ -251,8 +251,8 @@ class RunPage:
                 self.line.go_to(before)
                 self._found.content = "does not hold from here to the end"
                 return
-            self._found.content = f"holds at tick {tick}, {tick * scene.servo_period:g} s"
             self._show()
+            self._found.content = f"holds at tick {tick}, {tick * scene.servo_period:g} s"
 
     def _explained(self) -> None:
         with self.exclusive:
@@ -303,9 +303,6 @@ class RunPage:
         finally:
             self.changing = False
         power = "" if session.powered else ", **no power**"
-        self._moment.content = (
-            f"tick {tick}, {tick * session.scene.servo_period:.4f} s{apart}{power}"
-        )
         measured = session.measured
         self._numbers.content = f"{UNITS}\n\n" + number_table(
             names,
@@ -317,6 +314,9 @@ class RunPage:
                 "command": measured.applied,
                 "counts": measured.encoder_counts,
             },
+        )
+        self._moment.content = (  # last: all of this moment is shown
+            f"tick {tick}, {tick * session.scene.servo_period:.4f} s{apart}{power}"
         )
 
     def _series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:

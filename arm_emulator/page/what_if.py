@@ -76,7 +76,7 @@ class WhatIf:
 
     def _keep_all(self) -> None:
         """Write every timeline as a bag that names its parent's."""
-        folder = Path(self._folder.value)
+        folder = self.folder
         with self._page.exclusive:
             try:
                 if folder.exists():
@@ -87,10 +87,11 @@ class WhatIf:
                     assert self._keep is not None
                     self._keep(line, bag, bags.get(id(line.parent)))
                     bags[id(line)] = bag
-                self._answer.content = f"{len(bags)} bags in {folder.resolve()}"
+                answer = f"{len(bags)} bags in {folder.resolve()}"
             except (Refusal, OSError) as reason:
-                self._answer.content = as_code(str(reason))
+                answer = as_code(str(reason))
             self._page.line.go_to(self._page.line.tick)  # forks take turns in one machine
+            self._answer.content = answer  # last: all that it reports is done
 
     def _turn_to(self, name: str) -> None:
         with self._page.exclusive:
@@ -113,7 +114,7 @@ class WhatIf:
             line: Timeline[OfflineRun] = self._page.line
             period, begin = line.run.session.scene.servo_period, line.tick
             name = next(name for name, known in self._lines.items() if known is line)
-            seconds = float(self._seconds.value)
+            seconds = self.seconds
             if not period <= seconds <= LONGEST:
                 self._answer.content = f"go on for {period:g} to {LONGEST:g} s"
                 return
@@ -124,17 +125,17 @@ class WhatIf:
             try:
                 done = self._change(line)
                 line.advance(round(seconds / period))
-                self._answer.content = f"{name}: {done or 'as it was'}"
+                answer = f"{name}: {done or 'as it was'}"
             except (Refusal, Diverged) as reason:
-                self._answer.content = as_code(str(reason))
-                if line.newest == begin:
-                    self._page.turn_to(Subject.of(self._page.line, self._page.last), begin)
-                    return
-            if forked:
+                answer = as_code(str(reason))
+            if line.newest == begin:  # refused at once: no other future
+                line = self._page.line
+            elif forked:
                 self._lines[name] = line
                 self._page.put(self._which, tuple(self._lines), name)
                 self._page.put(self._over, (NOTHING, *self._lines), self._over.value)
             self._page.turn_to(Subject.of(line, line.newest), begin)
+            self._answer.content = answer
 
     def _change(self, line: Timeline[OfflineRun]) -> str:
         """Make the changes that the controls ask for, and return their names.
@@ -142,15 +143,27 @@ class WhatIf:
         Raises:
             Refusal: one of them is refused; those before it are made.
         """
-        orders = self._orders(line.run)
+        orders = self.orders
         for one in orders:
             one.give(line)
         self._by.value, self._gains.value = NO_VECTOR, 1.0
         self._pushes, self._pushed.content = {}, ""
         return ", ".join(one.name for one in orders)
 
-    def _orders(self, run: OfflineRun) -> list[Order]:
-        """Return what the controls ask for."""
+    @property
+    def seconds(self) -> float:
+        """Time that the run goes on for [s]."""
+        return float(self._seconds.value)
+
+    @property
+    def folder(self) -> Path:
+        """Folder that bags are written into."""
+        return Path(self._folder.value)
+
+    @property
+    def orders(self) -> list[Order]:
+        """Changes that the controls ask for at the moment that is shown."""
+        run: OfflineRun = self._page.line.run
         orders: list[Order] = []
         x, y, z = (float(one) for one in self._by.value)
         if (x, y, z) != NO_VECTOR:

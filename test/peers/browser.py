@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -72,3 +73,11 @@ def tick_of(page: Any) -> int:
 def shows(page: Any, text: str) -> None:
     """Wait until a page shows a text."""
     page.get_by_text(text).first.wait_for()
+
+
+def until(page: Any, holds: Callable[[], bool]) -> None:
+    """Wait until something of the page's server holds: a control's value arrives after its key."""
+    deadline = time.monotonic() + PATIENCE / 1e3
+    while not holds():
+        assert time.monotonic() < deadline, "it does not come to hold"
+        page.wait_for_timeout(20)  # lets playwright work

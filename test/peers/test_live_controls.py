@@ -163,20 +163,25 @@ def test_a_handle_that_is_dragged_pulls_at_its_link(live: Live, browser: Any) ->
     fill(page, "Drag a handle in the picture", "200", 2)
     live.until(page, lambda: live.page.server.scene.get_handle_by_name("/push") is not None)
     link = live.page.arm.p_WL("forearm")
-    page.wait_for_timeout(2000)  # for playwright's own work: the handle is drawn
-    begin, end = (on_picture(page, live.page, link + np.array([0.0, 0.0, z])) for z in (0.15, 0.3))
-    page.mouse.move(*begin)
-    page.wait_for_timeout(500)
-    page.mouse.down()
-    for share in np.linspace(0.0, 1.0, 6)[1:]:
-        page.mouse.move(*(np.array(begin) + share * (np.array(end) - begin)))
-        page.wait_for_timeout(200)
-    page.mouse.up()
 
     def force() -> Any:
         return np.array(live.plant.external_wrenches["forearm"].force)
 
-    live.until(page, lambda: force()[2] > 20.0)
+    def dragged() -> bool:
+        """Drag the handle up; before it is drawn, this turns the camera."""
+        begin, end = (
+            np.array(on_picture(page, live.page, link + np.array([0.0, 0.0, z])))
+            for z in (0.15, 0.3)
+        )
+        page.mouse.move(*begin)
+        page.mouse.down()
+        for share in np.linspace(0.0, 1.0, 6)[1:]:
+            page.mouse.move(*(begin + share * (end - begin)))
+            page.wait_for_timeout(200)  # as fast as a hand
+        page.mouse.up()
+        return bool(force()[2] > 20.0)
+
+    live.until(page, dragged)
     handle = live.page.server.scene.get_handle_by_name("/push")
     live.until(
         page, lambda: np.allclose(force(), 200.0 * (np.array(handle.position) - link), atol=1e-9)
@@ -189,10 +194,12 @@ def test_a_handle_that_is_dragged_pulls_at_its_link(live: Live, browser: Any) ->
     box(page, "Link").click()
     page.get_by_role("option", name="upper_arm", exact=True).click()
     fill(page, "Moment [N m], world axes", "1.5", 3)
-    live.until(page, lambda: box(page, "Moment [N m], world axes", 3).input_value() == "1.5")
-    page.wait_for_timeout(300)
-    press(page, "Push")
-    live.until(page, lambda: live.plant.external_wrenches["upper_arm"].moment == (0.0, 0.0, 1.5))
+
+    def pushed() -> bool:
+        press(page, "Push")  # again: a field's number may arrive after the press
+        return live.plant.external_wrenches["upper_arm"].moment == (0.0, 0.0, 1.5)
+
+    live.until(page, pushed)
     page.context.close()
 
 

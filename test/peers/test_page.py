@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ import pinocchio as pin
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from browser import PATIENCE, chromium, opened, shows, tick_of
+from browser import chromium, opened, shows, tick_of, until
 from machines import own_three_axis
 from made_bags import synthetic
 
@@ -179,10 +178,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page.get_by_role("button", name="Play").wait_for()
     assert 0 < tick_of(page) < LAST, "slow enough to be stopped on the way"
     choose(page, "Signal", "current")
-    for _ in range(PATIENCE // 50):
-        if shown.page.plotted[1][-1] != 0.0:
-            break
-        page.wait_for_timeout(50)
+    until(page, lambda: shown.page.plotted[1][-1] != 0.0)
     last = RecordedMachine.of(shown.machine.path, scene)
     last.advance(LAST)
     assert shown.page.plotted[1][-1] == last.session.state.current[0]
@@ -206,7 +202,7 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
     shown = RunPage(Subject.of(line, 300), lambda: (TermsNow({}, {}), []))
-    WhatIf(shown, line)
+    futures = WhatIf(shown, line)
     try:
         page = opened(browser, shown.url)
         box = page.locator("input[type=text]").first
@@ -218,6 +214,7 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
         seconds = page.locator("xpath=//*[text()='Go on for [s]']/following::input[1]")
         seconds.fill("0.05")
         seconds.press("Enter")
+        until(page, lambda: futures.seconds == 0.05 and names(futures) == ["power off"])
         page.get_by_role("button", name="Go on from this moment").click()
         shows(page, "fork 1, from 0.1 s of the run: power off")
         fork = shown.line
@@ -246,19 +243,22 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
     line = Timeline(load_offline_run(str(scene)), every=100)
     line.advance(120)
     shown = RunPage(Subject.of(line, 120), lambda: (TermsNow({}, {}), []))
-    WhatIf(shown, line, write_timeline)
+    futures = WhatIf(shown, line, write_timeline)
     try:
         page = opened(browser, shown.url)
         page.get_by_role("tab", name="Push").click()
         force = page.locator("xpath=//*[text()='Force [N], world axes']/following::input[2]")
         force.fill("4")
         force.press("Enter")
-        for _ in range(20):  # a field's number arrives some moments later
-            page.get_by_role("button", name="Push", exact=True).click()
-            page.wait_for_timeout(300)
-            if "forearm is pushed with 0, 4, 0 N" in page.inner_text("body"):
-                break
-        shows(page, "forearm is pushed with 0, 4, 0 N")
+        push = page.get_by_role("button", name="Push", exact=True)
+        pushed = "forearm is pushed with 0, 4, 0 N"
+
+        def is_pushed() -> bool:
+            push.click()  # again: a field's number may arrive after the press
+            return names(futures) == [pushed]
+
+        until(page, is_pushed)
+        shows(page, pushed)
         box = page.locator("input[type=text]").first
         box.fill("70")
         box.press("Enter")
@@ -270,9 +270,10 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
         seconds = page.locator("xpath=//*[text()='Go on for [s]']/following::input[1]")
         seconds.fill("0.05")
         seconds.press("Enter")
-        page.wait_for_timeout(500)
+        asked = ["position gains times 2", pushed]
+        until(page, lambda: futures.seconds == 0.05 and names(futures) == asked)
         page.get_by_role("button", name="Go on from this moment").click()
-        shows(page, "position gains times 2, forearm is pushed with 0, 4, 0 N")
+        shows(page, ", ".join(asked))
         straight = load_offline_run(str(scene))
         straight.advance(70)
         ScaleGains(2.0)(straight)
@@ -284,7 +285,7 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
         folder = page.locator("xpath=//*[text()='New folder for bags']/following::input[1]")
         folder.fill(str(tmp_path / "kept"))
         folder.press("Enter")
-        page.wait_for_timeout(500)
+        until(page, lambda: futures.folder == tmp_path / "kept")
         page.get_by_role("button", name="Keep all as bags").click()
         shows(page, "2 bags in")
         for name in ("the_run", "fork_1"):
@@ -295,6 +296,10 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
         page.close()
     finally:
         shown.close()
+
+
+def names(futures: WhatIf) -> list[str]:
+    return [one.name for one in futures.orders]
 
 
 def choose(page: Any, label: str, option: str) -> None:
@@ -348,11 +353,9 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         page.locator(".uplot canvas").first.wait_for()
         choose(page, "Of", "difference")
         by = straight.session.state.q - left.session.state.q
-        deadline = time.monotonic() + PATIENCE / 1e3
-        while len(shown.plotted[0]) != 481 and time.monotonic() < deadline:
-            page.wait_for_timeout(50)
+        until(page, lambda: len(shown.plotted[0]) == 481)
         t, *differences = shown.plotted
-        assert t[460] == pytest.approx(0.46) and len(t) == 481, "where both runs are"
+        assert t[460] == pytest.approx(0.46), "where both runs are"
         np.testing.assert_array_equal([one[460] for one in differences], by)
         page.screenshot(path=tmp_path / "over.png")
         box.fill("500")  # the other run stays at its end
