@@ -1,10 +1,9 @@
-"""Pictures of the report: PNG for reading, SVG for enlarging."""
+"""Pictures of the report."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -29,7 +28,5 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, folder: Path, name: str) -> None:
-    """Write `name`.png and `name`.svg, the same bytes for the same figures."""
-    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
-        figure.savefig(folder / f"{name}.png", dpi=110)
-        figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    """Write `name`.png, the same bytes for the same figures."""
+    figure.savefig(folder / f"{name}.png", dpi=110)

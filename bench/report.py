@@ -98,7 +98,7 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
             traceback.print_exc()
             figures["failed"][name] = f"{type(error).__name__}: {error}"
         figures["seconds"][name] = time.monotonic() - started
-        (out / "figures.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
+        (out / "figures.json").write_text(json.dumps(figures), encoding="utf-8")
     write_report(figures, out)
     for what, wanted, reached, met in must_show(figures["sections"]):
         colour = {True: "green", False: "red", None: "dim"}[met]
@@ -153,6 +153,6 @@ def _verdict(met: bool | None) -> str:
 
 def _publish(out: Path, publish: Path) -> None:
     publish.mkdir(parents=True, exist_ok=True)
-    for pattern in ("report.md", "figures.json", "*.png", "*.svg"):
+    for pattern in ("report.md", "figures.json", "*.png"):
         for file in out.glob(pattern):
             shutil.copyfile(file, publish / file.name)
