@@ -197,11 +197,12 @@ class SavedDrives:
     """Machine and drives at one moment."""
 
     machine: bytes = field(repr=False)
-    drives: bytes = field(repr=False)
+    drives: CData = field(repr=False)
     owner: Drives = field(repr=False)
 
     def __len__(self) -> int:
-        return len(self.machine) + len(self.drives)
+        size = self.owner.calls.drives_state_size(self.owner.pointer)
+        return len(self.machine) + int(size)
 
 
 class Drives:
@@ -291,9 +292,9 @@ class Drives:
 
     def save(self) -> SavedDrives:
         """Return machine and drives as they are now, for `restore` of these drives."""
-        state = DRIVES.ffi.new("uint8_t[]", int(self.calls.drives_state_size(self.pointer)))
-        self.calls.drives_save(self.pointer, state)
-        return SavedDrives(self.plant.save(), bytes(DRIVES.ffi.buffer(state)), self)
+        state = self.calls.drives_save(self.pointer)
+        kept = DRIVES.ffi.gc(state, self.calls.drives_state_delete)
+        return SavedDrives(self.plant.save(), kept, self)
 
     def restore(self, saved: SavedDrives) -> None:
         """Go on from the tick at which `save` of these drives has returned this, to the last bit.

@@ -38,8 +38,6 @@ struct Axis {
         units(of.servo),
         dt(1e-9 * static_cast<double>(machine.period)),
         values(static_cast<Bus>(machine.bus)) {}
-  Axis(const Axis&) = delete;
-  Axis& operator=(const Axis&) = delete;
 
   const drives_joint& joint;
   const Units units;

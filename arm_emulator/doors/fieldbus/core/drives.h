@@ -2,8 +2,8 @@
  *
  * The library of the drives is one for all scenes; it gets the functions of the scene's library. A
  * bus reads and writes entries of the drives' object dictionaries between two servo periods, then
- * calls `drives_period`. No call but `drives_new` and `drives_sdo` allocates memory; one thread at
- * a time. C99.
+ * calls `drives_period`. No call but `drives_new`, `drives_save` and `drives_sdo` allocates memory;
+ * one thread at a time. C99.
  */
 #ifndef DRIVES_H
 #define DRIVES_H
@@ -18,6 +18,7 @@ extern "C" {
 #endif
 
 typedef struct drives drives;
+typedef struct drives_state drives_state;
 
 enum drives_bus { DRIVES_ETHERCAT = 1, DRIVES_CANOPEN = 2 };
 enum { DRIVES_UNITS = 2 }; /* inertial measurement units on a link, at most */
@@ -74,13 +75,15 @@ int32_t drives_count(const drives* all);
  * or a restore of the machine. */
 void drives_begin(drives* all);
 
-/* Bytes of the state of all drives: dictionaries, state machines, modes, loops. */
-uint64_t drives_state_size(const drives* all);
-/* Write the state, between two periods. It is good for these drives alone. */
-void drives_save(const drives* all, void* state);
+/* Return the state of all drives, between two periods: dictionaries, state machines, modes, loops.
+ * It is good for these drives alone, which must outlive it. */
+drives_state* drives_save(const drives* all);
+void drives_state_delete(drives_state* state);
 /* Go on from a state, once the machine has been restored to that moment. SDO transfers end.
  * ARM_REFUSED: a state of other drives; nothing has changed. */
-int drives_restore(drives* all, const void* state);
+int drives_restore(drives* all, const drives_state* state);
+/* Bytes of a state. */
+uint64_t drives_state_size(const drives* all);
 
 /* Advance by one servo period: every drive's loops, one arm_exchange. Returns its result; once it
  * is not ARM_OK the drives are in Fault. */

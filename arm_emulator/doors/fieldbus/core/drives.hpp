@@ -1,8 +1,8 @@
 // The functions of drives.h. Included once in the unit of a bus, before what uses it.
 #pragma once
 
-#include <cstring>
 #include <deque>
+#include <memory>
 #include <vector>
 
 #include "canopen_sdo.hpp"
@@ -78,6 +78,11 @@ struct drives {
   arm_measurement measurement = {};
 };
 
+struct drives_state {
+  const drives* of;
+  std::vector<fieldbus::Drive> one;
+};
+
 namespace {
 
 bool has(const drives* all, std::int32_t drive) {
@@ -108,31 +113,22 @@ std::int32_t drives_count(const drives* all) { return all ? all->count() : 0; }
 void drives_begin(drives* all) {
   if (all) all->begin();
 }
-// A drive keeps its place, and what it points to is in it or does not change: so its bytes are its
-// state.
-std::uint64_t drives_state_size(const drives* all) {
-  return all ? sizeof all + all->one.size() * sizeof(fieldbus::Drive) : 0;
+drives_state* drives_save(const drives* all) {
+  return all ? new drives_state{all, {all->one.begin(), all->one.end()}} : nullptr;
 }
-void drives_save(const drives* all, void* state) {
-  if (!all || !state) return;
-  auto* out = static_cast<std::byte*>(state);
-  std::memcpy(out, &all, sizeof all);
-  out += sizeof all;
-  for (const fieldbus::Drive& drive : all->one) {
-    std::memcpy(out, static_cast<const void*>(&drive), sizeof drive);
-    out += sizeof drive;
-  }
-}
-int drives_restore(drives* all, const void* state) {
-  if (!all || !state || std::memcmp(state, &all, sizeof all) != 0) return ARM_REFUSED;
-  const auto* in = static_cast<const std::byte*>(state) + sizeof all;
-  for (fieldbus::Drive& drive : all->one) {
-    std::memcpy(static_cast<void*>(&drive), in, sizeof drive);
-    in += sizeof drive;
+void drives_state_delete(drives_state* state) { delete state; }
+int drives_restore(drives* all, const drives_state* state) {
+  if (!all || !state || state->of != all) return ARM_REFUSED;
+  for (std::size_t j = 0; j < all->one.size(); ++j) {
+    std::destroy_at(&all->one[j]);  // at its place, which others know
+    std::construct_at(&all->one[j], state->one[j]);
   }
   for (int j = 0; j < all->count(); ++j) drives_sdo_begin(all, j);
   all->machine.measure(all->machine.machine, &all->measurement);
   return ARM_OK;
+}
+std::uint64_t drives_state_size(const drives* all) {
+  return all ? all->one.size() * sizeof(fieldbus::Drive) : 0;
 }
 int drives_period(drives* all) { return all ? all->period() : int{ARM_REFUSED}; }
 int drives_periods(drives* all, std::int64_t periods) {

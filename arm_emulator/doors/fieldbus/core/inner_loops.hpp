@@ -10,7 +10,10 @@ namespace fieldbus {
 class InnerLoops {
  public:
   explicit InnerLoops(const servo_joint& joint) : servo_(joint) {}
-  InnerLoops(const InnerLoops&) = delete;
+  InnerLoops(const InnerLoops& of) : servo_(of.servo_), state_(of.state_), arm_(of.arm_) {
+    arm_.joint = &servo_;
+    arm_.state = &state_;
+  }
   InnerLoops& operator=(const InnerLoops&) = delete;
 
   void begin() { servo_joint_reset(&state_); }

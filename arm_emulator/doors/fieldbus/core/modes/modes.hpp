@@ -36,21 +36,17 @@ class Modes {
     return bits;
   }
 
-  Modes() { choose(0); }
-  Modes(const Modes&) = delete;
-  Modes& operator=(const Modes&) = delete;
-
-  void choose(std::int64_t number) {
-    All::choose(number, chosen_);
-    mode_ = std::visit([](Mode& one) { return &one; }, chosen_);
-  }
+  void choose(std::int64_t number) { All::choose(number, chosen_); }
   const AboutMode& about() const { return All::about[chosen_.index()]; }
-  Mode* operator->() { return mode_; }
-  const Mode* operator->() const { return mode_; }
+  Mode* operator->() {
+    return std::visit([](Mode& one) { return &one; }, chosen_);
+  }
+  const Mode* operator->() const {
+    return std::visit([](const Mode& one) { return &one; }, chosen_);
+  }
 
  private:
   All::Chosen chosen_;
-  Mode* mode_ = nullptr;  // the one in it
 };
 
 static_assert(kEntries[kSlot<0x6502, 0>].standard == Modes::supported(),
