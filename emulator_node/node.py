@@ -75,34 +75,26 @@ class EmulatorParameters:
         2.0,
         "wall time without a command after which diagnostics report it",
         unit="s",
-        at_least=0.1,
-        at_most=3600.0,
+        ends=(0.1, 3600.0),
         settable=True,
     )
     real_time_factor: float = parameter(
         0.0,
         "in lock-step: logical time per wall time, at most; 0: as fast as possible",
-        at_least=0.0,
-        at_most=1000.0,
+        ends=(0.0, 1000.0),
         settable=True,
     )
     report_period: float = parameter(
         0.01,
         "logical time between messages on emulator/joint_states and clock; 0: every tick",
         unit="s",
-        at_least=0.0,
-        at_most=10.0,
+        ends=(0.0, 10.0),
     )
     record: str = parameter("", "folder of a new bag of the emulator's messages")
     rerun_file: str = parameter("", "Rerun recording to write")
-    rerun_port: int = parameter(
-        0, "local port for a Rerun viewer; 0: none", at_least=0, at_most=65535
-    )
+    rerun_port: int = parameter(0, "local port for a Rerun viewer; 0: none", ends=(0, 65535))
     page_port: int = parameter(
-        -1,
-        "port of a page in the browser; 0: any that is free, -1: no page",
-        at_least=-1,
-        at_most=65535,
+        -1, "port of a page in the browser; 0: any that is free, -1: no page", ends=(-1, 65535)
     )
     page_host: str = parameter(LOCAL, "address of this machine at which the page is served")
 

@@ -73,7 +73,7 @@ class ServoNodeParameters:
         choices=("lockstep", "realtime"),
     )
     joint_states_period: float = parameter(
-        0.01, "logical time between messages on joint_states", unit="s", at_least=1e-6, at_most=10.0
+        0.01, "logical time between messages on joint_states", unit="s", ends=(1e-6, 10.0)
     )
 
 

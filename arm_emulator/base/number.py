@@ -232,9 +232,20 @@ class Number:
         return str(int(value)) if self.whole else f"{value:g}"
 
 
-def number(unit: str = "", *, default: Any = REQUIRED, **declared: Any) -> Any:
-    """Return a dataclass field that is a declared number, see `Number`."""
-    return field_of(Number("", unit, default=default, **declared))
+Ends = tuple[float | None, float | None]
+
+
+def number(
+    unit: str = "", *, default: Any = REQUIRED, ends: Ends = (None, None), **declared: Any
+) -> Any:
+    """Return a dataclass field that is a declared number, see `Number`; `ends`: both bounds."""
+    return field_of(Number("", unit, default=default, **between(ends), **declared))
+
+
+def between(ends: Ends) -> dict[str, Any]:
+    """Return two ends as the bounds of a `Number`."""
+    bounds = zip(("at_least", "at_most"), ends, strict=True)
+    return {name: one for name, one in bounds if one is not None}
 
 
 def field_of(one: Number, **metadata: Any) -> Any:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from arm_emulator.base.number import Number, field_of
+from arm_emulator.base.number import Ends, Number, between, field_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 
@@ -28,8 +28,7 @@ def parameter(
     description: str,
     *,
     unit: str = "",
-    at_least: float | None = None,
-    at_most: float | None = None,
+    ends: Ends = (None, None),
     choices: tuple[str, ...] = (),
     settable: bool = False,
 ) -> Any:
@@ -40,14 +39,8 @@ def parameter(
     more = {"description": description, "choices": choices, "settable": settable}
     if type(default) not in (int, float):
         return dataclasses.field(default=default, metadata=more)
-    one = Number(
-        unit=unit,
-        at_least=at_least,
-        at_most=at_most,
-        whole=type(default) is int,
-        default=default,
-        text=description,
-    )
+    whole = type(default) is int
+    one = Number("", unit, whole=whole, default=default, text=description, **between(ends))
     return field_of(one, **more | {"description": one.described})
 
 

@@ -24,15 +24,13 @@ class Integrator:
     scheme: str
     dt: float = number(
         "s",
-        at_least=1e-9,
-        at_most=1.0,
+        ends=(1e-9, 1.0),
         text="integration step, which divides `servo_period`; one of nine digits or more is taken "
         "as the part of the period that it stands for",
     )
     exchange: str  # between two threads, see core/schemes/two_threads.hpp
     exchange_depth: int = number(
-        at_least=1,
-        at_most=DEEPEST_EXCHANGE,
+        ends=(1, DEEPEST_EXCHANGE),
         whole=True,
         default=1,
         text="with two threads: how much earlier that sample is. From 2 on the way between the "

@@ -44,8 +44,7 @@ class Joint:
     name: str
     start: float = number(
         "rad or m",
-        at_least=-1e4,
-        at_most=1e4,
+        ends=(-1e4, 1e4),
         default=0.0,
         text="position after a reset; the motor stands along with it, the gear carries no torque",
     )

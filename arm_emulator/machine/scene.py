@@ -66,8 +66,7 @@ class Scene(ByValue, Lasting):
     integrator: Integrator
     servo_period: float = number(
         "s",
-        at_least=1e-6,
-        at_most=1.0,
+        ends=(1e-6, 1.0),
         text="time between two motor states; commands are held that long; a whole number of ns",
     )
     external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
@@ -75,8 +74,7 @@ class Scene(ByValue, Lasting):
         bool  # whether what is given and dissipated is reported, see core/mechanics/energy_flow.hpp
     )
     threads: int = number(
-        at_least=1,
-        at_most=2,
+        ends=(1, 2),
         whole=True,
         default=1,
         text="2: a motor thread and a Newton-Euler thread, as in the paper; not with every scheme",
@@ -88,7 +86,7 @@ class Scene(ByValue, Lasting):
     possible_faults: tuple[SceneFault, ...] = ()  # that it could list, where it lists any
     imus: tuple[Imu, ...]
     seed: int = number(
-        at_least=0, at_most=LARGEST_SEED, whole=True, default=0, text="of the noise of sensors"
+        ends=(0, LARGEST_SEED), whole=True, default=0, text="of the noise of sensors"
     )
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
 

@@ -21,48 +21,48 @@ Keys = dict[str, Key | Number]
 def _choice(values: Sequence[str], text: str) -> Key:
     """Return a key whose value is one of several; the first holds without it."""
     known = ", ".join(f"`{one}`" for one in values)
-    return Key(name="", range=known, absent=f"`{values[0]}`", text=text)
+    return Key("", range=known, absent=f"`{values[0]}`", text=text)
 
 
 def _row_of(one: Number, size: int, absent: str, text: str) -> Key:
     """Return a key with several numbers."""
     ends = f"each ±{one.most:g}" if one.in_size else f"each {one.least:g} to {one.most:g}"
-    return Key(name="", unit=one.unit, range=f"{size} numbers, {ends}", absent=absent, text=text)
+    return Key("", unit=one.unit, range=f"{size} numbers, {ends}", absent=absent, text=text)
 
 
 def _flag(text: str) -> Key:
-    return Key(name="", range="`true`, `false`", absent="`false`", text=text)
+    return Key("", range="`true`, `false`", absent="`false`", text=text)
 
 
 def _names(of: str, absent: str, text: str) -> Key:
-    return Key(name="", range=f"a list of {of}", absent=absent, text=text)
+    return Key("", range=f"a list of {of}", absent=absent, text=text)
 
 
 _SCENE, _INTEGRATOR = numbers_of(Scene), numbers_of(Integrator)
 
 MACHINE: Keys = {
-    "name": Key(name="", range=f"text, at most {LONGEST_NAME} bytes", absent="refused",
+    "name": Key("", range=f"text, at most {LONGEST_NAME} bytes", absent="refused",
                 text="what the scene is called"),
-    "urdf": Key(name="", range="file", absent="refused",
+    "urdf": Key("", range="file", absent="refused",
                 text="the links. A path relative to the scene file, or `example-robot-data:PATH`"
                 " for a file below `robots/` of that package"),
     **{
-        one: Key(name="", range="file", absent=f"`{one}/NAME.yaml` beside `NAME.yaml`",
+        one: Key("", range="file", absent=f"`{one}/NAME.yaml` beside `NAME.yaml`",
                  text="what belongs to the scene, see [A new scene](#a-new-scene)")
         for one in BESIDE
     },
-    "tool": Key(name="", range="a link of the URDF", absent="refused",
+    "tool": Key("", range="a link of the URDF", absent="refused",
                 text="carries the payload; its path is drawn"),
     "gravity": _row_of(GRAVITY, 3, "none", "acceleration of free fall in the world,"
                        " `[0, 0, -9.81]` on earth with z up"),
-    "locked": Key(name="", unit="rad (m)", range=f"{LOCKED.least:g} to {LOCKED.most:g}",
+    "locked": Key("", unit="rad (m)", range=f"{LOCKED.least:g} to {LOCKED.most:g}",
                   text="`{joint: position}`: joints of the URDF that are held there, as if fixed:"
                   " fingers or a second arm that shall not move"),
-    "couplings": Key(name="", unit="rad/rad (m/rad, ...)", absent="by `mimic` alone",
+    "couplings": Key("", unit="rad/rad (m/rad, ...)", absent="by `mimic` alone",
                      range=f"factors from {SHARE.least:g} to {SHARE.most:g}",
                      text="`{joint: {shaft: factor}}`: joints that do not go each with a drive, see"
                      " [Couplings](#couplings)"),
-    "payload": Key(name="", range="section, or its mass alone", text="what the tool carries"),
+    "payload": Key("", range="section, or its mass alone", text="what the tool carries"),
     "payload.mass": MASS,
     "payload.com": _row_of(COM, 3, "`[0, 0, 0]`", "its centre of mass in the tool's frame"),
     "payload.inertia": _row_of(INERTIA, 6, "0", "`[ixx, iyy, izz, ixy, ixz, iyz]`, positive"
@@ -72,7 +72,7 @@ MACHINE: Keys = {
     "supply_voltage": _SCENE["supply_voltage"],
     "assumed": _names("links of the URDF", "none",
                       "links without measured bodies: `check-scene` names them"),
-    "imus": Key(name="", range="a section per unit",
+    "imus": Key("", range="a section per unit",
                 text="[inertial measurement units](parts/imu.md) on links"),
     "seed": _SCENE["seed"],
 }  # fmt: skip
@@ -91,7 +91,7 @@ TIME: Keys = {
                                    " thread knows from an earlier sample; `lag` is the paper's, see"
                                    " [Two threads](../concepts/physics.md#two-threads)"),
     "integrator.exchange_depth": _INTEGRATOR["exchange_depth"],
-    "cores": Key(name="", range="2 core numbers of this machine", absent="any",
+    "cores": Key("", range="2 core numbers of this machine", absent="any",
                  text="the first for the thread of the real-time clock, which runs the motors, the"
                  f" second for the Newton-Euler thread of `threads: 2`; at most {CORES.most:g}"),
     "energy_flow": _flag("whether `Plant.powers` and `Plant.advance_metered` report what the supply"

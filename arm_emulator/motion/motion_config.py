@@ -22,7 +22,7 @@ class MotionConfig(Lasting):
 
     tool: str = parameter("tool", "link of the robot description that is the tool")
     period: float = parameter(
-        0.05, "logical time between joint targets", unit="s", at_least=1e-4, at_most=10.0
+        0.05, "logical time between joint targets", unit="s", ends=(1e-4, 10.0)
     )
     method: str = parameter(
         "auto",
@@ -33,8 +33,7 @@ class MotionConfig(Lasting):
     weight: float = parameter(
         0.5,
         "paper: w of eq. (6), share of the tool's error that one instruction removes",
-        at_least=1e-6,
-        at_most=1.0,
+        ends=(1e-6, 1.0),
         settable=True,
     )
     task: str = parameter(
@@ -46,39 +45,34 @@ class MotionConfig(Lasting):
         0.2,
         "paper: largest joint step per instruction; longer steps are scaled down",
         unit="rad",
-        at_least=1e-6,
-        at_most=100.0,
+        ends=(1e-6, 100.0),
         settable=True,
     )
     singular_below: float = parameter(
         0.02,
         "paper: singular values of the Jacobian below this are damped",
-        at_least=1e-9,
-        at_most=1.0,
+        ends=(1e-9, 1.0),
         settable=True,
     )
     velocity_limit: float = parameter(
         3.0,
         "largest joint speed, in addition to the limits of the robot description",
         unit="rad/s",
-        at_least=1e-6,
-        at_most=1e3,
+        ends=(1e-6, 1e3),
         settable=True,
     )
     acceleration_limit: float = parameter(
         10.0,
         "largest joint acceleration, in addition to those of the robot description",
         unit="rad/s2",
-        at_least=1e-6,
-        at_most=1e5,
+        ends=(1e-6, 1e5),
         settable=True,
     )
     jerk_limit: float = parameter(
         0.0,
         "largest joint jerk; 0: the acceleration reaches its limit in 50 ms",
         unit="rad/s3",
-        at_least=0.0,
-        at_most=1e8,
+        ends=(0.0, 1e8),
         settable=True,
     )
     feedforward: str = parameter(
@@ -89,51 +83,43 @@ class MotionConfig(Lasting):
         choices=("auto", "none", "speed", "torque", "full"),
     )
     gravity_x: float = parameter(
-        0.0, "gravity in the world, that of the scene", unit="m/s2", at_least=-1e3, at_most=1e3
+        0.0, "gravity in the world, that of the scene", unit="m/s2", ends=(-1e3, 1e3)
     )
     gravity_y: float = parameter(
-        0.0, "gravity in the world, that of the scene", unit="m/s2", at_least=-1e3, at_most=1e3
+        0.0, "gravity in the world, that of the scene", unit="m/s2", ends=(-1e3, 1e3)
     )
     gravity_z: float = parameter(
-        -9.81, "gravity in the world, that of the scene", unit="m/s2", at_least=-1e3, at_most=1e3
+        -9.81, "gravity in the world, that of the scene", unit="m/s2", ends=(-1e3, 1e3)
     )
     reached_within: float = parameter(
         1e-3,
         "largest distance of a tool that has reached its target",
         unit="m",
-        at_least=1e-9,
-        at_most=1e3,
+        ends=(1e-9, 1e3),
         settable=True,
     )
     reached_within_angle: float = parameter(
-        5e-3, "the same for its orientation", unit="rad", at_least=1e-9, at_most=10.0, settable=True
+        5e-3, "the same for its orientation", unit="rad", ends=(1e-9, 10.0), settable=True
     )
     tool_speed: float = parameter(
-        0.25,
-        "speed of the tool along paths",
-        unit="m/s",
-        at_least=1e-6,
-        at_most=100.0,
-        settable=True,
+        0.25, "speed of the tool along paths", unit="m/s", ends=(1e-6, 100.0), settable=True
     )
     tool_turn_speed: float = parameter(
         1.0,
         "angular speed of the tool along paths",
         unit="rad/s",
-        at_least=1e-6,
-        at_most=100.0,
+        ends=(1e-6, 100.0),
         settable=True,
     )
     tool_acceleration: float = parameter(
         1.0,
         "acceleration of the tool along and across paths",
         unit="m/s2",
-        at_least=1e-6,
-        at_most=1e4,
+        ends=(1e-6, 1e4),
         settable=True,
     )
     tool_jerk: float = parameter(
-        10.0, "jerk of the tool along paths", unit="m/s3", at_least=1e-6, at_most=1e6, settable=True
+        10.0, "jerk of the tool along paths", unit="m/s3", ends=(1e-6, 1e6), settable=True
     )
     path_arcs: bool = parameter(
         False,
@@ -145,24 +131,21 @@ class MotionConfig(Lasting):
         0.0,
         "distance from a corner of a path at which an arc begins to round it; 0: no arc",
         unit="m",
-        at_least=0.0,
-        at_most=100.0,
+        ends=(0.0, 100.0),
         settable=True,
     )
     path_tolerance: float = parameter(
         0.0,
         "deviation of a joint that aborts a joint trajectory; 0: none does",
         unit="rad",
-        at_least=0.0,
-        at_most=1e3,
+        ends=(0.0, 1e3),
         settable=True,
     )
     tool_path_tolerance: float = parameter(
         5e-3,
         "deviation of the measured tool that aborts a tool path; 0: none does",
         unit="m",
-        at_least=0.0,
-        at_most=1e3,
+        ends=(0.0, 1e3),
         settable=True,
     )
     trajectory_limits: str = parameter(
@@ -176,16 +159,14 @@ class MotionConfig(Lasting):
         0.0,
         "largest distance of joints that have reached the end of a joint trajectory; 0: any",
         unit="rad",
-        at_least=0.0,
-        at_most=1e3,
+        ends=(0.0, 1e3),
         settable=True,
     )
     goal_time: float = parameter(
         0.0,
         "time after its end that a joint trajectory may take to reach it; 0: any",
         unit="s",
-        at_least=0.0,
-        at_most=1e6,
+        ends=(0.0, 1e6),
         settable=True,
     )
     may_end_moving: bool = parameter(
@@ -198,57 +179,42 @@ class MotionConfig(Lasting):
         settable=True,
     )
     jog_scale_linear: float = parameter(
-        0.4,
-        "largest speed of a jogged tool",
-        unit="m/s",
-        at_least=0.0,
-        at_most=100.0,
-        settable=True,
+        0.4, "largest speed of a jogged tool", unit="m/s", ends=(0.0, 100.0), settable=True
     )
     jog_scale_rotational: float = parameter(
         0.8,
         "largest angular speed of a jogged tool",
         unit="rad/s",
-        at_least=0.0,
-        at_most=100.0,
+        ends=(0.0, 100.0),
         settable=True,
     )
     jog_scale_joint: float = parameter(
         0.5,
         "speed of a joint for a unitless command of 1",
         unit="rad/s",
-        at_least=0.0,
-        at_most=100.0,
+        ends=(0.0, 100.0),
         settable=True,
     )
     jog_incoming_command_timeout: float = parameter(
-        0.1,
-        "time for which a jog command holds",
-        unit="s",
-        at_least=1e-3,
-        at_most=3600.0,
-        settable=True,
+        0.1, "time for which a jog command holds", unit="s", ends=(1e-3, 3600.0), settable=True
     )
     jog_lower_singularity_threshold: float = parameter(
         17.0,
         "condition number of the Jacobian above which a jog slows down",
-        at_least=1.0,
-        at_most=1e9,
+        ends=(1.0, 1e9),
         settable=True,
     )
     jog_hard_stop_singularity_threshold: float = parameter(
         30.0,
         "condition number at which a jog towards a singular pose stops",
-        at_least=1.0,
-        at_most=1e9,
+        ends=(1.0, 1e9),
         settable=True,
     )
     jog_joint_limit_margin: float = parameter(
         0.1,
         "distance from their position limits at which jogged joints stop",
         unit="rad",
-        at_least=0.0,
-        at_most=10.0,
+        ends=(0.0, 10.0),
         settable=True,
     )
     collisions: str = parameter(
@@ -258,7 +224,7 @@ class MotionConfig(Lasting):
         choices=("auto", "off", "stop"),
     )
     collision_margin: float = parameter(
-        0.01, "smallest distance between parts and obstacles", unit="m", at_least=0.0, at_most=10.0
+        0.01, "smallest distance between parts and obstacles", unit="m", ends=(0.0, 10.0)
     )
     obstacles: tuple[Obstacle, ...] = ()
     """A floor and boxes in the world. In files it is the section `obstacles`."""

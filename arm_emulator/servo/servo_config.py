@@ -94,8 +94,7 @@ class JointServo:
         text="largest voltage of the drive (synchronous motors: amplitude); none: the supply's",
     )
     encoder_bits: int = number(
-        at_least=0,
-        at_most=48,
+        ends=(0, 48),
         whole=True,
         default=0,
         text="word length of an absolute encoder; 0: an incremental one",

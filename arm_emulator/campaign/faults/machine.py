@@ -24,7 +24,7 @@ class Machine(Fault):
     kind: ClassVar[str] = "machine"
 
     fault: str
-    magnitude: float = number("", at_least=-1e9, at_most=1e9, text="in the unit of the fault")
+    magnitude: float = number("", ends=(-1e9, 1e9), text="in the unit of the fault")
 
     @classmethod
     def others(cls, section: Section) -> dict[str, Any]:

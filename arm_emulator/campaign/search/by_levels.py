@@ -13,7 +13,7 @@ class ByLevels(Method):
     """A method that multiplies the shares of runs that reach each next level."""
 
     repetitions: float = number(
-        at_least=4, at_most=1000, whole=True, default=10, text="independent ones, for the interval"
+        ends=(4, 1000), whole=True, default=10, text="independent ones, for the interval"
     )
     confidence: float = number(above=0.5, at_most=0.999999, default=0.95, text="of the interval")
     least: float = number(

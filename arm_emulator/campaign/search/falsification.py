@@ -20,16 +20,13 @@ WORST = -1e9  # margin of a run that diverged
 class Falsification(Method):
     """Base of both."""
 
-    most: float = number(at_least=1, at_most=10**7, whole=True, default=1000, text="runs at most")
+    most: float = number(ends=(1, 10**7), whole=True, default=1000, text="runs at most")
     within: float = number(
         "standard deviations", above=0.0, at_most=8.0, default=3.0,
-        text="of each number, in the scale of its normal scores: how far from its median it looks",
+        text="of each number, in the scale of its normal scores: how far from its median it looks"
     )  # fmt: skip
     below: float = number(
-        default=0.0,
-        at_least=-1e300,
-        at_most=1e300,
-        text="margin below which it is content and ends",
+        default=0.0, ends=(-1e300, 1e300), text="margin below which it is content and ends"
     )
 
     def runs(self, D: int) -> int:
@@ -115,8 +112,8 @@ class Bayes(Falsification):
     package: ClassVar[tuple[str, ...]] = ("optuna", "optuna")
 
     at_once: float = number(
-        at_least=1, at_most=10_000, whole=True, default=8,
-        text="runs between two looks at their margins; they can be simulated side by side",
+        ends=(1, 10_000), whole=True, default=8,
+        text="runs between two looks at their margins; they can be simulated side by side"
     )  # fmt: skip
 
     def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:

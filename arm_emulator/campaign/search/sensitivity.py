@@ -61,8 +61,8 @@ class Sobol(Sensitivity):
     kind: ClassVar[str] = "sobol"
 
     base: float = number(
-        at_least=2, at_most=2**24, whole=True, default=256,
-        text="points of its sequence, a power of two; it runs D + 2 times as many for D numbers",
+        ends=(2, 2**24), whole=True, default=256,
+        text="points of its sequence, a power of two; it runs D + 2 times as many for D numbers"
     )  # fmt: skip
 
     def check(self, section: Section, variation: Variation) -> None:
@@ -111,11 +111,11 @@ class Morris(Sensitivity):
     kind: ClassVar[str] = "morris"
 
     trajectories: float = number(
-        at_least=2, at_most=10**6, whole=True, default=20,
-        text="each has D + 1 runs for D numbers, and changes one number after the other",
+        ends=(2, 10**6), whole=True, default=20,
+        text="each has D + 1 runs for D numbers, and changes one number after the other"
     )  # fmt: skip
     levels: float = number(
-        at_least=4, at_most=64, whole=True, default=4, text="of each number, an even count"
+        ends=(4, 64), whole=True, default=4, text="of each number, an even count"
     )
 
     def check(self, section: Section, variation: Variation) -> None:

@@ -76,10 +76,10 @@ class Splitting(ByLevels):
     forks: ClassVar[bool] = True
 
     per_level: float = number(
-        at_least=20, at_most=10**6, whole=True, default=200, text="runs of a level, a repetition"
+        ends=(20, 10**6), whole=True, default=200, text="runs of a level, a repetition"
     )
     share: float = number(
-        at_least=0.01, at_most=0.5, default=0.2, text="of a level's runs that reach the next"
+        ends=(0.01, 0.5), default=0.2, text="of a level's runs that reach the next"
     )
     look: float = number(
         "s", above=0.0, at_most=100.0, default=0.01, text="after which a run is looked at"

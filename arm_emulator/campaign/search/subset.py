@@ -40,10 +40,10 @@ class Subset(ByLevels):
     kind: ClassVar[str] = "subset"
 
     per_level: float = number(
-        at_least=20, at_most=10**7, whole=True, default=1000, text="runs of a level, a repetition"
+        ends=(20, 10**7), whole=True, default=1000, text="runs of a level, a repetition"
     )
     share: float = number(
-        at_least=0.01, at_most=0.5, default=0.1, text="of a level's runs from which the next begins"
+        ends=(0.01, 0.5), default=0.1, text="of a level's runs from which the next begins"
     )
 
     def check(self, section: Section, variation: Variation) -> None:

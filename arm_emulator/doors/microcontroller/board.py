@@ -57,7 +57,7 @@ class Encoder:
 
     joint: str
     at: int
-    bits: int = number(at_least=8, at_most=32, whole=True)
+    bits: int = number(ends=(8, 32), whole=True)
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class Channel:
 
     joint: str
     at: int
-    bits: int = number(at_least=1, at_most=31, whole=True)
-    counts_per_ampere: float = number("1/A", at_least=1e-9, at_most=1e9, in_size=True)
+    bits: int = number(ends=(1, 31), whole=True)
+    counts_per_ampere: float = number("1/A", ends=(1e-9, 1e9), in_size=True)
     offset: float = number("counts", at_least=0.0)
 
 
@@ -133,7 +133,7 @@ class Uart:
     control: int
     interrupt: int
     targets: bool
-    baud: float = number("1/s", at_least=1.0, at_most=1e8, default=115200.0)
+    baud: float = number("1/s", ends=(1.0, 1e8), default=115200.0)
 
 
 @dataclass(frozen=True)
@@ -165,12 +165,12 @@ class Board:
     ports: tuple[Port, ...]
     uarts: tuple[Uart, ...]
     mailbox: Mailbox | None
-    clock: float = number("Hz", at_least=1e4, at_most=1e10)
-    cycles_per_instruction: float = number("cycles", at_least=0.0, at_most=1000.0, default=1.0)
-    cycles_per_branch: float = number("cycles", at_least=0.0, at_most=1000.0, default=1.0)
-    boot: float = number("s", at_least=0.0, at_most=100.0, default=0.0)
-    interrupts: int = number(at_least=1, at_most=MOST_INTERRUPTS, whole=True)
-    priority_bits: int = number(at_least=1, at_most=8, whole=True, default=4)
+    clock: float = number("Hz", ends=(1e4, 1e10))
+    cycles_per_instruction: float = number("cycles", ends=(0.0, 1000.0), default=1.0)
+    cycles_per_branch: float = number("cycles", ends=(0.0, 1000.0), default=1.0)
+    boot: float = number("s", ends=(0.0, 100.0), default=0.0)
+    interrupts: int = number(ends=(1, MOST_INTERRUPTS), whole=True)
+    priority_bits: int = number(ends=(1, 8), whole=True, default=4)
 
 
 def load_board(file: Path, joint_names: Sequence[str]) -> Board:

@@ -6,24 +6,24 @@ from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(
-        name="payload_drops",
+        "payload_drops",
+        "a share of the payload falls off",
         of="",
-        text="a share of the payload falls off",
-        sets=falling(("payload.mass",)),
+        sets=falling("payload.mass"),
         magnitude=share(),
     ),
     Fault(
-        name="payload_heavier",
+        "payload_heavier",
+        "the payload is heavier than known",
         of="",
-        text="the payload is heavier than known",
-        sets=rising(("payload.mass",)),
+        sets=rising("payload.mass"),
         magnitude=rise("kg", 1.0, 1e6),
     ),
     Fault(
-        name="mass_at_joint",
+        "mass_at_joint",
+        "a mass is caught at the origin of the link",
         of="links",
-        text="a mass is caught at the origin of the link",
-        sets=rising(("mass",)),
+        sets=rising("mass"),
         magnitude=rise("kg", 1.0, 1e6),
     ),
 )

@@ -6,29 +6,29 @@ from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(
-        name="magnets_weaken",
-        text="the magnets lose a share of their strength",
-        sets=falling(("motor.torque_constant", "motor.back_emf_constant", "motor.flux")),
+        "magnets_weaken",
+        "the magnets lose a share of their strength",
+        sets=falling("motor.torque_constant", "motor.back_emf_constant", "motor.flux"),
         magnitude=share(0.3),
     ),
     Fault(
-        name="contact_resistance",
-        text="a contact between drive and winding has a resistance",
-        sets=rising(("motor.resistance",)),
+        "contact_resistance",
+        "a contact between drive and winding has a resistance",
+        sets=rising("motor.resistance"),
         magnitude=rise("ohm", 1.0, 1e9),
     ),
     Fault(
-        name="winding_opens",
-        text="a wire of the winding breaks: its resistance is 1e4 times as large",
+        "winding_opens",
+        "a wire of the winding breaks: its resistance is 1e4 times as large",
         sets={"motor.resistance": "{x} * (1.0 + 1e4 * {m})"},
         magnitude=share(),
     ),
     Fault(
-        name="turns_short",
-        text="a share of the winding's turns is shorted",
+        "turns_short",
+        "a share of the winding's turns is shorted",
         sets={
-            **falling(("motor.torque_constant", "motor.back_emf_constant", "motor.flux")),
-            **falling(("motor.resistance",)),
+            **falling("motor.torque_constant", "motor.back_emf_constant", "motor.flux"),
+            **falling("motor.resistance"),
             **dict.fromkeys(
                 ("motor.inductance", "motor.inductance_d", "motor.inductance_q"),
                 "{x} * (1.0 - {m}) * (1.0 - {m})",
@@ -37,15 +37,15 @@ FAULTS = (
         magnitude=share(0.3, 0.9),
     ),
     Fault(
-        name="drive_limit_falls",
-        text="the drive lowers its limit of current or torque",
-        sets=falling(("motor.current_limit", "motor.torque_limit")),
+        "drive_limit_falls",
+        "the drive lowers its limit of current or torque",
+        sets=falling("motor.current_limit", "motor.torque_limit"),
         magnitude=share(0.5, 0.999),
     ),
     Fault(
-        name="current_loop_slows",
-        text="the loop of current or torque within the drive has less bandwidth",
-        sets=falling(("motor.bandwidth",)),
+        "current_loop_slows",
+        "the loop of current or torque within the drive has less bandwidth",
+        sets=falling("motor.bandwidth"),
         magnitude=share(0.9, 0.999),
     ),
 )

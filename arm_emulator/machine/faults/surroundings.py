@@ -6,17 +6,17 @@ from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
 FAULTS = (
     Fault(
-        name="supply_sags",
+        "supply_sags",
+        "the voltage of all drives falls",
         of="",
-        text="the voltage of all drives falls",
-        sets=falling(("supply.share",)),
+        sets=falling("supply.share"),
         magnitude=share(0.8, 0.999),
     ),
     Fault(
-        name="base_tilts",
+        "base_tilts",
+        "the base comes loose and leans over, about the world's x axis",
         of="",
-        text="the base comes loose and leans over, about the world's x axis",
-        sets=rising(("base.tilt",)),
+        sets=rising("base.tilt"),
         magnitude=rise("rad", 0.1, 1.0, signed=True),
     ),
 )

@@ -10,9 +10,10 @@ from functools import partial
 from typing import ClassVar, Self
 
 from arm_emulator.base.section import Section
-from arm_emulator.machine.parts.encoder import DELAY, read_delay
+from arm_emulator.machine.parts.encoder import DELAY
 from arm_emulator.machine.parts.fault import FALLS, HOLDS, STUCK, Fault, rise, sensor_fault, share
 from arm_emulator.machine.parts.part import Part, PartNumber, number
+from arm_emulator.machine.parts.resting import AtRest, Share
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
 MOST_JOINTS = 4096  # that draws keep apart
@@ -29,15 +30,10 @@ class Converter(Part):
     zero: ClassVar[str] = "offset"  # the key of its reading where the quantity is 0
 
     gain_error: float | None = number(
-        "gain_error", "1", at_least=-1.0, at_most=1.0, default=None, text="0.01: reads 1 % high"
+        "gain_error", "1", ends=(-1.0, 1.0), default=None, text="0.01: reads 1 % high"
     )
     noise: float | None = number(
-        "noise",
-        "",
-        at_least=0.0,
-        at_most=LARGEST_ERROR,
-        default=None,
-        text="standard deviation, white",
+        "noise", "", ends=(0.0, LARGEST_ERROR), default=None, text="standard deviation, white"
     )
     range: float | None = number(
         "range", "", above=0.0, default=None, text="larger readings are reported as ±`range`"
@@ -48,16 +44,14 @@ class Converter(Part):
     held: float | None = number(
         "held",
         "1",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=None,
         text="probability that a reading is lost and the previous one stands",
     )
     drift: float | None = number(
         "drift",
         "/s",
-        at_least=-LARGEST_ERROR,
-        at_most=LARGEST_ERROR,
+        ends=(-LARGEST_ERROR, LARGEST_ERROR),
         default=None,
         text="growth of the offset; a reset removes it",
     )
@@ -117,8 +111,7 @@ class AnalogSensor(Converter):
     offset: float | None = number(
         "offset",
         "",
-        at_least=-LARGEST_ERROR,
-        at_most=LARGEST_ERROR,
+        ends=(-LARGEST_ERROR, LARGEST_ERROR),
         default=None,
         text="added to the reading",
     )
@@ -126,7 +119,11 @@ class AnalogSensor(Converter):
 
     @classmethod
     def read(cls, section: Section) -> Self:  # noqa: D102
-        return cls(delay=read_delay(section), **cls.read_numbers(section))
+        return cls(delay=section.integer(DELAY), **cls.read_numbers(section))
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         return [*super().members(joint, places), ("delay", str(self.delay))]
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo uses none but those of currents."""
+        return Share()

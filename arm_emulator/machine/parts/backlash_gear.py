@@ -35,9 +35,9 @@ class BacklashGear(ElasticGear):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="backlash_grows",
-                text="the teeth wear, and the gear's play grows",
-                sets=rising(("gear.backlash",)),
+                "backlash_grows",
+                "the teeth wear, and the gear's play grows",
+                sets=rising("gear.backlash"),
                 magnitude=rise("rad", 1e-3, 1.0),
             ),
         )

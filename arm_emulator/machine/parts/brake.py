@@ -37,8 +37,7 @@ class Brake(Part):
     close_delay: float = number(
         "close_delay",
         "s",
-        at_least=0.0,
-        at_most=10.0,
+        ends=(0.0, 10.0),
         varied=False,
         default=0.0,
         text="from power off to closed",
@@ -46,8 +45,7 @@ class Brake(Part):
     release_delay: float = number(
         "release_delay",
         "s",
-        at_least=0.0,
-        at_most=10.0,
+        ends=(0.0, 10.0),
         varied=False,
         default=0.0,
         text="from power on to open",
@@ -72,20 +70,20 @@ class Brake(Part):
         """Faults of the brake; the drive reports its command, not these."""
         return (
             Fault(
-                name="brake_slips",
-                text="oil on the brake: it holds a smaller torque",
-                sets=falling(("brake.torque",)),
+                "brake_slips",
+                "oil on the brake: it holds a smaller torque",
+                sets=falling("brake.torque"),
                 magnitude=share(0.9),
             ),
             Fault(
-                name="brake_stays_open",
-                text="the brake does not close, at a share of its way",
-                sets=falling(("brake.closed",)),
+                "brake_stays_open",
+                "the brake does not close, at a share of its way",
+                sets=falling("brake.closed"),
                 magnitude=share(),
             ),
             Fault(
-                name="brake_drags",
-                text="the brake presses while it is open, at 1 as if closed",
+                "brake_drags",
+                "the brake presses while it is open, at 1 as if closed",
                 sets={"brake.closed": "{x} + {m} * (1.0 - {x})"},
                 magnitude=share(),
             ),

@@ -40,8 +40,7 @@ class Counterbalance(Extra):
     angle: float = number(
         "phi",
         "rad",
-        at_least=-1e4,
-        at_most=1e4,
+        ends=(-1e4, 1e4),
         default=0.0,
         typical=(-3.0, 3.0),
         text="phi: the joint angle at which the spring is shortest",
@@ -49,8 +48,7 @@ class Counterbalance(Extra):
     force: float = number(
         "F0",
         "N",
-        at_least=-1e7,
-        at_most=1e7,
+        ends=(-1e7, 1e7),
         sought="known",
         typical=(20.0, 200.0),
         text="F0, at the length `length`; > 0 pushes, < 0 pulls",
@@ -90,9 +88,9 @@ class Counterbalance(Extra):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="counterbalance_weakens",
-                text="the counterbalance loses a share of its force",
-                sets=falling(("counterbalance.force", "counterbalance.stiffness")),
+                "counterbalance_weakens",
+                "the counterbalance loses a share of its force",
+                sets=falling("counterbalance.force", "counterbalance.stiffness"),
                 magnitude=share(0.5),
             ),
         )

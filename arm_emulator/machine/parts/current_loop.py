@@ -51,8 +51,7 @@ class CurrentLoop(Decorator):
     emf_feedforward: float = number(
         "feedforward",
         "1",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=1.0,
         text="E, share of the induced voltages that the drive compensates",
     )

@@ -35,9 +35,9 @@ class Drag(Extra):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="drag_grows",
-                text="something that drags has been caught at the link",
-                sets=rising(("drag.coefficient",)),
+                "drag_grows",
+                "something that drags has been caught at the link",
+                sets=rising("drag.coefficient"),
                 magnitude=rise("N m s2/rad2", 1.0, 1e6),
             ),
         )

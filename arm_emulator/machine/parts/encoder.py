@@ -80,20 +80,20 @@ class Encoder(Part):
 
     keys = (
         Key(
-            name="kind",
+            "kind",
             range=", ".join(f"`{one}`" for one in KINDS),
             absent=f"`{KINDS[0]}`",
             text="see above",
         ),
         _COUNTS_PER_TURN,
         Key(
-            name="bits",
+            "bits",
             range="whole, as many as a turn takes, to 48",
             absent="refused of an absolute encoder",
             text="word length; refused of an incremental one",
         ),
         Key(
-            name="index",
+            "index",
             range=", ".join(f"`{one}`" for one in INDICES),
             absent=f"`{INDICES[0]}`",
             text="what an index pulse does; of an incremental encoder",
@@ -111,32 +111,28 @@ class Encoder(Part):
     offset: float | None = number(
         "offset",
         "rad",
-        at_least=-LARGEST_ANGLE,
-        at_most=LARGEST_ANGLE,
+        ends=(-LARGEST_ANGLE, LARGEST_ANGLE),
         default=None,
         text="angle of the disc on its shaft; a change at run time is a slip",
     )
     eccentricity: float | None = number(
         "eccentricity",
         "rad",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=None,
         text="amplitude of the error that repeats with a turn",
     )
     eccentricity_phase: float | None = number(
         "eccentricity_phase",
         "rad",
-        at_least=-LARGEST_ANGLE,
-        at_most=LARGEST_ANGLE,
+        ends=(-LARGEST_ANGLE, LARGEST_ANGLE),
         default=None,
         text="refused without `eccentricity`",
     )
     ripple: float | None = number(
         "ripple",
         "rad",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=None,
         text="amplitude of the error that repeats `ripple_order` times in a turn",
     )
@@ -144,32 +140,28 @@ class Encoder(Part):
     ripple_phase: float | None = number(
         "ripple_phase",
         "rad",
-        at_least=-LARGEST_ANGLE,
-        at_most=LARGEST_ANGLE,
+        ends=(-LARGEST_ANGLE, LARGEST_ANGLE),
         default=None,
         text="refused without `ripple`",
     )
     noise: float | None = number(
         "noise",
         "rad",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=None,
         text="standard deviation of the angle before rounding",
     )
     missed: float | None = number(
         "missed",
         "1",
-        at_least=0.0,
-        at_most=0.5,
+        ends=(0.0, 0.5),
         default=None,
         text="probability that an edge is missed; that a word is lost",
     )
     held: float | None = number(
         "held",
         "1",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=None,
         text="probability that a reading is lost and the previous one stands; edges "
         "are still counted",
@@ -177,8 +169,7 @@ class Encoder(Part):
     flips: float | None = number(
         "flips",
         "1",
-        at_least=0.0,
-        at_most=1.0,
+        ends=(0.0, 1.0),
         default=None,
         text="probability that a bit of a reading is wrong",
     )
@@ -216,7 +207,7 @@ class Encoder(Part):
             counts_per_turn=counts,
             index=index,
             bits=bits,
-            delay=read_delay(section),
+            delay=section.integer(DELAY),
             turn=turn,
             ripple_order=section.integer(_RIPPLE_ORDER),
             **numbers,
@@ -336,8 +327,3 @@ class LinkEncoder(Encoder):
     def rests(self, at: AtRest) -> Share | str:
         """Our servo does not use it."""
         return Share()
-
-
-def read_delay(section: Section) -> int:
-    """Return the delay of a sensor's readings in servo periods."""
-    return section.integer(DELAY)

@@ -28,7 +28,7 @@ class EndStops(Extra):
 
     keys = (
         Key(
-            name="at",
+            "at",
             range="`limits`",
             absent="`lower` and `upper` are given",
             text="both ends at the URDF's limits of the joint",
@@ -38,16 +38,11 @@ class EndStops(Extra):
     lower: float = number(
         "lower",
         "rad",
-        at_least=-1e4,
-        at_most=1e4,
+        ends=(-1e4, 1e4),
         text="q at which the lower stop is touched; refused beside `at`",
     )
     upper: float = number(
-        "upper",
-        "rad",
-        at_least=-1e4,
-        at_most=1e4,
-        text="q at which the upper stop is touched; above `lower`",
+        "upper", "rad", ends=(-1e4, 1e4), text="q at which the upper stop is touched; above `lower`"
     )
     stiffness: float = number("K", "N m/rad", above=0.0, text="K, at the link")
     damping: float = number("D", "N m s/rad", at_least=0.0, default=0.0, text="D, at the link")
@@ -64,15 +59,15 @@ class EndStops(Extra):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="stop_softens",
-                text="the end stops' stiffness falls",
-                sets=falling(("end_stops.stiffness",)),
+                "stop_softens",
+                "the end stops' stiffness falls",
+                sets=falling("end_stops.stiffness"),
                 magnitude=share(0.9, 0.999),
             ),
             Fault(
-                name="stop_moves",
-                text="the end stops turn on their shaft",
-                sets=rising(("end_stops.lower", "end_stops.upper")),
+                "stop_moves",
+                "the end stops turn on their shaft",
+                sets=rising("end_stops.lower", "end_stops.upper"),
                 magnitude=rise("rad", 0.1, 10.0, signed=True),
             ),
         )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 
 from arm_emulator.base.number import Number
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Fault:
     """A kind of fault; parts declare theirs, the package `faults` those of several.
 
@@ -26,8 +26,9 @@ class Fault:
     """
 
     name: str
-    of: str = "joints"
     text: str
+    _: KW_ONLY
+    of: str = "joints"
     sets: Mapping[str, str]
     magnitude: Number
     absent: float | None = None
@@ -62,12 +63,12 @@ STUCK = "readings are lost with a probability, and the one before stands; at 1 f
 GROWS = "{x} * (1.0 + {m})"
 
 
-def rising(places: Sequence[str]) -> dict[str, str]:
+def rising(*places: str) -> dict[str, str]:
     """Return a fault that raises numbers by the magnitude."""
     return dict.fromkeys(places, RISES)
 
 
-def falling(places: Sequence[str]) -> dict[str, str]:
+def falling(*places: str) -> dict[str, str]:
     """Return a fault that lowers numbers by the magnitude's share."""
     return dict.fromkeys(places, FALLS)
 
@@ -89,11 +90,6 @@ def sensor_fault(
         of: see `Fault`.
         absent: see `Fault`.
     """
-    return Fault(
-        name=f"{section}_{name}",
-        of=of,
-        text=f"{about}: {text}",
-        sets={f"{section}.{key}": to},
-        magnitude=magnitude,
-        absent=absent,
-    )
+    sets = {f"{section}.{key}": to}
+    name, text = f"{section}_{name}", f"{about}: {text}"
+    return Fault(name, text, of=of, sets=sets, magnitude=magnitude, absent=absent)

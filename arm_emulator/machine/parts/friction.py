@@ -35,12 +35,7 @@ class Friction(Part):
         "Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0, text="Dv, per speed"
     )
     coulomb: float = number(
-        "Dc",
-        "N m",
-        at_least=0.0,
-        sought="unknown",
-        default=0.0,
-        text="Dc, while the shaft turns",
+        "Dc", "N m", at_least=0.0, sought="unknown", default=0.0, text="Dc, while the shaft turns"
     )
     breakaway: float = number(
         "Ds",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Chain, Frame, frame_of
 from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR, Converter
-from arm_emulator.machine.parts.encoder import DELAY, read_delay
+from arm_emulator.machine.parts.encoder import DELAY
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import number
@@ -21,7 +21,11 @@ _XYZ = Number.within("xyz", "m", 100.0)
 _RPY = Number.within("rpy", "rad", 100.0)
 
 BIASES = ("bias_x", "bias_y", "bias_z")
-_BIAS = {"at_least": -LARGEST_ERROR, "at_most": LARGEST_ERROR, "default": None}
+
+
+def _bias() -> Any:
+    ends = -LARGEST_ERROR, LARGEST_ERROR
+    return number("offset", "", ends=ends, default=None, text="added on this axis")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,9 +35,9 @@ class Axes(Converter):
     owners = "imus"
     zero = "bias_x"
 
-    bias_x: float | None = number("offset", "", **_BIAS, text="added on this axis")
-    bias_y: float | None = number("offset", "", **_BIAS, text="added on this axis")
-    bias_z: float | None = number("offset", "", **_BIAS, text="added on this axis")
+    bias_x: float | None = _bias()
+    bias_y: float | None = _bias()
+    bias_z: float | None = _bias()
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the three sensors in C++."""
@@ -82,20 +86,20 @@ class Imu:
     section: ClassVar[str] = ""
     keys: ClassVar[tuple[Key | Number, ...]] = (
         Key(
-            name="link",
+            "link",
             range="a link of the URDF that a joint moves",
             absent="refused",
             text="link that carries the unit; links fixed to it are valid, too",
         ),
         Key(
-            name="xyz",
+            "xyz",
             unit="m",
             range="3 numbers, each ±100",
             absent="`[0, 0, 0]`",
             text="its origin in the link's frame (that of the URDF)",
         ),
         Key(
-            name="rpy",
+            "rpy",
             unit="rad",
             range="3 numbers, each ±100",
             absent="`[0, 0, 0]`",
@@ -136,7 +140,7 @@ class Imu:
             name=name,
             joint=joint,
             frame=frame @ frame_of(xyz, rpy),
-            delay=read_delay(section),
+            delay=section.integer(DELAY),
             accelerometer=None if accelerometer is None else Accelerometer.read(accelerometer),
             gyroscope=None if gyroscope is None else Gyroscope.read(gyroscope),
         )

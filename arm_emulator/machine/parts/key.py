@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Key:
     """A key that the reader of a section knows, as its page shows it.
 
@@ -18,6 +18,7 @@ class Key:
     """
 
     name: str
+    _: KW_ONLY
     unit: str = ""
     range: str
     absent: str = "none"

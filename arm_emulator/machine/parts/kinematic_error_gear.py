@@ -26,7 +26,7 @@ class KinematicErrorGear(ElasticGear):
 
     keys = tuple(
         Key(
-            name=f"kinematic_error.{shaft}",
+            f"kinematic_error.{shaft}",
             unit=f"1{slide}, rad (m), rad",
             range=f"at most {MOST} waves",
             text=f"waves [order, amplitude at the link, phase] of the {shaft}'s angle",

@@ -13,14 +13,12 @@ LATEST = 16.0  # servo periods
 
 
 def _probability(symbol: str) -> float | None:
-    found: float | None = number(symbol, "1", at_least=0.0, at_most=1.0, default=None)
+    found: float | None = number(symbol, "1", ends=(0.0, 1.0), default=None)
     return found
 
 
 def _late(symbol: str) -> float | None:
-    found: float | None = number(
-        symbol, "servo periods", at_least=0.0, at_most=LATEST, default=None
-    )
+    found: float | None = number(symbol, "servo periods", ends=(0.0, LATEST), default=None)
     return found
 
 
@@ -51,7 +49,7 @@ class Line(Part):
 
         def kind(name: str, text: str, key: str, size: Number, to: str = HOLDS) -> Fault:
             sets = {f"line.{key}": to}
-            return Fault(name=name, text=text, sets=sets, magnitude=size, absent=0.0)
+            return Fault(name, text, sets=sets, magnitude=size, absent=0.0)
 
         late = Number("magnitude", "servo periods", at_least=0.0, at_most=LATEST, default=3.0)
         ways = (

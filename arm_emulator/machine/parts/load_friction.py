@@ -31,7 +31,7 @@ class LoadFriction(Friction):
         absent="Coulomb friction",
         text="vs, see [Stribeck friction](stribeck.md)",
     )
-    load: float = number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known", text="mu")
+    load: float = number("mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", text="mu")
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:

@@ -30,10 +30,7 @@ class LuGre(Extra):
     )
     stribeck: float = number("vs", "rad/s", above=0.0, default=0.1, text="vs")
     bristle_stiffness: float = number(
-        "s0",
-        "N m/rad",
-        above=0.0,
-        text="s0; the shaft yields by Ds / s0 at most before it slides",
+        "s0", "N m/rad", above=0.0, text="s0; the shaft yields by Ds / s0 at most before it slides"
     )
     bristle_damping: float = number(
         "s1",
@@ -64,9 +61,9 @@ class LuGre(Extra):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="seal_grips",
-                text="friction of bristles rises",
-                sets=rising(("lugre.coulomb", "motor.lugre.coulomb")),
+                "seal_grips",
+                "friction of bristles rises",
+                sets=rising("lugre.coulomb", "motor.lugre.coulomb"),
                 magnitude=rise("N m", 1.0, 1e6),
             ),
         )

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import READINGS, Output
-from arm_emulator.machine.parts.resting import AtRest, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +20,3 @@ class MotorTachometer(AnalogSensor):
         Output("motor_speed", "speed of each motor, by the tachometer on its shaft", READINGS,
                "rad/s"),
     )  # fmt: skip
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not use it."""
-        return Share()

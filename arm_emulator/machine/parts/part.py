@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from arm_emulator.base.number import REQUIRED, Number, field_of, numbers_of
+from arm_emulator.base.number import REQUIRED, Ends, Number, between, field_of, numbers_of
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
@@ -52,9 +52,12 @@ class PartNumber(Number):
     absent: str = "none"
 
 
-def number(symbol: str, unit: str, *, default: Any = REQUIRED, **declared: Any) -> Any:
-    """Return a dataclass field that is a number of a part, see `PartNumber`."""
-    return field_of(PartNumber("", unit, symbol=symbol, default=default, **declared))
+def number(
+    symbol: str, unit: str, *, default: Any = REQUIRED, ends: Ends = (None, None), **declared: Any
+) -> Any:
+    """Return a dataclass field that is a number of a part, see `PartNumber`; `ends`: bounds."""
+    bounds = between(ends)
+    return field_of(PartNumber("", unit, symbol=symbol, default=default, **bounds, **declared))
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Pmsm(Motor):
         at_least=0.0,
         text="psi, amplitude of the magnets' flux linkage; 0: a reluctance motor",
     )
-    pole_pairs: int = number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True, text="p")
+    pole_pairs: int = number("p", "pairs", ends=(1.0, 1000.0), whole=True, text="p")
     rotor_inertia: float = inertia_of_rotor()
     current_limit: float | None = number(
         "current_limit",
@@ -104,8 +104,8 @@ class Pmsm(Motor):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="phase_lost",
-                text="one of three phases carries no current, with the star point connected",
+                "phase_lost",
+                "one of three phases carries no current, with the star point connected",
                 sets={"motor.flux": "{x} * (1.0 - {m} / 3.0)", "motor.phase_lost": RISES},
                 magnitude=share(),
                 needs="motor.phase_lost",

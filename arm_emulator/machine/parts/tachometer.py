@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import READINGS, Output
-from arm_emulator.machine.parts.resting import AtRest, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +19,3 @@ class Tachometer(AnalogSensor):
     outputs = (
         Output("link_speed", "speed of each link, by its tachometer", READINGS, "rad/s", "m/s"),
     )
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not use it."""
-        return Share()

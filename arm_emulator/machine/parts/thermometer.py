@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import READINGS, Output
-from arm_emulator.machine.parts.resting import AtRest, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +20,3 @@ class Thermometer(AnalogSensor):
         Output("motor_temperature", "temperature of each winding, by its thermometer", READINGS,
                "degC"),
     )  # fmt: skip
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not use it."""
-        return Share()

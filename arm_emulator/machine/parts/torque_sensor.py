@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.resting import AtRest, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +21,3 @@ class TorqueSensor(AnalogSensor):
         Output("torque", "torque of each gear on its link, by its sensor", "sensors.torque",
                "N m", "N"),
     )  # fmt: skip
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not use it."""
-        return Share()

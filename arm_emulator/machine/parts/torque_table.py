@@ -37,7 +37,7 @@ class TorqueTable(Extra):
 
     keys = (
         Key(
-            name="angles",
+            "angles",
             unit="rad (m)",
             range=f"{LEAST} to {MOST} numbers, size ≤ 10000, "
             f"each ≥ {CLOSEST:g} above the one before",
@@ -45,14 +45,14 @@ class TorqueTable(Extra):
             text="angles of the joint",
         ),
         Key(
-            name="torques",
+            "torques",
             unit="N m (N)",
             range=f"as many, size ≤ {LARGEST:g}",
             absent="refused",
             text="torques on the link; of a periodic table the last equals the first",
         ),
         Key(
-            name="periodic",
+            "periodic",
             range="`true`, `false`",
             absent="`false`",
             text="whether the table repeats, or keeps the torque of its ends",

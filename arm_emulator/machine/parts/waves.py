@@ -21,7 +21,7 @@ Wave = tuple[float, float, float]
 def waves_key(name: str, unit: str, rule: str, text: str) -> Key:
     """Return the key of a list of waves; `rule`: of its amplitudes."""
     lists = f"up to {MOST} lists `[k, a]` or `[k, a, phi]`: k > 0, ≤ 1e5; {rule}; phi ±1e4 rad"
-    return Key(name=name, unit=unit, range=lists, absent="`[]`", text=text)
+    return Key(name, unit=unit, range=lists, absent="`[]`", text=text)
 
 
 def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:

@@ -43,28 +43,25 @@ class Winding(Decorator):
     ambient: float = number(
         "ambient",
         "degC",
-        at_least=-50.0,
-        at_most=150.0,
+        ends=(-50.0, 150.0),
         default=20.0,
         text="temperature around the motor, at which it starts",
     )
     reference: float = number(
         "reference",
         "degC",
-        at_least=-50.0,
-        at_most=150.0,
+        ends=(-50.0, 150.0),
         default=20.0,
         text="temperature at which the motor's numbers hold",
     )
     # Of copper.
     resistance_coefficient: float = number(
-        "alpha", "1/K", at_least=0.0, at_most=0.0045, default=0.0039, text="alpha, of copper"
+        "alpha", "1/K", ends=(0.0, 0.0045), default=0.0039, text="alpha, of copper"
     )
     magnet_coefficient: float = number(
         "beta",
         "1/K",
-        at_least=-0.01,
-        at_most=0.0,
+        ends=(-0.01, 0.0),
         default=0.0,
         typical=(-0.001, 0.0),
         text="beta; some -0.001 of NdFeB, -0.002 of ferrite",
@@ -86,15 +83,15 @@ class Winding(Decorator):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
-                name="cooling_fails",
-                text="the winding's thermal resistance grows",
+                "cooling_fails",
+                "the winding's thermal resistance grows",
                 sets={"motor.winding.thermal_resistance": GROWS},
                 magnitude=rise("1", 9.0, 1e6),
             ),
             Fault(
-                name="ambient_rises",
-                text="the air around the motor is warmer",
-                sets=rising(("motor.winding.ambient",)),
+                "ambient_rises",
+                "the air around the motor is warmer",
+                sets=rising("motor.winding.ambient"),
                 magnitude=rise("K", 40.0, 300.0),
             ),
         )
