@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 
 # System V ABI, chapters 4 and 5, for 64 bits: the header after its 16 bytes of identification, a
@@ -15,6 +15,10 @@ SYMBOL = struct.Struct("<IBBHQQ")
 IDENTIFICATION = b"\x7fELF\x02\x01\x01"  # 64 bits, little end first, version 1
 IDENTIFICATION_SIZE = 16
 SHARED_OBJECT = 3
+LOADED, THREADS, READ_ONLY = 1, 7, 0x6474E552  # kinds of segments
+WRITABLE = 2  # of its flags
+PAGE = 4096  # bytes
+WEAK = 2  # binding of a symbol
 DYNAMIC_SYMBOLS = 11
 UNDEFINED = 0
 LONGEST = 200  # bytes of a name that we may ask for
@@ -31,8 +35,8 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
     if not content.startswith(IDENTIFICATION):
         return "it is not a 64-bit ELF file"
     try:
-        kind, machine, _, _, programs_at, sections_at, *_, programs, _, sections, _ = (
-            HEADER.unpack_from(content, IDENTIFICATION_SIZE)
+        kind, machine, _, _, programs_at, _, *_, programs, _, _, _ = HEADER.unpack_from(
+            content, IDENTIFICATION_SIZE
         )
         if kind != SHARED_OBJECT:
             return "it is not a shared library"
@@ -44,17 +48,47 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
             )
             if at + size > len(content):
                 return "it is cut short"
-        table = _sections(content, sections_at, sections)
+        table = _sections(content)
         missing = set(functions) - set(_exported(content, table))
     except (struct.error, IndexError, OverflowError):
         return "it is cut short"
     return f"it lacks {', '.join(sorted(missing))}" if missing else ""
 
 
+def written_memory(content: bytes) -> list[tuple[int, int]]:
+    """Return addresses and sizes of the memory of a sound library that its code writes to.
+
+    Of threads each has its own: then it is empty.
+    """
+    _, _, _, _, at, _, _, _, _, count, *_ = HEADER.unpack_from(content, IDENTIFICATION_SIZE)
+    segments = [PROGRAM.unpack_from(content, at + k * PROGRAM.size) for k in range(count)]
+    if any(kind == THREADS for kind, *_ in segments):
+        return []
+    # What the loader has relocated is read only afterwards, in whole pages.
+    fixed = [(one[3], (one[3] + one[6]) // PAGE * PAGE) for one in segments if one[0] == READ_ONLY]
+    found = []
+    for kind, flags, _, begin, _, _, size, _ in segments:
+        if kind == LOADED and flags & WRITABLE:
+            end = begin + size
+            begin = max([begin, *(till for since, till in fixed if begin <= since < end)])
+            found.append((begin, end - begin))
+    return found
+
+
+def called_functions(content: bytes) -> set[str]:
+    """Return the names that a sound library takes from others, but for those it can do without."""
+    symbols = _symbols(content, _sections(content))
+    return {name for name, binding, section, *_ in symbols if not section and binding != WEAK} - {""}
+
+
+def address_in(content: bytes, name: str) -> int:
+    """Return the address of an exported symbol of a sound library."""
+    return _exported(content, _sections(content))[name][1]
+
+
 def with_data(content: bytes, name: str, data: bytes) -> bytes:
     """Return a library of ours with other bytes in an exported object."""
-    _, _, _, _, _, sections_at, *_, sections, _ = HEADER.unpack_from(content, IDENTIFICATION_SIZE)
-    table = _sections(content, sections_at, sections)
+    table = _sections(content)
     section, address, size = _exported(content, table)[name]
     assert size == len(data), f"{name} has {size} bytes"
     _, _, _, begins, stands_at, *_ = table[section]
@@ -62,28 +96,37 @@ def with_data(content: bytes, name: str, data: bytes) -> bytes:
     return content[:place] + data + content[place + size :]
 
 
-def _sections(content: bytes, at: int, count: int) -> list[tuple[int, ...]]:
+def _sections(content: bytes) -> list[tuple[int, ...]]:
+    _, _, _, _, _, at, *_, count, _ = HEADER.unpack_from(content, IDENTIFICATION_SIZE)
     return [SECTION.unpack_from(content, at + index * SECTION.size) for index in range(count)]
 
 
 def _exported(content: bytes, table: list[tuple[int, ...]]) -> dict[str, tuple[int, int, int]]:
-    """Return section, address and size of the symbols in the first dynamic symbol table.
+    """Return section, address and size of the exported symbols."""
+    return {
+        name: (section, address, size)
+        for name, _, section, address, size in _symbols(content, table)
+        if section != UNDEFINED
+    }
+
+
+def _symbols(
+    content: bytes, table: list[tuple[int, ...]]
+) -> Iterator[tuple[str, int, int, int, int]]:
+    """Yield name, binding, section, address and size of the first dynamic symbol table.
 
     A library has one such table.
     """
     found = next((section for section in table if section[1] == DYNAMIC_SYMBOLS), None)
     if found is None:
-        return {}
+        return
     _, _, _, _, at, size, link, *_ = found
     strings_at = table[link][4]
-    names = {}
     for symbol in range(at, at + size, SYMBOL.size):
-        name, _, _, section, address, room = SYMBOL.unpack_from(content, symbol)
-        if section != UNDEFINED:
-            begin = strings_at + name
-            text = content[begin : begin + LONGEST].split(b"\0", 1)[0].decode(errors="replace")
-            names[text] = section, address, room
-    return names
+        name, info, _, section, address, room = SYMBOL.unpack_from(content, symbol)
+        begin = strings_at + name
+        text = content[begin : begin + LONGEST].split(b"\0", 1)[0].decode(errors="replace")
+        yield text, info >> 4, section, address, room
 
 
 @cache

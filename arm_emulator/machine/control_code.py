@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from typing import Any
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.machine.plant import Plant
 
@@ -36,6 +38,18 @@ class ControlCode:
         Raises:
             Refusal: it does not take this one.
         """
+
+    def save(self) -> Any:
+        """Return all that decides how the code goes on, for `restore`; it has a length [B].
+
+        Raises:
+            Refusal: it cannot be known.
+        """
+        rule = "be one that can be saved"
+        raise Refusal(self.name, "control code", rule, type(self).__name__)
+
+    def restore(self, saved: Any) -> None:
+        """Go on from what `save` of this code has returned."""
 
     def stepping(self) -> contextlib.AbstractContextManager[None]:
         """Context in which the loop runs its steps."""

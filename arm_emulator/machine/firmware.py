@@ -16,6 +16,7 @@ from arm_emulator.build.elf import why_no_library
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP
 from arm_emulator.machine.firmware_loop import firmware_loop
+from arm_emulator.machine.library_memory import LibraryMemory
 from arm_emulator.machine.plant import Plant
 
 ENTRY = "arm_firmware"
@@ -75,7 +76,8 @@ class Firmware(ControlCode):
     def __init__(self, file: Path, progress: CData | None = None) -> None:
         self.name = file.name
         self.progress = progress or new_progress()
-        reason = why_no_library(read_bytes(file, LARGEST), (ENTRY,))
+        content = read_bytes(file, LARGEST)
+        reason = why_no_library(content, (ENTRY,))
         if reason:
             raise Refusal(self.name, "file", f"be a shared library with {ENTRY}", reason)
         self.progress.doing = Doing.LOADING
@@ -84,6 +86,8 @@ class Firmware(ControlCode):
             self._library = Library(file.resolve(), (FIRMWARE,), unload=True)
         except OSError as error:
             raise Refusal(self.name, "file", "be loaded by the system", error) from None
+        entry = int(FIRMWARE.ffi.cast("uintptr_t", self._library.arm_firmware))
+        self._memory = LibraryMemory(self.name, content, ENTRY, entry)
         self.progress.doing = Doing.ENTRY
         at = self._library.arm_firmware()
         self.progress.doing = Doing.OURS
@@ -123,6 +127,18 @@ class Firmware(ControlCode):
         self.progress.doing = Doing.OURS
         if reason:
             raise Refusal(self.name, "start", f"take scene {plant.scene.name}", text(reason))
+
+    def save(self) -> bytes:
+        """Return the variables of the library.
+
+        Raises:
+            Refusal: see `LibraryMemory.save`.
+        """
+        return self._memory.save()
+
+    def restore(self, saved: bytes) -> None:
+        """Set the variables of the library to what `save` has returned."""
+        self._memory.restore(saved)
 
     @contextlib.contextmanager
     def stepping(self) -> Iterator[None]:

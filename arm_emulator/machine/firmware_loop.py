@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.core_calls import FIRMWARE_LOOP
+from arm_emulator.machine.core_calls import ARM, FIRMWARE_LOOP
 from arm_emulator.machine.plant import Plant
 
 
@@ -86,6 +87,35 @@ class FirmwareLoop:
             rows=self._rows,
             row_count=len(self._row_tick),
             row=0,
+        )
+
+    def save(self) -> tuple[Any, ...]:
+        """Return targets and commands as they are now, for `restore` of this loop."""
+        at, commands = self.pointer, tuple(bytes(one) for one in self._commands())
+        return at.tick, at.row, self._row_tick, self._rows, commands
+
+    def restore(self, saved: tuple[Any, ...]) -> None:
+        """Go on from what `save` has returned."""
+        tick, row, self._row_tick, self._rows, commands = saved
+        FIRMWARE_LOOP.fill(
+            self.pointer,
+            row_tick=self._row_tick,
+            rows=self._rows,
+            row_count=len(self._row_tick),
+            row=row,
+            tick=tick,
+        )
+        for now, then in zip(self._commands(), commands, strict=True):
+            now[:] = then
+
+    def _commands(self) -> tuple[Any, Any]:
+        """Return what the control code has written last, which holds until it writes again."""
+        command, joints = self._plant.command, self.pointer.joints
+        room = FIRMWARE_LOOP.ffi.buffer
+        further = 8 * self._plant.commanded[1:].size
+        return (
+            room(command.joint, joints * ARM.sizeof("arm_joint_command")),
+            room(command.further, further),
         )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from functools import cache
 from pathlib import Path
 
@@ -66,6 +67,16 @@ class ServoStep(ControlCode):
         )
         self._calls = _servo_step()
         self.step = self._calls.servo_step_step
+
+    def save(self) -> bytes:
+        """Return the servo as it is now."""
+        now = self._drives.save(), self._closed, int(self.with_.measured)
+        return pickle.dumps(now, pickle.HIGHEST_PROTOCOL)
+
+    def restore(self, saved: bytes) -> None:
+        """Go on from what `save` has returned."""
+        drives, self._closed[:], self.with_.measured = pickle.loads(saved)
+        self._drives.restore(drives)
 
     def measure(self, loop: FirmwareLoop, tick: int) -> None:
         """Take the measurement of a tick before its step, so that a target can follow from it."""

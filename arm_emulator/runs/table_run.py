@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,19 @@ from arm_emulator.runs.target_table import TargetTable, load_target_table
 from arm_emulator.servo.drives import Drives
 
 _PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed
+
+
+@dataclass(frozen=True)
+class SavedTable:
+    """A `TableRun` at one moment."""
+
+    session: dict[str, Any] = field(repr=False)
+    code: Any = field(repr=False)
+    loop: tuple[Any, ...] = field(repr=False)
+    owner: TableRun = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.session["machine"]) + len(self.code)
 
 
 class TableRun:
@@ -100,6 +115,32 @@ class TableRun:
                 raise session.fault
             if self._servo.ended is not None:
                 raise self._servo.ended
+
+    @property
+    def tick(self) -> int:
+        """Servo periods since the start."""
+        return self.session.tick
+
+    def save(self) -> SavedTable:
+        """Return machine and control code as they are now, for `restore`.
+
+        Raises:
+            Refusal: the control code cannot be saved.
+        """
+        return SavedTable(self.session.save(), self._servo.save(), self._loop.save(), self)
+
+    def restore(self, saved: SavedTable) -> None:
+        """Go on from the tick at which `save` of this run has returned this, to the last bit.
+
+        Raises:
+            Refusal: something else; nothing has changed.
+        """
+        if not isinstance(saved, SavedTable) or saved.owner is not self:
+            rule = "be what `save` of the same run returned"
+            raise Refusal("TableRun.restore", "saved", rule, saved)
+        self.session.return_to(saved.session)
+        self._servo.restore(saved.code)
+        self._loop.restore(saved.loop)
 
     def close(self) -> None:
         """End a user's library; the run cannot go on."""

@@ -9,8 +9,9 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <map>
+#include <unordered_map>
 #include <memory>
-#include <unordered_set>
 #include <utility>
 #include <vector>
 
@@ -19,6 +20,7 @@
 #include "fault.hpp"
 #include "memory.hpp"
 #include "nvic.hpp"
+#include "remembered.hpp"
 #include "thumb.hpp"
 
 namespace mcu {
@@ -66,7 +68,8 @@ class Cpu {
   Cpu(const Cpu&) = delete;
   Cpu& operator=(const Cpu&) = delete;
   ~Cpu() {
-    if (new_) uc_context_free(new_);
+    for (uc_context* one : {new_, saved_})
+      if (one) uc_context_free(one);
     if (open_) uc_close(uc_);
   }
 
@@ -151,6 +154,27 @@ class Cpu {
     return stop;
   }
 
+  // Between blocks, before the first reset or after it.
+  void remembered(Writer& list) {
+    list(now, instructions, awake_until, masked_wait, pc, fault, asks_, at_, until_, deadline_);
+    list(waited_, stop_, inside_until_, exact_.size());
+    for (const auto& [at, one] : exact_) list(at, one.size);
+    uc_context_save(uc_, saved());
+    list.bytes(saved_, uc_context_size(uc_));
+  }
+  void remembered(Reader& list, bool other_code) {
+    list(now, instructions, awake_until, masked_wait, pc, fault, asks_, at_, until_, deadline_);
+    list(waited_, stop_, inside_until_);
+    watch_these(list);
+    list.bytes(saved(), uc_context_size(uc_));
+    uc_context_restore(uc_, saved_);
+    refresh();
+    block_ = nullptr;
+    if (!other_code) return;
+    uc_ctl_flush_tb(uc_);
+    blocks_.fill({});
+  }
+
   // Whether it stands within a block, where neither time nor interrupts come.
   bool inside() const { return inside_until_ != 0; }
   // Whether the block at which it stands has a stop.
@@ -216,9 +240,14 @@ class Cpu {
     Time cost = 0;
   };
 
-  void hook(int kind, void* call, uint64_t from = 1, uint64_t to = 0) {
-    uc_hook handle;
+  uc_hook hook(int kind, void* call, uint64_t from = 1, uint64_t to = 0) {
+    uc_hook handle = 0;
     uc_hook_add(uc_, &handle, kind, call, this, from, to);
+    return handle;
+  }
+  uc_context* saved() {
+    if (!saved_) uc_context_alloc(uc_, &saved_);
+    return saved_;
   }
 
   Stop start(size_t count) {
@@ -273,10 +302,35 @@ class Cpu {
   // Have Unicorn report each instruction of a block that has asked for the time.
   void watch_closely() {
     const auto [at, size] = std::exchange(asks_, {});
-    if (!size || exact_.size() >= MOST_EXACT || !exact_.insert(at).second) return;
+    if (size && exact_.size() < MOST_EXACT && !exact_.count(at)) watch(at, size);
+  }
+  void watch(uint32_t at, uint32_t size) {
     const uint64_t end = static_cast<uint64_t>(at) + size;
-    hook(UC_HOOK_CODE, reinterpret_cast<void*>(instruction_begins), at, end - 1);
-    uc_ctl_remove_cache(uc_, at, end);
+    void* call = reinterpret_cast<void*>(instruction_begins);
+    exact_[at] = {size, hook(UC_HOOK_CODE, call, at, end - 1)};
+    uc_ctl_remove_cache(uc_, static_cast<uint64_t>(at), end);
+  }
+  // Watch the blocks that were watched then, and no others: the first time a block asks for the
+  // time it is looked for.
+  void watch_these(Reader& list) {
+    size_t left = 0;
+    std::map<uint32_t, uint32_t> then;
+    for (list(left); left; --left) {
+      uint32_t at = 0, size = 0;
+      list(at, size);
+      then[at] = size;
+    }
+    for (auto one = exact_.begin(); one != exact_.end();) {
+      const auto [at, watched] = *one++;
+      if (const auto found = then.find(at); found != then.end() && found->second == watched.size) {
+        then.erase(found);
+        continue;
+      }
+      uc_hook_del(uc_, watched.hook);
+      uc_ctl_remove_cache(uc_, static_cast<uint64_t>(at), static_cast<uint64_t>(at) + watched.size);
+      exact_.erase(at);
+    }
+    for (const auto& [at, size] : then) watch(at, size);
   }
   static void instruction_begins(uc_engine*, uint64_t address, uint32_t, void* self) {
     static_cast<Cpu*>(self)->at_ = static_cast<uint32_t>(address);
@@ -428,14 +482,22 @@ class Cpu {
   Bus& bus_;
   Time cost_, branch_cost_;
   uc_engine* uc_ = nullptr;
-  uc_context* new_ = nullptr;  // registers before the first instruction
+  uc_context* new_ = nullptr;    // registers before the first instruction
+  uc_context* saved_ = nullptr;  // room for them
   bool open_ = false;
   std::vector<std::unique_ptr<Window>> windows_;
   std::array<Block, 1 << 14> blocks_;
   static constexpr size_t MOST_EXACT = 1000;  // each takes time of those that are watched
-  std::unordered_set<uint32_t> exact_;        // blocks of which each instruction is reported
+  struct Watched {
+    uint32_t size;
+    uc_hook hook;
+  };
+  std::unordered_map<uint32_t, Watched> exact_;  // blocks of which each instruction is reported
   const Block* block_ = nullptr;              // that runs
-  std::pair<uint32_t, uint32_t> asks_;  // at, size: has asked for the time, is not in `exact_`
+  struct Asks {
+    uint32_t at, size;
+  };
+  Asks asks_{};  // has asked for the time, is not in `exact_`
   static constexpr uint32_t NOWHERE = ~0u;
   uint32_t at_ = NOWHERE;  // of the instruction that runs, as far as that is known
   Time until_ = 0, deadline_ = 0;

@@ -113,6 +113,18 @@ class Devices {
     set_lines();
   }
 
+  bool is_wired() const {
+    return std::any_of(uarts_.begin(), uarts_.end(), [](const Uart& one) { return one.is_wired(); });
+  }
+
+  template <class List>
+  void remembered(List& list) {
+    registers.remembered(list);
+    for (TimerEncoder& encoder : encoders_) encoder.remembered(list);
+    for (Uart& uart : uarts_) uart.remembered(list);
+    list(targets_);
+  }
+
  private:
   const mcu_board& board_;
   Nvic& nvic_;

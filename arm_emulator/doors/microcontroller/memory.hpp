@@ -6,6 +6,8 @@
 #include <memory>
 #include <vector>
 
+#include "remembered.hpp"
+
 namespace mcu {
 
 class Memory {
@@ -47,6 +49,23 @@ class Memory {
     uint8_t* to = find(at, size);
     if (to) std::memcpy(to, bytes, size);
     return to;
+  }
+
+  // Flash is not among it: nothing but a debugger writes there.
+  void remembered(Writer& list) {
+    for (Region& region : regions_)
+      if (region.writable) list.bytes(region.bytes.get(), region.size);
+  }
+  // Return whether code is another than before.
+  bool remembered(Reader& list) {
+    bool other_code = false;
+    for (Region& region : regions_) {
+      if (!region.writable) continue;
+      const uint8_t* bytes = list.next(region.size);
+      if (region.code) other_code |= std::memcmp(region.bytes.get(), bytes, region.size) != 0;
+      std::memcpy(region.bytes.get(), bytes, region.size);
+    }
+    return other_code;
   }
 
  private:

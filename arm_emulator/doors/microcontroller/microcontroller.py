@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import zlib
 from functools import cache
 
 from arm_emulator.base.refusal import Refusal
@@ -109,6 +110,23 @@ class Microcontroller(ControlCode):
     def __del__(self) -> None:
         if getattr(self, "with_", None):
             self._calls.mcu_delete(self.with_)
+
+    def save(self) -> bytes:
+        """Return the chip as it is now: processor, memory and devices, compressed.
+
+        Raises:
+            Refusal: a debugger is connected, or bytes of a serial line go in or out.
+        """
+        if got := self._calls.mcu_unkept(self.with_):
+            rule, valid = "be one that can be saved: without debugger and wired serial lines", ""
+            raise Refusal(self.name, "the chip", rule, text(got), valid)
+        size = RUNNER.ffi.new("int64_t *")
+        saved = self._calls.mcu_save(self.with_, size)
+        return zlib.compress(RUNNER.ffi.buffer(saved, size[0]), 1)
+
+    def restore(self, saved: bytes) -> None:
+        """Go on from what `save` of this chip has returned, to the last bit."""
+        self._calls.mcu_restore(self.with_, zlib.decompress(saved))
 
     def debug(self, listening: socket.socket) -> None:
         """Wait for gdb at a socket that listens, and let it halt the processor."""

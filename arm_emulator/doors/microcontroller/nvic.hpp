@@ -82,6 +82,11 @@ class Nvic {
   // Whether a change may let an exception enter; reading clears it.
   bool changed() { return std::exchange(changed_, false); }
 
+  template <class List>
+  void remembered(List& list) {
+    list(group_mask_, changed_, enabled_, pending_, active_, line_, priority_);
+  }
+
   // The pending exception of highest priority, 0: none.
   int first() const {
     int best = 0;

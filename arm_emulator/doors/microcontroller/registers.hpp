@@ -70,6 +70,12 @@ class Registers {
     place.word() = value;
   }
 
+  template <class List>
+  void remembered(List& list) {
+    list(special_);
+    for (Block& block : blocks_) list(block.words);
+  }
+
  private:
   struct Block {
     uint32_t at;

@@ -31,6 +31,16 @@ MCU_CALL void mcu_step(void* with, const firmware_input* in, firmware_output* ou
   static_cast<mcu_runner*>(with)->step(*in, *out);
 }
 
+MCU_CALL const char* mcu_unkept(const mcu_runner* runner) { return runner->unkept(); }
+
+MCU_CALL const uint8_t* mcu_save(mcu_runner* runner, int64_t* size) {
+  const auto& saved = runner->save();
+  *size = static_cast<int64_t>(saved.size());
+  return saved.data();
+}
+
+MCU_CALL void mcu_restore(mcu_runner* runner, const uint8_t* saved) { runner->restore(saved); }
+
 MCU_CALL const int32_t* mcu_stopped(const mcu_runner* runner) { return &runner->stopped; }
 
 MCU_CALL void mcu_get_fault(const mcu_runner* runner, mcu_fault* out) { *out = runner->fault; }

@@ -145,6 +145,12 @@ void mcu_debug(mcu_runner* runner, int socket);
 void mcu_break(mcu_runner* runner, int32_t* flag);
 /* firmware_loop's step; `with` is the runner. */
 void mcu_step(void* with, const firmware_input* in, firmware_output* out);
+/* Reason for which no checkpoint can be made now, or null. */
+const char* mcu_unkept(const mcu_runner* runner);
+/* Return `size` bytes with all that decides how the runner goes on, valid up to the next call. */
+const uint8_t* mcu_save(mcu_runner* runner, int64_t* size);
+/* Go on from what mcu_save of the same runner has returned. */
+void mcu_restore(mcu_runner* runner, const uint8_t* saved);
 /* Pointer to the result of the run: 0, or 1 after a fault or the debugger's kill. */
 const int32_t* mcu_stopped(const mcu_runner* runner);
 /* The fault that ended the run, or the first one that went to a handler. */

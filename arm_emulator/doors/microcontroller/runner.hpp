@@ -89,6 +89,26 @@ class Runner : public Bus, public Debugged {
     if (devices_.registers.special()) settle();
   }
 
+  // Reason for which no checkpoint can be made; null: it can.
+  const char* unkept() const {
+    if (debugger_) return "a debugger";
+    return devices_.is_wired() ? "a serial line that leads out of the process" : nullptr;
+  }
+  // Return all that decides how it goes on, for `restore` of this runner; valid up to the next one.
+  const std::vector<uint8_t>& save() {
+    saved_.clear();
+    Writer list(saved_);
+    memory_.remembered(list);
+    cpu_.remembered(list);
+    remembered(list);
+    return saved_;
+  }
+  void restore(const uint8_t* saved) {
+    Reader list(saved);
+    cpu_.remembered(list, memory_.remembered(list));
+    remembered(list);
+  }
+
   // Registers as read and written by a debugger.
   uint32_t get_register(int number) override {
     if (number == 15) return cpu_.pc;
@@ -148,6 +168,16 @@ class Runner : public Bus, public Debugged {
                                      UC_ARM_REG_PRIMASK, UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK,
                                      UC_ARM_REG_CONTROL};
     return SYSTEM[number - 49];
+  }
+
+  template <class List>
+  void remembered(List& list) {
+    nvic_.remembered(list);
+    systick_.remembered(list);
+    system_.remembered(list);
+    devices_.remembered(list);
+    list(fault, figures, stopped, first_fault_, first_fault_pc_, locked_up_, awake_from_, boot_);
+    list(deadline_, begun_, asleep_, event_, near_);
   }
 
   Time cycles_of(double seconds) const {
@@ -370,6 +400,7 @@ class Runner : public Bus, public Debugged {
   SystemControl system_;
   Devices devices_;
   std::unique_ptr<GdbServer> debugger_;
+  std::vector<uint8_t> saved_;
   const firmware_input* in_ = nullptr;  // of the step that is under way
   Fault first_fault_;
   uint32_t first_fault_pc_ = 0;

@@ -4,7 +4,7 @@
 
 #include <cstdint>
 #include <functional>
-#include <unordered_map>
+#include <map>
 #include <utility>
 
 #include "clock.hpp"
@@ -55,6 +55,12 @@ class SystemControl {
     sleep_on_exit = reset_asked = false;
     active = prigroup_ = sleep_control_ = 0;
     words_ = {{FPCCR, 0xc0000000}};
+  }
+
+  template <class List>
+  void remembered(List& list) {
+    list(vectors, sleep_on_exit, reset_asked, active, prigroup_, sleep_control_, cycles_from_);
+    list(words_);
   }
 
   // Whether firmware has a handler of its own for a kind of faults switched on.
@@ -273,7 +279,7 @@ class SystemControl {
   std::function<Time(uint32_t, bool)> instant_;
   uint32_t prigroup_ = 0, sleep_control_ = 0;
   Time cycles_from_ = 0;
-  std::unordered_map<uint32_t, uint32_t> words_;
+  std::map<uint32_t, uint32_t> words_;
 };
 
 }  // namespace mcu

@@ -47,6 +47,11 @@ class SysTick {
     zero_ = now + period();
   }
 
+  template <class List>
+  void remembered(List& list) {
+    list(control_, load_, left_, zero_, counted_);
+  }
+
  private:
   bool enabled() const { return (control_ & 1) && load_; }
   // The reference clock is an eighth of the processor's.

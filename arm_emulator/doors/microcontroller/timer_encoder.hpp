@@ -26,6 +26,11 @@ class TimerEncoder {
     registers_.word(description_.at) = (counts_ + offset_) & mask_;
   }
 
+  template <class List>
+  void remembered(List& list) {
+    list(counts_, offset_);
+  }
+
  private:
   mcu_encoder description_;
   uint32_t mask_;
