@@ -52,7 +52,7 @@ def test_a_library_that_remembers_elsewhere_has_no_timeline(build: Callable[...,
     ):
         one = TableRun(SCENE, None, Firmware(build(f"#include <stdlib.h>\n{code(step)}")))
         one.advance(2)
-        with pytest.raises(Refusal, match=f"nothing but its variables.*{named}"):
+        with pytest.raises(Refusal, match=rf"nothing but its variables.*{named}"):
             Timeline(one)
 
 

@@ -11,9 +11,7 @@ from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.runs.timeline import Timeline
 
 
-def random_visits(
-    fresh: Callable[[], TableRun], rng: np.random.Generator, last: int = 300
-) -> None:
+def random_visits(fresh: Callable[[], TableRun], rng: np.random.Generator, last: int = 300) -> None:
     """Go on, fork, and come back to any tick: the machine is as in runs that went straight on."""
     one, straight, other = fresh(), fresh(), fresh()
     start = one.session.scene.start

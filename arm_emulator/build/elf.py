@@ -64,7 +64,7 @@ def written_memory(content: bytes) -> list[tuple[int, int]]:
     segments = [PROGRAM.unpack_from(content, at + k * PROGRAM.size) for k in range(count)]
     if any(kind == THREADS for kind, *_ in segments):
         return []
-    # What the loader has relocated is read only afterwards, in whole pages.
+    # Memory that the loader has relocated is read only afterwards, in whole pages.
     fixed = [(one[3], (one[3] + one[6]) // PAGE * PAGE) for one in segments if one[0] == READ_ONLY]
     found = []
     for kind, flags, _, begin, _, _, size, _ in segments:
@@ -78,7 +78,9 @@ def written_memory(content: bytes) -> list[tuple[int, int]]:
 def called_functions(content: bytes) -> set[str]:
     """Return the names that a sound library takes from others, but for those it can do without."""
     symbols = _symbols(content, _sections(content))
-    return {name for name, binding, section, *_ in symbols if not section and binding != WEAK} - {""}
+    return {name for name, binding, section, *_ in symbols if not section and binding != WEAK} - {
+        ""
+    }
 
 
 def address_in(content: bytes, name: str) -> int:

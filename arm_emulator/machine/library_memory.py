@@ -1,4 +1,4 @@
-"""What a shared library with control code remembers from step to step."""
+"""Memory that a shared library with control code has from step to step."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.elf import address_in, called_functions, written_memory
 
 # Functions of others that remember nothing.
-_MATHEMATICS = """acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exp exp2
-    expm1 fabs fdim floor fma fmax fmin fmod frexp hypot ilogb ldexp llrint llround log log10 log1p
-    log2 logb lrint lround modf nearbyint nextafter pow remainder remquo rint round scalbln scalbn
-    sin sincos sinh sqrt tan tanh tgamma trunc""".split()
+_MATHEMATICS = """acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exp
+    exp2 expm1 fabs fdim floor fma fmax fmin fmod frexp hypot ilogb ldexp llrint llround log log10
+    log1p log2 logb lrint lround modf nearbyint nextafter pow remainder remquo rint round scalbln
+    scalbn sin sincos sinh sqrt tan tanh tgamma trunc""".split()
 _FORGETFUL = {
     *(f"{name}{kind}" for name in _MATHEMATICS for kind in ("", "f", "l")),
     *"abs labs llabs memchr memcmp memcpy memmove memset strcmp strlen strncmp".split(),

@@ -23,8 +23,8 @@ from arm_emulator.runs.timeline import Timeline
 from arm_emulator.servo.c import FOLDER as SERVO
 
 # Firmware whose voltages follow from all that a chip remembers: registers of the FPU across
-# interrupts, the cycle counter within a line, both timers, a counter that was set, bytes that wait on
-# a serial line, code in RAM that it changes, masks, sleep, and a reset now and then.
+# interrupts, the cycle counter within a line, both timers, a counter that was set, bytes that wait
+# on a serial line, code in RAM that it changes, masks, sleep, and a reset now and then.
 RESTLESS = """
 #define CYCCNT REGISTER(0xe0001004)
 #define RESETS (*(volatile uint32_t*)0x2001f000)
@@ -84,7 +84,9 @@ def chip_with(folder: Path, text: str, **board: object) -> Microcontroller:
     elf = folder / "tiny.elf"
     if not elf.exists():
         tiny(folder, text)
-    wiring = load_board(write_board(folder, memory=MEMORY, uart={"line": LINE}, **board), SCENE.joint_names)
+    wiring = load_board(
+        write_board(folder, memory=MEMORY, uart={"line": LINE}, **board), SCENE.joint_names
+    )
     return Microcontroller(wiring, ElfImage(elf), SCENE)
 
 
@@ -111,12 +113,12 @@ def test_the_example_can_be_visited(tmp_path: Path) -> None:
     random_visits(lambda: TableRun(ur5, table, chip_of(ur5, elf)), np.random.default_rng(2))
 
 
-def test_what_left_a_chip_cannot_be_taken_back(tmp_path: Path) -> None:
+def test_a_chip_with_a_wired_line_cannot_be_saved(tmp_path: Path) -> None:
     chip_with(tmp_path, RESTLESS)
     board = load_board(write_board(tmp_path, memory=MEMORY), SCENE.joint_names)
     out, line = os.pipe()
     chip = Microcontroller(board, ElfImage(tmp_path / "tiny.elf"), SCENE, {"line": (line, -1)})
-    with pytest.raises(Refusal, match="the chip must be one that can be saved.*a serial line"):
+    with pytest.raises(Refusal, match="the chip must be one that can be saved"):
         Timeline(TableRun(SCENE, None, chip))
     os.close(line)
     os.close(out)

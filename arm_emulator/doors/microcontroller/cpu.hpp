@@ -10,8 +10,8 @@
 #include <cstring>
 #include <limits>
 #include <map>
-#include <unordered_map>
 #include <memory>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -493,7 +493,7 @@ class Cpu {
     uc_hook hook;
   };
   std::unordered_map<uint32_t, Watched> exact_;  // blocks of which each instruction is reported
-  const Block* block_ = nullptr;              // that runs
+  const Block* block_ = nullptr;                 // that runs
   struct Asks {
     uint32_t at, size;
   };

@@ -114,7 +114,8 @@ class Devices {
   }
 
   bool is_wired() const {
-    return std::any_of(uarts_.begin(), uarts_.end(), [](const Uart& one) { return one.is_wired(); });
+    return std::any_of(uarts_.begin(), uarts_.end(),
+                       [](const Uart& one) { return one.is_wired(); });
   }
 
   template <class List>

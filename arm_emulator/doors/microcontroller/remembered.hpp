@@ -1,4 +1,4 @@
-// What a chip remembers: each of its pieces lists it once, for writing and for reading alike:
+// Memory of a chip in checkpoints: each of its pieces lists it once, for writing and for reading alike:
 // `template <class List> void remembered(List& list) { list(one, two); }`.
 #pragma once
 
