@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
+from arm_emulator import Diverged, Plant, Refusal
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.hard_case import (
     SHARED,

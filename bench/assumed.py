@@ -19,17 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator import Fleet, Pose, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import Gains, load_gains
+from arm_emulator.runs.gains import Gains
 from arm_emulator.servo.drives import Drives, Target
 from bench.measure import progress
 from bench.origins import Origin, origins

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.runs.table_run import load_table_run
 from bench.measure import progress
 

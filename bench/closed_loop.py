@@ -6,15 +6,11 @@ import dataclasses
 
 import numpy as np
 
+from arm_emulator import Plant, Pose, Scene, Servo, load_gains
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.instruction import Instruction
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_config import ServoConfig
 from bench.motion import Array
 

@@ -8,13 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
 from arm_emulator.motion.convergence import convergence_factor, expected_errors
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.servo.drives import Drives, Target
 from bench.measure import progress
 from bench.motion import Array

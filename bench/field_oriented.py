@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.pmsm import Pmsm
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 PERIOD = 5e-5  # s, of the control
 RAISED = 0.9  # of the inverter's circle: beyond it the flux is weakened

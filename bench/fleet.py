@@ -14,11 +14,8 @@ import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
 
+from arm_emulator import Diverged, Fleet, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import reference
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import Task, Timing, interleaved, progress

@@ -15,11 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.fleet_frame import FleetFrame
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.servo_fleet import ServoFleet
+from arm_emulator import Fleet, FleetFrame, ServoFleet, load_gains, load_scene
 from bench.motion import Array
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

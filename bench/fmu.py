@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.build.c_header import Header, Library, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
@@ -25,8 +26,6 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.unit import FOLDER
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 
 PERIODS = 20_000  # of a repetition
 LOOP = Header(Path(__file__).with_name("fmu_loop.h"), (BOUNDARY,))

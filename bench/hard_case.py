@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from bench.motion import Array
 

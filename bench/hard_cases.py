@@ -18,11 +18,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.special import ellipk
 
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import links_model, reference
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from bench.absurd_inputs import absurd_inputs
 from bench.hard_case import (

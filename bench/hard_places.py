@@ -17,14 +17,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 from bench.measure import progress
 from bench.motion import Array
 

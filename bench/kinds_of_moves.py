@@ -12,16 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.jog import twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 from bench.motion import Array
 from bench.pictures import new_figure
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.mode_table import mode_rows, page_table
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.gains import load_gains
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "modes.md"
 SCENES = ("three_axis", "ur5", "panda")

@@ -16,14 +16,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator import Refusal, Scene
 from arm_emulator.analysis.reference import links_model
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.friction import LinkFriction
 from arm_emulator.machine.parts.gear import RigidGear
-from arm_emulator.machine.scene import Scene
 
 Array = NDArray[np.float64]
 

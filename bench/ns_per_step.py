@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.chains import chain

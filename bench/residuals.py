@@ -21,15 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator import Kinematics, OfflineRun, Pose, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.predicted_rest import Arrival, PredictedRest, predicted_rest
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import Gains, load_gains
-from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.gains import Gains
 
 Array = NDArray[np.float64]
 

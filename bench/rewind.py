@@ -14,9 +14,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.offline import OfflineRun, load_offline_run
-from arm_emulator.runs.timeline import Timeline
+from arm_emulator import OfflineRun, Pose, Timeline
+from arm_emulator.runs.offline import load_offline_run
 from bench.measure import progress
 
 VISITS = 100

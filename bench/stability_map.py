@@ -11,10 +11,8 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import links_model
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.analysis.reference import reference
 from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from bench.chains import chain
 from bench.measure import Task, compile_all, interleaved, progress
 from bench.motion import Array, sines

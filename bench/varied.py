@@ -8,9 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, interleaved, progress, stepping
 

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from bench.closed_loop import DemoMotion
 from bench.measure import Task, compile_all, interleaved, progress, side_by_side, stepping
 from bench.motion import Array

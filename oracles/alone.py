@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator import Diverged, Scene, load_scene
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_motor import CurrentMotor
@@ -33,7 +33,6 @@ from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.lugre import LinkLuGre, RotorLuGre
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run

@@ -17,19 +17,23 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import (
+    Diverged,
+    Kinematics,
+    OfflineRun,
+    Pose,
+    Refusal,
+    Scene,
+    load_gains,
+    load_scene,
+)
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.predicted_residual import predicted_residual
-from arm_emulator.runs.gains import Gains, load_gains
-from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN
 
 DISTANCES = (0.05, 0.3)  # m, for arms that reach `FULL_REACH`; smaller ones go as much less

@@ -17,16 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator import OfflineRun, Pose, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.known_drive import known_drives
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.elastic_arm import ElasticArm
 from arm_emulator.motion.link_torques import LinkTorques
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 
 SETTLE = 5.0  # s, before the line begins: the integrals of heavy arms take 1 s
 REST = 0.5  # s, after it ends

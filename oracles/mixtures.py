@@ -27,11 +27,8 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.section import Section
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.drawn import scaled
@@ -47,8 +44,6 @@ from arm_emulator.machine.parts.known import (
 )
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_chain import moving_joints, random_chain_urdf
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them

@@ -23,11 +23,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import ReferenceMachine
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
 from oracles.event_reference import reference_with_events
 from oracles.random_chain import random_chain_urdf

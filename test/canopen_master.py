@@ -7,13 +7,11 @@ from collections.abc import Sequence
 
 import pytest
 
+from arm_emulator import Plant, Scene, load_gains
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
 from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives, dictionary
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
-from arm_emulator.runs.gains import load_gains
 
 SYNC = Frame(0x80)
 ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]

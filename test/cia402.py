@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator import Plant, Scene, load_scene, load_servo_config
 from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.servo.servo import load_servo_config
 
 ROOT = Path(__file__).resolve().parents[1]
 SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")

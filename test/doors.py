@@ -15,9 +15,8 @@ import rclpy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.base.config_files import find_config
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.motion_report import Reports
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.managed_node import ManagedNode

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import pytest
 
+from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus.ethercat import Segment
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.gains import load_gains
 
 PERIOD = 1_000_000  # ns
 NOP, APRD, APWR, APRW, FPRD, FPWR, FPRW, BRD, BWR, BRW, LRD, LWR, LRW, ARMW, FRMW = range(15)

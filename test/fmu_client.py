@@ -14,12 +14,11 @@ from xml.sax.saxutils import escape
 import numpy as np
 from machines import DC, PMSM, write_scene
 
+from arm_emulator import Plant, Scene
 from arm_emulator.build.c_header import Library
 from arm_emulator.build.unit import compile_units
 from arm_emulator.machine.compiler import machine_unit
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
 from oracles.random_chain import LINK
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)

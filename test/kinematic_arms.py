@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.pose import Pose
+from arm_emulator import JacobianController, Kinematics, Pose
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 

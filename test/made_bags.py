@@ -9,8 +9,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
+from arm_emulator import Session, load_scene
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from arm_emulator import Scene, Session
 from arm_emulator.doors.fieldbus.converter import Converter
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
 from arm_emulator.doors.fieldbus.modbus_rtu import (
@@ -12,8 +13,6 @@ from arm_emulator.doors.fieldbus.modbus_rtu import (
     is_sound,
 )
 from arm_emulator.doors.fieldbus.serial_line import LineErrors
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
 
 NO_ERRORS = LineErrors(0.0, 0)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import Breakpoint, Plant, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import NULL
 from arm_emulator.doors.fieldbus.drives import DRIVES
@@ -21,11 +22,8 @@ from arm_emulator.machine.call_arguments import options_of
 from arm_emulator.machine.compiler import fleet_library_of, real_time_library
 from arm_emulator.machine.core_calls import ARM, FIRMWARE_LOOP, FLEET, REAL_TIME
 from arm_emulator.machine.firmware_loop import firmware_loop
-from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.breakpoint import BREAKPOINT, Breakpoint, breakpoint_library
-from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.breakpoint import BREAKPOINT, breakpoint_library
 from arm_emulator.servo.drives import Drives as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
 

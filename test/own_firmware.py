@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from arm_emulator import Plant, load_scene, load_servo_config
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import library
@@ -18,11 +19,8 @@ from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.firmware_loop import firmware_loop
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.servo import load_servo_config
 from arm_emulator.servo.servo_law import servo_law
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from fmu_client import OK, Fmu, Instance, rich_machine
 
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.build.c_header import Library
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 NAMES = 'hip\'s "<1>"', "lift"
 

@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Refusal, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 
 Rng = np.random.Generator

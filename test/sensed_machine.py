@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 from machines import GRAVITY, LINK, MOTOR, write_scene
 
-from arm_emulator.machine.measured import Measured
+from arm_emulator import Measured, Plant, PlantState, Scene
 from arm_emulator.machine.outputs import KNOWN
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import PlantState
-from arm_emulator.machine.scene import Scene
 
 TURN = 2.0 * math.pi
 

@@ -12,9 +12,8 @@ import pytest
 from machines import LINK_INERTIA, write_scene
 from scipy.integrate import solve_ivp
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from oracles.random_chain import LINK
 
 RATIO = 0.05

@@ -16,19 +16,16 @@ from machines import CONFIG, GANTRY, PMSM, ROTOR, gantry_urdf, write_scene
 from numpy.typing import NDArray
 from test_written_integrator import add_demo, run, scene_copy
 
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.advice import SHARE, Judge, advise, reserve, step_counts
 from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_motions
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.stability import attempts, what_holds
 from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
 from arm_emulator.bags.recorded_commands import read_commands
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.advise import advise as advise_scene
 from arm_emulator.cli.commands.advise import demo_commands
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from bench.advice import CLASSES, judge_scene
 from oracles.event_reference import reference_with_events
 from oracles.random_machines import machine

@@ -12,20 +12,16 @@ from draws import some
 from machines import moving_joints, write_scene
 from test_servo_loop import Rng, draw_axis, log_uniform
 
+from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth, slower
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.joint_gains import (
     GearData,
     MotorData,
     ServoGains,
     joint_servo,
 )
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.held import held
 from arm_emulator.servo.servo import ServoConfig

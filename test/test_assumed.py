@@ -10,11 +10,9 @@ import pytest
 from documents import page_of
 from machines import CONFIG
 
+from arm_emulator import Pose, Refusal, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
 from bench.assumed import ARMS, assumed_of, demos
 from bench.origins import SECTIONS, origins

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.design import new_scene
 from arm_emulator.design.assumed_bodies import DENSITY, SLENDER, assume_bodies
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.chain import Body, frame_of
-from arm_emulator.machine.scene import load_scene
 
 RHO = 800.0  # kg/m3
 JOINT = (

@@ -11,9 +11,8 @@ import pytest
 from draws import some
 from machines import ROTOR, write_scene
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.analysis.reference import links_model
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from oracles.at_rest import INSTANT, LAWS, PARTS, PLACES, Case, equations_of, judge
 from oracles.random_chain import moving_joints, random_chain_urdf
 

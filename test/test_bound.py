@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from random_messages import huge, number, random_urdf
 
+from arm_emulator import OfflineRun, Pose, Refusal, Servo, Session, load_scene, load_servo_config
 from arm_emulator.base.bound import (
     COMMAND,
     CURRENT,
@@ -23,18 +24,14 @@ from arm_emulator.base.bound import (
 )
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.number import Number
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
 from arm_emulator.motion.coming_orders import MOST_TARGETS
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.servo import Servo, ServoConfig, load_servo_config
+from arm_emulator.servo.servo import ServoConfig
 
 # A warning of NumPy's would be printed among what the nodes state.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

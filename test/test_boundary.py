@@ -18,14 +18,10 @@ import pytest
 from draws import some
 from fuzz.cores import random_machine
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Diverged, Plant, PlantState, Refusal, Scene, load_scene
 from arm_emulator.build import library_cache
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import PlantState
-from arm_emulator.machine.scene import Scene, load_scene
 
 MACHINES = some([0, 1, 3, 4, 2, 5, 6, 7], 3)  # their seeds
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps

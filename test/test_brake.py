@@ -16,10 +16,8 @@ from in_process import in_process
 from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
 from test_by_hand import CLOCKS, go_on, session_of
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 CLOSE, RELEASE = 0.0205, 0.0335  # s, no whole servo periods
 BRAKE = {"torque": 0.6, "close_delay": CLOSE, "release_delay": RELEASE}

@@ -12,12 +12,7 @@ from in_process import InProcess, in_process
 from network import PATIENCE
 from test_by_hand import CLOCKS, go_on, session_of
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.runs.breakpoint import Breakpoint
-from arm_emulator.runs.condition import Condition
+from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
 from arm_emulator_msgs.msg import MotorCommand
 from arm_emulator_msgs.srv import BreakWhen
 

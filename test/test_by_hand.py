@@ -23,11 +23,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from test_bags import rewrite
 from test_recording import begun, end, network_of, recorder
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.varied import Varied
 from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator_msgs.msg import MachineEvent, MotorState

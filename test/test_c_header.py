@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.build import c_header, library_cache
 from arm_emulator.build.c_header import NULL, Header, Library, pointer, text
 from arm_emulator.build.compiler_command import find_compiler
@@ -23,8 +24,6 @@ from arm_emulator.doors.microcontroller import FOLDER as MICROCONTROLLER
 from arm_emulator.doors.microcontroller.microcontroller import RUNNER
 from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP, FLEET, REAL_TIME
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import HERE, STEP
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.servo.servo_law import SERVO

@@ -25,13 +25,11 @@ from canopen_master import (
 )
 from draws import FULL
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Diverged, Refusal, Scene, load_scene
 from arm_emulator.cli.commands.canopen import write_eds
 from arm_emulator.doors.fieldbus.can_bus import can_bus
 from arm_emulator.doors.fieldbus.canopen_node import Frame, State
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.scene import Scene, load_scene
 
 FRAMES = 1_000_000 if FULL else 12_000
 CSP = 8

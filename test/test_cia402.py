@@ -35,7 +35,7 @@ from cia402 import (
 from documents import page_of
 from draws import FULL
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Plant, Refusal, load_servo_config
 from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command_line import main
 from arm_emulator.doors.fieldbus.declared import COUNT, FIRST
@@ -48,8 +48,6 @@ from arm_emulator.doors.fieldbus.drives import (
     Entry,
     dictionary,
 )
-from arm_emulator.machine.plant import Plant
-from arm_emulator.servo.servo import load_servo_config
 
 
 def test_every_entry_can_be_read_and_begins_within_its_range() -> None:

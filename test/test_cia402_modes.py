@@ -38,10 +38,8 @@ from cia402 import (
     until,
 )
 
+from arm_emulator import Plant, Servo, load_scene, load_servo_config
 from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.servo.servo import Servo, load_servo_config
 
 
 @pytest.mark.parametrize("feedforward", [0, 1000])

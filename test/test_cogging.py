@@ -9,9 +9,7 @@ import pytest
 from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.special import ellipj
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, Refusal, load_scene
 
 RATIO, ORDERS = 0.01, (17.0, 23.0, 31.0)
 FREE = {"kind": "torque", "rotor_inertia": ROTOR}

@@ -17,7 +17,7 @@ from draws import some
 from fake_compiler import fake_compiler
 from machines import random_chain
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, load_scene
 from arm_emulator.build import cxx, unit
 from arm_emulator.build.compiler_command import find_compiler, identity
 from arm_emulator.build.flags import SHARED
@@ -28,7 +28,6 @@ from arm_emulator.machine.compiler import (
     compile_ahead,
     library_of,
 )
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 
 READY = (

@@ -9,14 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Condition, Kinematics, Refusal, Session, Timeline, load_scene
 from arm_emulator.machine.record_row import columns_of
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.runs.condition import TOOL, Condition
+from arm_emulator.runs.condition import TOOL
 from arm_emulator.runs.offline import load_offline_run
-from arm_emulator.runs.timeline import Timeline
 
 SCENE = load_scene("three_axis")
 NAMES = [*(one.name for one in columns_of(SCENE)), *TOOL]

@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator import Refusal, load_gains, load_scene
 from arm_emulator.base import config_files
 from arm_emulator.base.config_files import BESIDE, find_beside, find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import load_offline_run
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

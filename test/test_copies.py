@@ -17,17 +17,20 @@ import pytest
 from draws import some
 from test_manners import NAME, PATIENCE, ROW, plant, scene
 
+from arm_emulator import (
+    Diverged,
+    Fleet,
+    JacobianController,
+    Kinematics,
+    Plant,
+    Refusal,
+    Scene,
+    Servo,
+    Session,
+    load_scene,
+)
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.loop_clock import real_time_session
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.servo.servo import Servo
 
 __all__ = ["plant", "scene"]  # fixtures
 

@@ -11,9 +11,7 @@ import pytest
 from machines import GANTRY, GRAVITY, MOVED, gantry_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, Refusal, load_scene
 
 PUSHES = {"base_distance": 0.4, "link_distance": 0.15, "angle": -0.8, "force": 300.0,
           "length": 0.5, "stiffness": 400.0}  # fmt: skip

@@ -20,7 +20,7 @@ from draws import FULL, some
 from fmu_client import OK, Fmu, Instance
 from test_rerun_stream import read
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import OfflineRun, Plant, Pose, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.shafts import Shafts, shaft_limits
 from arm_emulator.base.urdf_text import limits_of
 from arm_emulator.build.c_header import Library
@@ -32,16 +32,12 @@ from arm_emulator.doors.fmu.export import export
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.jog import joint_command, twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import Gains, load_gains
-from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.gains import Gains
 from arm_emulator.view.rerun_batches import QUANTITIES
 from arm_emulator.view.rerun_stream import RerunStream
 from oracles.coupled_arms import ARMS, GRAVITY, Lagrange, described, matrix, mimicking

@@ -15,17 +15,12 @@ import yaml
 from draws import FULL, some
 from scipy.integrate import solve_ivp
 
+from arm_emulator import Fleet, Kinematics, Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.link_loads import LinkLoads
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.link_torques import LinkTorques
-from arm_emulator.runs.gains import load_gains
 from oracles.any_arm import move, reachable
 from oracles.coupled_arms import (
     ARMS,

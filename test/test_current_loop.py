@@ -17,10 +17,8 @@ from machines import DC, GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.analysis.reference import reference_states
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 
 PERIOD = 2e-3  # s, over which a command is held
 SUPPLY = 24.0

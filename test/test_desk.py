@@ -11,9 +11,7 @@ from multiprocessing import Pipe
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.session import Session
+from arm_emulator import Plant, Refusal, Session
 from arm_emulator.page.desk import Desk, _PipedHands
 from arm_emulator.page.machine_hands import MachineHands
 

@@ -14,10 +14,9 @@ import pytest
 import yaml
 from documents import DOCS, DOCUMENTS, ROOT, page_of
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, load_scene
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.machine import scene_keys
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 from bench import pages, parameters
 from docs import hooks

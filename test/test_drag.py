@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from machines import GANTRY, MOVED, gantry_urdf, write_scene
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 
 DRAG = np.array([0.5, 3.0, 8.0])  # N s2/m2
 V = np.array([2.0, -1.5, 3.0])  # m/s

@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from arm_emulator import load_scene, load_servo_config
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.servo import load_servo_config
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,8 +12,7 @@ from draws import some
 from machines import GRAVITY, Oracle, random_chain
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.urdf_chain import lock_joints
 from arm_emulator.machine.urdf_file import example_robot_data
 

@@ -11,15 +11,13 @@ import pytest
 from draws import some
 from machines import MOVED, gantry_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.identification.free_run_fit import torque_driven
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 DT, EVERY, STEPS = 2e-5, 25, 4000  # s, steps per sample, samples
 WEIGHT = 1.0  # m/s2 along each axis

@@ -21,8 +21,7 @@ from sensed_machine import (
     write,
 )
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,7 @@ import pytest
 import yaml
 from machines import CONFIG, LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Refusal, Scene, load_scene
 
 PERIOD = 1e-3  # s
 STOPS = {"lower": -0.4, "upper": 0.5, "stiffness": 5e3, "damping": 5.0}

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from network import PATIENCE, network
 
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import load_scene, load_servo_config
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.motion.predicted_residual import predicted_residual
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
-from arm_emulator.servo.servo_config import load_servo_config
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"

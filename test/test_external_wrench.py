@@ -16,14 +16,10 @@ from scipy.integrate import solve_ivp
 from test_fleet_calls import SENSED
 from test_fleet_step import LOCATED
 
+from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.reference import ROWS, ReferenceMachine
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.external_wrench import AXES, ExternalWrench
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.external_wrench import AXES
 from arm_emulator.machine.scene_unit import scene_unit
 
 PERIOD = 1e-2  # s, over which a wrench is held

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from test_faults import BEGIN, Begun, begun, scene
 
+from arm_emulator import Plant, Scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.faults.scene_faults import SceneFault
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
 
 __all__ = ["begun", "scene"]
 TICKS = 200

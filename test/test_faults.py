@@ -12,17 +12,14 @@ from documents import DOCS, page_of
 from draws import FULL
 from machines import GRAVITY, MOTOR, PMSM, write_scene
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.faults.scene_faults import SceneFault
-from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.known import EXTRAS
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.thermometer import Thermometer
-from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.possible import could_vary
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from oracles.random_chain import LINK
 

@@ -11,13 +11,12 @@ from canopen_master import SYNC, download, drives_of, segment_of, sent, uploaded
 from draws import some
 from ethercat_master import Aborted, Master
 
+from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus import drives as dictionaries
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, dictionary
 from arm_emulator.doors.fieldbus.ethercat import Segment
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.gains import load_gains
 
 SCENE = load_scene("three_axis")
 SERVO = load_gains(find_scene("three_axis")).servo

@@ -17,10 +17,7 @@ from draws import some
 from machines import GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Fleet, Plant, Refusal, load_scene
 
 PERIOD, SUPPLY, VISCOUS = 1e-3, 48.0, 3.0
 AMPLITUDE = SUPPLY / math.sqrt(3.0)

@@ -13,13 +13,11 @@ from ethercat_master import Aborted, Master
 from modbus_line import Master as Line
 from modbus_line import line_of
 
+from arm_emulator import Plant, Scene, Session, load_scene
 from arm_emulator.doors.fieldbus.canopen_segment import Segment as CanopenSegment
 from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, Drives
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.doors.fieldbus.modbus_rtu import Code
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
 
 COUNT, NUMBER, NAME, MAGNITUDE = 0x2010, 0x2011, 0x2012, 0x2013
 NAMES = ["faults.elbow.command_late", "faults.elbow.encoder_slips"]

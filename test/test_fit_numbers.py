@@ -7,10 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.identification.fit_numbers import Sought, fit_numbers
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Refusal, Scene, Sought, fit_numbers, load_scene
 
 TRUTH = {"magnets": 0.93, "belts": 0.8}
 SOUGHT = {name: Sought(1.0, 0.2, 0.3, 2.0) for name in TRUTH}

@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Diverged, Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart

@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.fleet import Fleet
+from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.outputs import KNOWN
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_machines import machine
 
 COUNT = 11  # more than one group, and none that is full

@@ -11,10 +11,8 @@ import pytest
 from draws import some
 from test_fleet_calls import COUNT, NUMBER, SENSED
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.fleet import Fleet
+from arm_emulator import Fleet, Refusal, Scene, load_scene
 from arm_emulator.machine.outputs import KNOWN
-from arm_emulator.machine.scene import Scene, load_scene
 
 BRAKED: dict[str, Any] = {
     "varied": ["joints.*.friction.viscous"],

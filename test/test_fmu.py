@@ -20,8 +20,7 @@ from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse
 from fuzz.cores import environment
 from own_fmu import MASS, NAMES, PERIOD, STIFFNESS, fmu, moved, plant, random_inputs, scene, set_all
 
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.plant import Plant
+from arm_emulator import ExternalWrench, Plant
 
 __all__ = ["fmu", "plant", "scene"]  # fixtures
 

@@ -16,7 +16,7 @@ from own_fmu import fmu, scene
 from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.cli.commands.fmu import fmu as write_fmu
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.model_description import model_description
@@ -24,7 +24,6 @@ from arm_emulator.doors.fmu.model_description_2 import model_description_2
 from arm_emulator.doors.fmu.units import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.scene import Scene, load_scene
 
 __all__ = ["fmu", "scene"]  # fixtures
 

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.commands.foxglove import foxglove
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.message_types import definition_of, fields
 
 TABLE = Path(__file__).resolve().parents[1] / "docs/reference/topics.md"

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.analysis.stability import SmallMotions, attempts, what_holds
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.hard_case import (
     DETECTED,

@@ -15,14 +15,10 @@ from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene, load_servo_config
 from arm_emulator.analysis.reference import reference
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import check_joints
-from arm_emulator.servo.servo_config import load_servo_config
 
 PERIOD = 1e-2  # s, over which a command is held
 TORQUE = {"kind": "torque", "rotor_inertia": ROTOR}

@@ -10,8 +10,8 @@ import pytest
 from draws import FULL, some
 from machines import one_link_urdf, write_scene
 
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.identify import identify
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import filtered
@@ -24,7 +24,6 @@ from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.synthetic import make_record
 from arm_emulator.identification.torque_fit import fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import off, truth
 

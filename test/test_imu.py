@@ -8,8 +8,7 @@ import pytest
 from machines import GRAVITY, Oracle
 from sensed_machine import FRICTION, POSE, drawn_state, write
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 
 
 @pytest.fixture(scope="module")

@@ -16,20 +16,16 @@ from machines import CONFIG
 from rclpy.serialization import serialize_message
 from test_by_hand import go_on, session_of
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Fleet, Plant, Refusal, Scene, Session, load_scene
 from arm_emulator.build.c_header import text
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.doors.fieldbus.converter import COMMANDED, Converter, blocks
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.inputs import further_inputs, input_units, modes_of
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.known import DECORATORS, MOTORS
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 ROTOR = {"rotor_inertia": 1.0e-4}

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from kinematic_arms import NAMES, START, THREE_AXIS, arm, bent, moved, pose_at, three_axis
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.pose import Pose
+from arm_emulator import JacobianController, Kinematics, Pose, Refusal
 
 
 @pytest.mark.parametrize(("controller", "q"), [(three_axis(), START), (arm(6), bent(6))])

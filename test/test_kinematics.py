@@ -22,12 +22,9 @@ from kinematic_arms import (
 from machines import random_chain_urdf
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import JacobianController, Kinematics, Pose, Refusal
 from arm_emulator.base.urdf_text import read_urdf
 from arm_emulator.machine.urdf_file import example_robot_data
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.pose import Pose
 
 
 def test_forward_kinematics_of_the_three_axis_arm() -> None:

@@ -10,10 +10,8 @@ import pytest
 from draws import some
 from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
 
-from arm_emulator.machine.fleet import Fleet
+from arm_emulator import Fleet, Plant, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 PERIOD, STEPS, ROWS, ROUNDS = 2e-3, 10, 8, 6
 COUNT = 9  # more than a group

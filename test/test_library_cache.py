@@ -17,12 +17,11 @@ import pytest
 from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.build import library_cache, unit
 from arm_emulator.build.elf import with_data
 from arm_emulator.build.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from arm_emulator.machine.compiler import compile_ahead, library_of, machine_unit, real_time_library
-from arm_emulator.machine.scene import Scene, load_scene
 
 SOMEBODY = 65534  # a user who is neither we nor root
 ROOT = os.geteuid() == 0

@@ -14,8 +14,7 @@ from scipy.integrate import solve_ivp
 from stick_slip import Towed, assert_order_two
 from stick_slip import drawn as drawn_stribeck
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 NG = 0.02  # of hoists

@@ -11,11 +11,9 @@ from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from test_limits import drawn_joint, drawn_three_axis, limited_truth
 
+from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.analysis.reference import reference
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 
 SECOND_ORDER = ["rosenbrock", "extrapolated"]
 

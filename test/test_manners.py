@@ -11,11 +11,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]

@@ -13,7 +13,7 @@ from draws import FULL
 from machines import one_link_urdf, write_scene
 from modbus_line import Master, line_of, long_of, read_write, sound
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Scene, Session, load_scene
 from arm_emulator.cli.commands.modbus import modbus
 from arm_emulator.doors.fieldbus import converter as registers
 from arm_emulator.doors.fieldbus.converter import Converter
@@ -21,8 +21,7 @@ from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
 from arm_emulator.doors.fieldbus.modbus_rtu import (
     Code,
 )
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import EndOfTime, Session
+from arm_emulator.machine.session import EndOfTime
 
 MALFORMED = 1_000_000 if FULL else 5_000
 

@@ -12,6 +12,7 @@ import pytest
 from draws import FULL
 from modbus_line import Master, line_of, long_of, read_write, sound
 
+from arm_emulator import Scene, Session, load_scene
 from arm_emulator.doors.fieldbus.converter import Converter
 from arm_emulator.doors.fieldbus.modbus_rtu import (
     Receiver,
@@ -21,8 +22,6 @@ from arm_emulator.doors.fieldbus.modbus_rtu import (
     request_length,
 )
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, silence_time
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
 
 FRAMES = 100_000 if FULL else 5_000
 

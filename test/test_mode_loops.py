@@ -16,6 +16,7 @@ from draws import FULL, some
 from machines import one_link_urdf, write_scene
 from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
+from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import Loop
 from arm_emulator.analysis.mode_loops import (
     LoopFigure,
@@ -25,13 +26,9 @@ from arm_emulator.analysis.mode_loops import (
 )
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.doors.fieldbus.drives import Aborted, dictionary, modes
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.servo_config import ServoConfig
 from bench.modes import PAGE, table_of
 from oracles.any_arm import arms

@@ -12,22 +12,26 @@ import pytest
 from draws import FULL, some
 from machines import CONFIG
 
+from arm_emulator import (
+    OfflineRun,
+    Plant,
+    Pose,
+    Refusal,
+    Scene,
+    Session,
+    load_scene,
+    load_servo_config,
+)
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.tuned import compute, data_sheet, link_inertias, run
 from arm_emulator.doors.fieldbus.drives import ETHERCAT
 from arm_emulator.doors.fieldbus.drives import Drives as FieldBus
 from arm_emulator.machine.parts.known import MOTORS
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import check_joints
-from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig
 
 ROTOR = {"rotor_inertia": 1.0e-4}
 DC = {"resistance": 1.5, "inductance": 3e-3, "torque_constant": 0.1, "back_emf_constant": 0.1}

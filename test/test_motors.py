@@ -10,8 +10,7 @@ import pytest
 from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 from scipy.linalg import expm
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, load_scene
 
 GEAR = {"ratio": 0.01, "stiffness": 1e4, "damping": 10.0}
 VISCOUS = 0.5  # N m s/rad

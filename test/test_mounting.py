@@ -10,12 +10,9 @@ import pytest
 from draws import some
 from scipy.spatial.transform import Rotation
 
+from arm_emulator import Kinematics, Plant, load_gains, load_scene
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.runs.gains import load_gains
 from oracles.any_arm import move, reachable
 from oracles.own_robots import Part, serial
 

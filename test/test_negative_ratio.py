@@ -11,15 +11,12 @@ import pytest
 from draws import some
 from machines import MOTOR, moving_joints, random_chain_urdf, write_scene
 
+from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.joint_gains import GearData, MotorData, design
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
-from arm_emulator.machine.session import Session
-from arm_emulator.runs.gains import check_fit, check_joints, load_gains
+from arm_emulator.runs.gains import check_fit, check_joints
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import ServoConfig
 

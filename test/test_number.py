@@ -15,16 +15,14 @@ import pytest
 import yaml
 from refused_numbers import check_refusals, fits
 
+from arm_emulator import Plant, Refusal, load_scene, load_servo_config
 from arm_emulator.base import bound
 from arm_emulator.base.number import LARGEST, SMALLEST, Number, numbers_of
 from arm_emulator.base.parameters import checked, parameters_of
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.doors.microcontroller.board import Board, Channel, Encoder, Uart, load_board
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters
 

@@ -13,8 +13,8 @@ from documents import DOCS
 from machines import GRAVITY, LINK, write_scene
 from rclpy.serialization import deserialize_message
 
+from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
@@ -39,13 +39,9 @@ from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
-from arm_emulator.machine.session import Session
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.middleware import Outgoing, middleware
-from arm_emulator.runs.gains import load_gains
 from arm_emulator_msgs.msg import MotorState
 from docs import tables
 

@@ -15,10 +15,9 @@ import pytest
 from draws import some
 from machines import GANTRY, GRAVITY, gantry_urdf
 
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from oracles.mixtures import (
     AS_ALONE,
     PERIOD,

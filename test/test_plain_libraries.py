@@ -17,21 +17,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from arm_emulator import (
+    JacobianController,
+    Kinematics,
+    OfflineRun,
+    Plant,
+    Pose,
+    Refusal,
+    Servo,
+    Session,
+    load_scene,
+    load_servo_config,
+)
 from arm_emulator.base.count import check_count
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import PIECE
-from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.predicted_residual import predicted_residual
-from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.servo.drives import Drives
-from arm_emulator.servo.servo import Servo, load_servo_config
 
 N = 3
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from machines import one_link_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Diverged, Plant, Refusal, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 

@@ -15,11 +15,9 @@ from draws import some
 from machines import GANTRY, gantry_urdf, moving_joints, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
 
+from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.reference import links_model
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.pmsm import Pmsm
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 PERIOD = 1e-3  # s, over which a command is held
 SUPPLY = 48.0

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.pose import Pose
+from arm_emulator import Pose, Refusal
 
 
 def test_pose_takes_quaternions_as_messages_give_them() -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from sensor_motion import readings_and_truth
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, load_scene
 
 TICKS = 1000
 RANGE, STEP, NOISE = 0.5, 2.0**-11, 0.01  # rad

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from machines import one_link_urdf, write_scene
 
+from arm_emulator import Fleet, Plant, Scene, load_scene
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 
 def fed(plant: Plant, V: Array) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator import OfflineRun, Pose, Refusal, Scene, load_gains, load_scene
 from arm_emulator.analysis.rest_shares import rest_shares
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.demo import verdict
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.predicted_rest import Arrival, predicted_rest
@@ -20,11 +20,8 @@ from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Stuck, Unknown
 from arm_emulator.machine.parts.sensors import ANALOG
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.link_torques import LinkTorques
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import Gains, load_gains
-from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.gains import Gains
 from bench.residuals import EFFECTS, left_by, rests
 
 

@@ -13,16 +13,14 @@ from draws import some
 from machines import LINK_INERTIA, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.special import ellipj, ellipk
 
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import reference, reference_states
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import CORE
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import FLAGS
-from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 

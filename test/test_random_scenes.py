@@ -15,16 +15,15 @@ import yaml
 from draws import some
 from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
-from arm_emulator.motion.kinematics import Kinematics, moving_joints
+from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.runs.gains import check_fit
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig
 
 
 @pytest.mark.parametrize("block", some(range(10), 5))

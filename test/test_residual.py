@@ -10,20 +10,23 @@ import numpy as np
 import pytest
 from kinematic_arms import CONFIG, START, THREE_AXIS, three_axis
 
+from arm_emulator import (
+    JacobianController,
+    Kinematics,
+    OfflineRun,
+    Plant,
+    Pose,
+    Refusal,
+    Servo,
+    load_gains,
+    load_scene,
+    load_servo_config,
+)
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.predicted_residual import predicted_residual
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
-from arm_emulator.servo.servo import Servo, load_servo_config
 
 
 def test_predicted_residual_of_one_joint_is_one_and_a_half_counts() -> None:

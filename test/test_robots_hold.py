@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, load_scene
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])

@@ -10,9 +10,8 @@ import pytest
 from draws import some
 from machines import one_link_urdf, write_scene
 
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 PERIOD = 1e-2  # s
 RATIO = 0.05

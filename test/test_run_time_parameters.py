@@ -19,8 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from test_network import go, pause_at
 
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.pose import Pose
+from arm_emulator import JacobianController, Pose
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.servo.servo_config import SETTABLE, JointServo
 

@@ -13,10 +13,9 @@ import pytest
 import yaml
 from machines import CONFIG
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.machine.urdf_chain import read_chain
 from arm_emulator.machine.urdf_file import example_robot_data

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from sensed_machine import FIELDS, motion, noisy, rows, same, set_all, truth, write
 
-from arm_emulator.machine.fleet import Fleet
+from arm_emulator import Fleet, Scene, load_scene
 from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.machine.scene import Scene, load_scene
 
 
 @pytest.fixture(scope="module")

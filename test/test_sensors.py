@@ -28,17 +28,13 @@ from sensed_machine import (
     write,
 )
 
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene, load_servo_config
 from arm_emulator.analysis.servo_loop import ServoLoops
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.tuned import run
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.runs.gains import check_joints
-from arm_emulator.servo.servo_config import load_servo_config
 
 OF_SENSORS = [name for name, one in KNOWN.items() if one not in ALWAYS]
 

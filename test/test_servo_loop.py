@@ -10,11 +10,11 @@ import pytest
 import scipy.linalg
 from draws import some
 
+from arm_emulator import Refusal, Servo, Session, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop
 from arm_emulator.analysis.servo_at_rest import swing_at_rest
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.joint_gains import (
     OVERSHOOT,
     SENSITIVITY,
@@ -25,13 +25,10 @@ from arm_emulator.design.joint_gains import (
     joint_plant,
     joint_servo,
 )
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.held import held
 from arm_emulator.servo.held_motor import held_motor
-from arm_emulator.servo.servo import Servo, ServoConfig
+from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_config import JointServo
 
 Rng = np.random.Generator

@@ -7,11 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Session, load_scene
 from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.phase import Phase
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
 
 NAMES = ["waist", "shoulder", "elbow"]
 ZERO = [0.0, 0.0, 0.0]

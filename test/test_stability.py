@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator import Plant, load_scene
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 STEPS = 20

@@ -11,8 +11,7 @@ from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import assert_order_two, drawn
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 

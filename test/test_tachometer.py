@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from sensor_motion import readings_and_truth
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 
 TICKS = 2000
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, Refusal, load_scene
 
 WINDING = {"heat_capacity": 0.2, "thermal_resistance": 2.0, "ambient": 30.0}
 HEATED = {f"joints.{name}.motor.winding": WINDING for name in ("waist", "elbow")}

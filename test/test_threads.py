@@ -13,15 +13,13 @@ import pytest
 from draws import FULL, some
 from machines import GRAVITY, random_chain
 
+from arm_emulator import Diverged, Plant, load_scene
 from arm_emulator.base.busy import busy_processes
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import SHARED
 from arm_emulator.core import CORE
 from arm_emulator.machine.compiler import FLAGS
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 
 # Table 1 of the paper: difference between one and two threads after 1 s [rad].

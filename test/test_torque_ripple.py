@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from machines import MOVED, ROTOR, gantry_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, Refusal, load_scene
 
 RATIO = 0.01
 

@@ -13,9 +13,7 @@ from machines import GANTRY, LINK_INERTIA, MOVED, gantry_urdf, one_link_urdf, wr
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Refusal, Scene, load_scene
 
 WEIGHT = 2.0 * 0.3 * 9.81  # N m, of the link when it is level; it turns downwards
 

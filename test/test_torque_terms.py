@@ -11,10 +11,8 @@ from draws import FULL
 from machines import MOTOR, write_scene
 from test_faults import NAMES, chain_urdf, everything
 
+from arm_emulator import ExternalWrench, Plant, Scene, load_scene
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 
 MOMENTS = 1000 if FULL else 200
 # Shares of the largest term of a joint. A link's acceleration solves M a = ..., whose condition

@@ -13,14 +13,13 @@ import pytest
 from draws import some
 from machines import CONFIG, Oracle, write_scene
 
+from arm_emulator import Refusal, load_scene, load_servo_config
 from arm_emulator.analysis.servo_loop import FREE_SLIDE, poses
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design import tuned
 from arm_emulator.design.gain_text import write_gains
 from arm_emulator.design.tuned import HOLDS, compute, falls, holding, link_inertias
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig
 
 
 def other_gains(servo: ServoConfig, rng: np.random.Generator, rigid: bool) -> ServoConfig:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.udp import (
     GREETING,
     POWER,
@@ -25,9 +25,6 @@ from arm_emulator.doors.udp import (
     UdpServer,
 )  # fmt: skip
 from arm_emulator.machine.loop_clock import real_time_session
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
 
 SCENE = load_scene("three_axis")
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "udp_servo.c"

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.identification.wind_up import wind_up
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.validation import manutec_r3
 from arm_emulator.validation.figure import Figure
 from arm_emulator.validation.kuka_kr300 import (

@@ -13,12 +13,9 @@ import yaml
 from draws import some
 from machines import MOTOR, Oracle, moving_joints, random_chain_urdf, write_scene
 
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.number import Number
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 ALL = ["payload.mass", "joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.*"]

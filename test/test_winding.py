@@ -11,9 +11,7 @@ import pytest
 from balance import balance_of
 from machines import DC, GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 
 RATIO = 0.01

@@ -12,15 +12,14 @@ import pytest
 import yaml
 from machines import CONFIG
 
+from arm_emulator import Refusal, load_scene
 from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import BESIDE, check_own
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.advise import advise as advise_scene
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.identification.fitted_scene import write_fitted
-from arm_emulator.machine.scene import load_scene
 
 
 def scene_copy(folder: Path, **replaced: str) -> Path:
