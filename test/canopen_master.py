@@ -11,7 +11,9 @@ from arm_emulator import Plant, Scene, load_gains
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives, dictionary
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
+from arm_emulator.doors.fieldbus.object_dictionary import dictionary
 
 SYNC = Frame(0x80)
 ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]

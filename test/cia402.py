@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from arm_emulator import Plant, Scene, load_scene, load_servo_config
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 
 ROOT = Path(__file__).resolve().parents[1]
 SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")

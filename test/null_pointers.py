@@ -16,7 +16,7 @@ import numpy as np
 from arm_emulator import Breakpoint, Plant, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import NULL
-from arm_emulator.doors.fieldbus.drives import DRIVES
+from arm_emulator.doors.fieldbus.drives_unit import DRIVES
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.call_arguments import options_of
 from arm_emulator.machine.compiler import fleet_library_of, real_time_library

@@ -18,7 +18,7 @@ from arm_emulator.build import c_header, library_cache
 from arm_emulator.build.c_header import NULL, Header, Library, pointer, text
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import BOUNDARY
-from arm_emulator.doors.fieldbus.drives import DRIVES, DRIVES_CORE
+from arm_emulator.doors.fieldbus.drives_unit import DRIVES, DRIVES_CORE
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT
 from arm_emulator.doors.microcontroller import FOLDER as MICROCONTROLLER
 from arm_emulator.doors.microcontroller.microcontroller import RUNNER

@@ -20,8 +20,8 @@ from canopen_master import (
 )
 
 from arm_emulator.doors.fieldbus.canopen_node import Frame
-from arm_emulator.doors.fieldbus.drives import REALS
 from arm_emulator.doors.fieldbus.eds import eds
+from arm_emulator.doors.fieldbus.object_dictionary import REALS
 from arm_emulator.machine.scene import Scene, load_scene
 
 

@@ -39,15 +39,9 @@ from arm_emulator import Plant, Refusal, load_servo_config
 from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command_line import main
 from arm_emulator.doors.fieldbus.declared import COUNT, FIRST
-from arm_emulator.doors.fieldbus.drives import (
-    CANOPEN,
-    ETHERCAT,
-    REALS,
-    Aborted,
-    Drives,
-    Entry,
-    dictionary,
-)
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN, ETHERCAT
+from arm_emulator.doors.fieldbus.object_dictionary import REALS, Aborted, Entry, dictionary
 
 
 def test_every_entry_can_be_read_and_begins_within_its_range() -> None:

@@ -39,7 +39,8 @@ from cia402 import (
 )
 
 from arm_emulator import Plant, Servo, load_scene, load_servo_config
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 
 
 @pytest.mark.parametrize("feedforward", [0, 1000])

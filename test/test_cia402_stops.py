@@ -47,7 +47,7 @@ from cia402 import (
     until,
 )
 
-from arm_emulator.doors.fieldbus.drives import Aborted, dictionary
+from arm_emulator.doors.fieldbus.object_dictionary import Aborted, dictionary
 from arm_emulator.machine.diverged import Diverged
 
 # -------------------------------------------------------------------------- limits, stops, faults

@@ -27,7 +27,8 @@ from arm_emulator.build.c_header import Library
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.machine.core_calls import ARM

@@ -27,7 +27,8 @@ from cia402 import (
 )  # fmt: skip
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.doors.fieldbus.drives import Aborted, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.object_dictionary import Aborted
 from arm_emulator.runs.timeline import Timeline
 
 LAST, EVERY = 400, 64  # ticks

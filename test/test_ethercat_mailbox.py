@@ -18,7 +18,7 @@ from ethercat_master import (
     segment,
 )  # fmt: skip
 
-from arm_emulator.doors.fieldbus.drives import ETHERCAT
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 
 __all__ = ["master"]  # a fixture
 

@@ -37,8 +37,9 @@ from ethercat_master import (
 )  # fmt: skip
 from fuzz import cores
 
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, Entry
-from arm_emulator.doors.fieldbus.drives import Aborted as DictionaryAborted
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
+from arm_emulator.doors.fieldbus.object_dictionary import Aborted as DictionaryAborted
+from arm_emulator.doors.fieldbus.object_dictionary import Entry
 
 __all__ = ["master"]  # a fixture
 

@@ -13,10 +13,11 @@ from ethercat_master import Aborted, Master
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.doors.fieldbus import drives as dictionaries
+from arm_emulator.doors.fieldbus import object_dictionary as dictionaries
 from arm_emulator.doors.fieldbus.canopen_node import Frame
-from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, dictionary
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.doors.fieldbus.object_dictionary import dictionary
 
 SCENE = load_scene("three_axis")
 SERVO = load_gains(find_scene("three_axis")).servo

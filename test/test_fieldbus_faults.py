@@ -15,7 +15,8 @@ from modbus_line import line_of
 
 from arm_emulator import Plant, Scene, Session, load_scene
 from arm_emulator.doors.fieldbus.canopen_segment import Segment as CanopenSegment
-from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.doors.fieldbus.modbus_rtu import Code
 

@@ -14,7 +14,7 @@ from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.unit import Unit
 from arm_emulator.campaign.program import judges_unit
 from arm_emulator.campaign.signals import sampler_unit
-from arm_emulator.doors.fieldbus.drives import drives_unit
+from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.record_ring import record_ring_unit

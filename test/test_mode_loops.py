@@ -28,7 +28,7 @@ from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.doors.fieldbus.drives import Aborted, dictionary, modes
+from arm_emulator.doors.fieldbus.object_dictionary import Aborted, dictionary, modes
 from arm_emulator.servo.servo_config import ServoConfig
 from bench.modes import PAGE, table_of
 from oracles.any_arm import arms

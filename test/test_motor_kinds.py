@@ -25,8 +25,8 @@ from arm_emulator import (
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.design.tuned import compute, data_sheet, link_inertias, run
-from arm_emulator.doors.fieldbus.drives import ETHERCAT
 from arm_emulator.doors.fieldbus.drives import Drives as FieldBus
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 from arm_emulator.machine.parts.known import MOTORS
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.runs.gains import check_joints

@@ -15,7 +15,7 @@ from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.sizing import Demand, size
-from arm_emulator.doors.fieldbus.drives import modes
+from arm_emulator.doors.fieldbus.object_dictionary import modes
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.known import MOTORS
 from arm_emulator.machine.parts.motor import Motor

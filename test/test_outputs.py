@@ -20,8 +20,10 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.declared import index_of, places
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
 from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
+from arm_emulator.doors.fieldbus.object_dictionary import Aborted
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
 from arm_emulator.machine.core_calls import ARM

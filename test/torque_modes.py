@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator import Plant, Scene
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 from arm_emulator.servo.servo_config import ServoConfig
 
 CYCLIC_POSITION, PROFILE_TORQUE, CYCLIC_TORQUE = 8, 4, 10

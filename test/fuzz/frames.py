@@ -15,8 +15,9 @@ from pathlib import Path
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import Header, Library, text
+from arm_emulator.build.unit import library as compiled
 from arm_emulator.core import BOUNDARY
-from arm_emulator.doors.fieldbus.drives import DRIVES_CORE, drives_library_with
+from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
@@ -32,9 +33,8 @@ FUZZ = Header(Path(__file__).with_name("ethercat_fuzz.h"), (DRIVES_CORE, BOUNDAR
 def library() -> Library:
     """Return drives, segment and what makes the frames, in one library."""
     source = '#include "ethercat.cpp"\n' + FUZZ.path.read_text() + _SOURCE.read_text()
-    return drives_library_with(
-        "ethercat-fuzz", source, (SEGMENT, FUZZ), "the EtherCAT segment and its frames"
-    )
+    about = "the EtherCAT segment and its frames"
+    return compiled(drives_unit("ethercat-fuzz", source, (SEGMENT, FUZZ), about))
 
 
 def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:

@@ -23,7 +23,9 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.canopen import load_segment, write_eds
 from arm_emulator.doors.fieldbus.can_bus import BusService, can_bus
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives, dictionary
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
+from arm_emulator.doors.fieldbus.object_dictionary import dictionary
 from arm_emulator.machine.plant import Plant
 from arm_emulator.runs.gains import load_gains
 

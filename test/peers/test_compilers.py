@@ -20,7 +20,7 @@ from arm_emulator.build.compiler_command import identity
 from arm_emulator.build.unit import Unit
 from arm_emulator.campaign.program import judges_unit
 from arm_emulator.campaign.signals import sampler_unit
-from arm_emulator.doors.fieldbus.drives import drives_unit
+from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables

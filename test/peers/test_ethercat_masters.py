@@ -26,7 +26,7 @@ from draws import FULL
 from ethercat_master import Master
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.doors.fieldbus.drives import ETHERCAT
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains

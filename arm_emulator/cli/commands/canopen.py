@@ -22,7 +22,8 @@ from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.can_bus import Bus, BusService, can_bus
 from arm_emulator.doors.fieldbus.can_server import CanServer
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
 from arm_emulator.doors.fieldbus.eds import eds as data_sheet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene

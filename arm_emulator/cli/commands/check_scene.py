@@ -19,7 +19,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.mode_table import mode_facts, mode_rows, page_table
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
-from arm_emulator.doors.fieldbus.drives import modes as drive_modes
+from arm_emulator.doors.fieldbus.object_dictionary import modes as drive_modes
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity

@@ -14,7 +14,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.doors.fieldbus.drives import drives_unit
+from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.firmware_loop import firmware_loop_unit

@@ -10,7 +10,9 @@ import enum
 import struct
 from dataclasses import dataclass, field
 
-from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
+from arm_emulator.doors.fieldbus.object_dictionary import Aborted, dictionary
 
 LARGEST_NODE = 127
 PDOS = 4  # of each way

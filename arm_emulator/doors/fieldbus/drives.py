@@ -4,192 +4,33 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
 
-from arm_emulator.analysis.linear_servo import Loop
-from arm_emulator.analysis.mode_loops import Mode, withheld_modes
+from arm_emulator.analysis.mode_loops import withheld_modes
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import shaft_limits
-from arm_emulator.build.c_header import CData, Header, Library, text
-from arm_emulator.build.flags import SHARED
-from arm_emulator.build.unit import Unit, library
-from arm_emulator.core import BOUNDARY
+from arm_emulator.build.c_header import CData, Library
 from arm_emulator.doors.fieldbus import declared
+from arm_emulator.doors.fieldbus.drives_unit import DRIVES, UNITS, drives_library
+from arm_emulator.doors.fieldbus.object_dictionary import (
+    REALS,
+    SIGNED,
+    Aborted,
+    Entry,
+    entries_of,
+    modes,
+)
 from arm_emulator.machine.inputs import modes_of
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER, READINGS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
-from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import Rows
 from arm_emulator.servo.servo_numbers import servo_numbers
 
-DRIVES_CORE = Path(__file__).resolve().parent / "core"
-
-# The servo's bits are those of its C library: nothing is contracted or reordered.
-DRIVES_FLAGS = (
-    *"-std=c++20 -O2 -fvisibility=hidden -fno-exceptions -ffp-contract=off".split(),
-    *"-fno-semantic-interposition -pthread".split(),
-    *SHARED,
-)
-SOURCE = f'#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
-
-DRIVES = Header(DRIVES_CORE / "drives.h", (BOUNDARY, FOLDER))
-ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
-UNITS = DRIVES.constant("DRIVES_UNITS")
-
-
-def drives_unit(
-    name: str = "drives",
-    source: str = "",
-    headers: tuple[Header, ...] = (),
-    about: str = "the drives behind field buses",
-) -> Unit:
-    """Return the drives, with a bus, as one unit to compile, the same for all scenes.
-
-    Args:
-        name: of the library.
-        source: C++ that comes behind core/drives.hpp.
-        headers: declare the functions that it adds.
-        about: what the user is reported while it is compiled.
-    """
-    return Unit(
-        name,
-        SOURCE + source,
-        DRIVES_FLAGS,
-        (DRIVES_CORE, FOLDER, BOUNDARY),
-        (DRIVES, *headers),
-        "fieldbus",
-        about,
-        "drives.hpp",
-    )
-
-
-def drives_library_with(name: str, source: str, headers: tuple[Header, ...], about: str) -> Library:
-    """Return the drives compiled with a bus, see `drives_unit`.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(drives_unit(name, source, headers, about))
-
-
-@cache
-def drives_library() -> Library:
-    """Return the drives compiled, see `drives_library_with`."""
-    return library(drives_unit())
-
-
 _SDO_REPLIES = DRIVES.constant("DRIVES_SDO_REPLIES")
-
-ACCESS = ("const", "ro", "wo", "rw")
-TYPES = {
-    1: "BOOLEAN",
-    2: "INTEGER8",
-    3: "INTEGER16",
-    4: "INTEGER32",
-    5: "UNSIGNED8",
-    6: "UNSIGNED16",
-    7: "UNSIGNED32",
-    8: "REAL32",
-    9: "VISIBLE_STRING",
-    17: "REAL64",
-}
-# Layouts of numbers that are not whole.
-REALS = {"REAL32": "<f", "REAL64": "<d"}
-_SIGNED = ("INTEGER8", "INTEGER16", "INTEGER32")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One entry of the object dictionary, see core/object_dictionary.hpp."""
-
-    index: int
-    sub: int
-    object: str
-    """Name of its object."""
-    name: str
-    code: int
-    """7 variable, 8 array, 9 record."""
-    last_sub: int
-    """Of its object."""
-    type: str
-    """As CiA 301 calls it."""
-    bits: int
-    """0: text."""
-    access: str
-    """const, ro, wo or rw."""
-    rx: bool
-    """Whether a drive may receive it as process data."""
-    tx: bool
-    """Whether a drive may transmit it as process data."""
-    buses: int
-    """Bits ETHERCAT and CANOPEN: where it is there."""
-    unit: str
-    standard: int
-    least: int
-    most: int
-
-
-class Aborted(Exception):
-    """An access that a dictionary refuses.
-
-    Attributes:
-        code: abort code of an SDO server.
-    """
-
-    def __init__(self, index: int, sub: int, code: int) -> None:
-        super().__init__(f"0x{index:04X}:{sub}: abort code 0x{code:08X}")
-        self.code = code
-
-
-@cache
-def dictionary() -> tuple[Entry, ...]:
-    """Return all entries, in ascending order."""
-    return tuple(_walk(drives_library()))
-
-
-def _walk(calls: Library) -> Iterator[Entry]:
-    one, slot = DRIVES.new("drives_entry"), 0
-    while calls.drives_list(slot, one):
-        yield Entry(
-            one.index,
-            one.sub,
-            text(one.object),
-            text(one.name),
-            one.code,
-            one.last_sub,
-            TYPES[one.type],
-            one.bits,
-            ACCESS[one.access],
-            bool(one.pdo & 1),
-            bool(one.pdo & 2),
-            one.buses,
-            text(one.unit),
-            one.standard,
-            one.least,
-            one.most,
-        )
-        slot += 1
-
-
-@cache
-def modes() -> tuple[Mode, ...]:
-    """Return all modes of operation that drives have, see core/modes/modes.hpp."""
-    return tuple(_walk_modes(drives_library()))
-
-
-def _walk_modes(calls: Library) -> Iterator[Mode]:
-    one, row = DRIVES.new("drives_mode"), 0
-    while calls.drives_list_mode(row, one):
-        loops = tuple(loop for bit, loop in enumerate(Loop) if one.loops >> bit & 1)
-        yield Mode(one.number, text(one.name), loops)
-        row += 1
 
 
 @dataclass(frozen=True)
@@ -269,7 +110,7 @@ class Drives:
         self._room = DRIVES.ffi.new("uint8_t[]", 256)
         self._replies = DRIVES.ffi.new("uint8_t[]", 8 * _SDO_REPLIES)
         self._size = DRIVES.ffi.new("uint32_t *")
-        self._entries = {(one.index, one.sub): one for one in _walk(self.calls)}
+        self._entries = {(one.index, one.sub): one for one in entries_of(self.calls)}
 
     def __del__(self) -> None:
         pointer, self.pointer = getattr(self, "pointer", None), None
@@ -360,7 +201,7 @@ class Drives:
             Aborted: see `upload`.
         """
         value = self.upload(drive, index, sub)
-        return int.from_bytes(value, "little", signed=self._entries[index, sub].type in _SIGNED)
+        return int.from_bytes(value, "little", signed=self._entries[index, sub].type in SIGNED)
 
     def reading(self, drive: int, index: int, sub: int = 0) -> float:
         """Return the number that an entry of any type holds.

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 from arm_emulator.doors.fieldbus.canopen_node import Node
-from arm_emulator.doors.fieldbus.drives import CANOPEN, REALS, TYPES, Entry, dictionary
+from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
+from arm_emulator.doors.fieldbus.object_dictionary import REALS, TYPES, Entry, dictionary
 
 _CODES = {name: code for code, name in TYPES.items()}
 _MANDATORY = (0x1000, 0x1001, 0x1018)

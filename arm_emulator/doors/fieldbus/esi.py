@@ -5,7 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, REALS, Drives, Entry
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
+from arm_emulator.doors.fieldbus.object_dictionary import REALS, Entry
 
 # As in core/ethercat_sii.hpp.
 MAILBOX = 256

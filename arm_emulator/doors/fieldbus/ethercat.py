@@ -10,7 +10,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, Header, Library
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
-from arm_emulator.doors.fieldbus.drives import DRIVES_CORE, ETHERCAT, Drives, drives_unit
+from arm_emulator.doors.fieldbus.drives import Drives
+from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.c import FOLDER

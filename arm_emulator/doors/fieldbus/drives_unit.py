@@ -1,0 +1,63 @@
+"""The library of the drives behind field buses, core/drives.h."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from arm_emulator.build.c_header import Header, Library
+from arm_emulator.build.flags import SHARED
+from arm_emulator.build.unit import Unit, library
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fieldbus import declared
+from arm_emulator.servo.c import FOLDER
+
+DRIVES_CORE = Path(__file__).resolve().parent / "core"
+
+# The servo's bits are those of its C library: nothing is contracted or reordered.
+DRIVES_FLAGS = (
+    *"-std=c++20 -O2 -fvisibility=hidden -fno-exceptions -ffp-contract=off".split(),
+    *"-fno-semantic-interposition -pthread".split(),
+    *SHARED,
+)
+SOURCE = f'#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
+
+DRIVES = Header(DRIVES_CORE / "drives.h", (BOUNDARY, FOLDER))
+ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
+UNITS = DRIVES.constant("DRIVES_UNITS")
+
+
+def drives_unit(
+    name: str = "drives",
+    source: str = "",
+    headers: tuple[Header, ...] = (),
+    about: str = "the drives behind field buses",
+) -> Unit:
+    """Return the drives, with a bus, as one unit to compile, the same for all scenes.
+
+    Args:
+        name: of the library.
+        source: C++ that comes behind core/drives.hpp.
+        headers: declare the functions that it adds.
+        about: what the user is reported while it is compiled.
+    """
+    return Unit(
+        name,
+        SOURCE + source,
+        DRIVES_FLAGS,
+        (DRIVES_CORE, FOLDER, BOUNDARY),
+        (DRIVES, *headers),
+        "fieldbus",
+        about,
+        "drives.hpp",
+    )
+
+
+@cache
+def drives_library() -> Library:
+    """Return the drives compiled.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return library(drives_unit())
