@@ -17,7 +17,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import Header, Library, text
 from arm_emulator.build.unit import library as compiled
 from arm_emulator.core import BOUNDARY
-from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE
+from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE, drives_unit
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
