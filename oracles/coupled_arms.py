@@ -74,13 +74,15 @@ class Lagrange:
         self.data = self.model.createData()
         self.C, self.q_0 = C, q_0
 
-    def accelerations(self, p: Array, v: Array, T: Array) -> Array:
-        """Return those of the shafts (N,) under torques of theirs."""
+    def accelerations(self, p: Array, v: Array, T: Array, tau: Array | None = None) -> Array:
+        """Return those of the shafts (N,) under torques of theirs and of joints (L,)."""
         C, (L, N) = self.C, self.C.shape
         q = C @ p + self.q_0
         M = pin.crba(self.model, self.data, q)
         M = np.triu(M) + np.triu(M, 1).T
         nle = pin.nonLinearEffects(self.model, self.data, q, C @ v)
+        if tau is not None:
+            nle = nle - tau
         system = np.block([
             [M, np.zeros((L, N)), np.eye(L)],  # M q'' + nle + lambda = 0
             [np.zeros((N, L + N)), C.T],  # C^T lambda + T = 0

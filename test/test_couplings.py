@@ -15,12 +15,25 @@ import yaml
 from draws import FULL, some
 from scipy.integrate import solve_ivp
 
-from arm_emulator import Fleet, Kinematics, Plant, Refusal, Scene, load_gains, load_scene
+from arm_emulator import (
+    ExternalWrench,
+    Fleet,
+    Kinematics,
+    Plant,
+    Refusal,
+    Scene,
+    load_gains,
+    load_scene,
+    sensitivities,
+)
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.link_loads import LinkLoads
+from arm_emulator.analysis.sensitivities import numbers_of
+from arm_emulator.campaign.signals import tool_positions
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.runs.breakpoint import Breakpoint
 from oracles.any_arm import move, reachable
 from oracles.coupled_arms import (
     ARMS,
@@ -249,11 +262,69 @@ def test_couplings_that_move_nothing_are_refused(
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("key", ["external_wrench", "varied"])
-def test_parts_that_coupled_scenes_cannot_have_are_refused(key: str, tmp_path: Path) -> None:
-    value: Any = True if key == "external_wrench" else ["joints.j1.friction.viscous"]
-    with pytest.raises(Refusal, match=f"{key} must be absent from a scene with couplings"):
-        machine(tmp_path, *ARMS["telescope"], **{key: value})
+@pytest.mark.parametrize("name", ["telescope", *some([*ARMS][1:], 0)])
+def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: Path) -> None:
+    """On links with and without a drive: what a unit measures is what the constraints give."""
+    parts, shares = ARMS[name]
+    unit = {"link": "tool0", "xyz": [0.1, -0.2, 0.05], "rpy": [0.3, -0.7, 1.1]}
+    masses = {"links.l4.mass": 2.5, "links.l5.mass": 0.4}
+    scene = machine(
+        tmp_path, parts, shares, external_wrench=True, imus={"unit": unit}, varied=list(masses),
+        faults=["base_tilts"], joints={shaft: {} for shaft in shafts_of(parts, shares)},
+    )  # fmt: skip
+    plant, draw = Plant(scene), np.random.default_rng(7)
+    assert list(plant.external_wrenches) == [link.link for link in scene.chain.links]
+    truth = Lagrange(serial("arm", parts), matrix(parts, shares), np.zeros(len(parts)))
+    model = truth.model
+    tool = model.frames[model.getFrameId("tool0")]
+    pose = pin.SE3(pin.rpy.rpyToMatrix(*unit["rpy"]), np.array(unit["xyz"]))
+    frame = model.addFrame(pin.Frame("unit", tool.parentJoint, tool.placement * pose, pin.OP_FRAME))
+    data = truth.data = model.createData()
+    local, aligned = pin.ReferenceFrame.LOCAL, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    tilt = 0.3
+    plant.set_parameter("faults.base_tilts", tilt)
+    model.gravity.linear = pin.rpy.rpyToMatrix(-tilt, 0.0, 0.0) @ np.array(GRAVITY)
+    for link, mass in masses.items():
+        plant.set_parameter(link, mass)
+        body = model.inertias[int(link.split(".")[1][1:])]
+        body.mass, lever, about = mass, body.mass * body.lever, body.matrix()[3:, 3:]
+        body.lever = lever / mass  # a varied mass leaves its moments as they are
+        body.inertia = about - mass * pin.skew(body.lever) @ pin.skew(body.lever).T
+    for _ in range(10):
+        p, v, f, n = (draw.normal(size=k) for k in (len(scene.joints), len(scene.joints), 3, 3))
+        plant.reset(p, v)
+        tau = np.zeros(len(parts))
+        pushed = {}
+        for link in ("l3", "l5"):
+            force, moment, point = 40.0 * f, 20.0 * n, draw.normal(size=3)
+            wrench = ExternalWrench(force, moment, point, axes="world")
+            plant.set_external_wrench(link, wrench)
+            pushed[link] = wrench
+        plant.exchange(np.zeros(len(p)))
+        x, q = plant.state, truth.C @ plant.state.q
+        pin.framesForwardKinematics(model, data, q)
+        for link, wrench in pushed.items():
+            J = pin.computeFrameJacobian(model, data, q, model.getFrameId(link), aligned)
+            R = pin.updateFramePlacement(model, data, model.getFrameId(link)).rotation
+            moment = wrench.moment + np.cross(R @ wrench.point, wrench.force)
+            tau += J.T @ np.concatenate([wrench.force, moment])
+        a = truth.accelerations(x.q, x.v, np.zeros(len(p)), tau)
+        pin.forwardKinematics(model, data, q, truth.C @ x.v, truth.C @ a)
+        feels = pin.getFrameClassicalAcceleration(model, data, frame, local).linear
+        R = pin.updateFramePlacement(model, data, frame).rotation
+        feels = feels - R.T @ model.gravity.linear
+        turns = pin.getFrameVelocity(model, data, frame, local).angular
+        scale = 1.0 + float(np.abs(feels).max())
+        got = plant.measured
+        np.testing.assert_allclose(got.specific_force[0], feels, rtol=0.0, atol=1e-9 * scale)
+        np.testing.assert_allclose(got.angular_rate[0], turns, rtol=0.0, atol=1e-11 * scale)
+    pin.framesForwardKinematics(model, data, q)
+    there = data.oMf[model.getFrameId("tool0")].translation
+    np.testing.assert_allclose(tool_positions(scene, x.q[:, None])[:, 0], there, atol=1e-12)
+    for axis, at_axis in zip("xyz", there, strict=True):
+        for off in (-1e-9, 1e-9):
+            stop = Breakpoint(plant, f"tool.{axis} > {float(at_axis + off)!r}")
+            assert stop.struct.held == (off < 0.0)
 
 
 def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path) -> None:
@@ -308,9 +379,30 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
 @pytest.mark.skipif(not FULL, reason="fleets are compiled once more for it: make test-in-full")
 @pytest.mark.parametrize("name", ARMS)
 def test_lanes_of_a_fleet_move_as_one_machine(name: str, tmp_path: Path) -> None:
-    scene = machine(tmp_path, *ARMS[name])
+    scene = machine(tmp_path, *ARMS[name], external_wrench=True, varied=["links.l4.mass"])
     fleet, plant = Fleet(scene, 9), Plant(scene)
+    push = ExternalWrench((20.0, -30.0, 10.0), (1.0, 2.0, -3.0), (0.1, 0.0, 0.2), axes="world")
+    for one in (fleet, plant):
+        one.set_external_wrench("l5", push)
+        one.set_parameter("links.l4.mass", 3.3)
     u = 0.3 * np.cos(np.arange(len(scene.joints)))
     fleet.run(np.tile(u, (1, 9, 1)), 200)
     plant.advance(u, 200)
     np.testing.assert_allclose(fleet.state.q, np.tile(plant.state.q, (9, 1)), rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.skipif(not FULL, reason="dual numbers are compiled for it: make test-in-full")
+def test_derivatives_are_those_of_the_motion(tmp_path: Path) -> None:
+    """By the mass of a link without a drive and the stiffness of its shaft; central differences."""
+    names = ["joints.j3.gear.stiffness", "links.l5.mass"]
+    scene = machine(tmp_path, *ARMS["telescope"], varied=names)
+    rows = np.random.default_rng(3).normal(0.0, 0.4, (10, len(scene.joints)))
+    of, values = sensitivities(scene, rows, names), numbers_of(scene)
+    for i, name in enumerate(names):
+        value, ends = values[name].value, []
+        for share in (1e-4, -1e-4):
+            plant = Plant(scene)
+            plant.set_parameter(name, value * (1.0 + share))
+            ends.append(plant.run(rows, scene.steps_per_period)[-1])
+        expected = (ends[0] - ends[1]) / (2e-4 * value)
+        np.testing.assert_allclose(of.by["q"][-1][:, i], expected, rtol=1e-5, atol=1e-12)

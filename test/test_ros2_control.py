@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from draws import some
+from test_couplings import machine
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.design.ros2_control import (
@@ -19,6 +20,7 @@ from arm_emulator.design.ros2_control import (
     description,
     update_rate,
 )
+from oracles.coupled_arms import ARMS, shafts_of
 
 PACKAGE = Path(__file__).resolve().parents[1] / "arm_emulator_hardware"
 
@@ -43,6 +45,24 @@ def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
         assert float(start.text or "") == joint.start
     robot.remove(control)
     assert [one.attrib for one in robot] == [one.attrib for one in was]
+
+
+def test_joints_that_follow_one_other_are_mimics_and_other_couplings_are_refused(
+    tmp_path: Path,
+) -> None:
+    parts, shares = ARMS["telescope"]
+    robot = ET.fromstring(description(machine(tmp_path, parts, shares), "anywhere"))
+    (control,) = robot.findall("ros2_control")
+    assert [one.get("name") for one in control.findall("joint")] == shafts_of(parts, shares)
+    mimics = {
+        joint.get("name", ""): {one.get("joint", ""): float(one.get("multiplier", ""))}
+        for joint in robot.findall("joint")
+        for one in joint.findall("mimic")
+    }
+    assert mimics == shares and not list(robot.iter("coupling"))
+    for name in ("palletizer", "bevel wrist", "differential"):
+        with pytest.raises(Refusal, match="follow one other joint each"):
+            description(machine(tmp_path, *ARMS[name]), "anywhere")
 
 
 def test_interfaces_are_those_of_the_plugin() -> None:

@@ -34,6 +34,7 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.way_controller import WayController
+from arm_emulator.runs.breakpoint import Breakpoint
 
 STATES = 200
 # Both sides lose about cond(M) units of the last place, and cond(M) < 1e5 here.
@@ -69,6 +70,14 @@ def test_random_trees_equal_pinocchio(tmp_path: Path, seed: int, joints: int) ->
     plant.reset(q[0], v[0])
     # The same few hundred operations in another order.
     assert plant.energy == pytest.approx(oracle.energy(q[0], v[0]), rel=1e-12), "energy [J]"
+    scene = dataclasses.replace(scene, tool=scene.chain.links[-1].link)
+    plant = Plant(scene)
+    plant.reset(q[0])
+    for axis, p in zip("xyz", oracle.place(q[0], scene.tool), strict=True):
+        for off in (-1e-9, 1e-9):
+            stop = Breakpoint(plant, f"tool.{axis} > {float(p + off)!r}")
+            assert stop.struct.held == (off < 0.0), "a breakpoint's tool is where the tool is"
+            stop.close()
 
 
 PERIOD, ROWS, ARMS = 2e-3, 10, 9

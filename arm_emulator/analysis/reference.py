@@ -327,7 +327,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         frame = model.frames[model.getFrameId(scene.tool)]
         body = pin.Inertia(payload["mass"], com, inertia)
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
-    moved = sum(joint.body.mass for joint in scene.chain.joints)
+    moved = sum(link.body.mass for link in scene.chain.links)
     given = sum(inertia.mass for inertia in list(model.inertias)[1:])
     if abs(moved - given) > 1e-13 * moved:  # rounding of sums of some hundred masses
         raise Refusal("reference", "payload", "be the scene's", f"{given - moved:g} kg too much")

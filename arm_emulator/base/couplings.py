@@ -110,6 +110,16 @@ class Coupling:
         return {name for name, others in zip(self.shafts, shared, strict=True) if not others}
 
     @property
+    def mimics(self) -> bool:
+        """Whether each shaft is the joint of its name, and no other joint follows two of them."""
+        own = [self.joints.index(shaft) for shaft in self.shafts]
+        others = np.delete(self.C, own, axis=0)
+        alone = bool((np.count_nonzero(others, axis=1) <= 1).all())
+        return (
+            alone and bool((self.C[own] == np.eye(len(own))).all()) and not self.offset[own].any()
+        )
+
+    @property
     def plain(self) -> bool:
         """Whether every joint has a shaft of its own."""
         return self.C.shape[0] == self.C.shape[1] and bool((np.eye(len(self.C)) == self.C).all())

@@ -47,7 +47,7 @@ def units_of_signals(scene: Scene) -> dict[str, str]:
     units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}
     columns |= {f"target.{joint}": unit for joint, unit in units.items()}
     columns |= {f"error.{joint}": unit for joint, unit in units.items()}
-    return columns | (dict.fromkeys(TOOL, "m") if scene.chain.coupling.plain else {})
+    return columns | (dict.fromkeys(TOOL, "m") if scene.tool in scene.chain.carried else {})
 
 
 class Samples:
@@ -204,6 +204,7 @@ def tool_positions(scene: Scene, q: Array) -> Array:
     """Return the tool's positions in the world (3, K) [m] for joint positions (N, K) [rad or m]."""
     chain = scene.chain
     joint, frame = chain.place_of(scene.tool)
+    q = chain.coupling.C @ q + chain.coupling.offset[:, None]
     p = np.repeat(frame.p[:, None], len(q[0]), axis=1)
     for place in chain.way_to(joint)[::-1]:
         link = chain.links[place]

@@ -125,7 +125,8 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         bringup: the scene, as `bringup.launch.py` takes it.
 
     Raises:
-        Refusal: a scene with couplings, without a rate for controllers, or with unreadable meshes.
+        Refusal: as `ros2_control.description`; a scene without a rate for controllers, or with
+            unreadable meshes.
     """
     name, package = _ros_name(scene.name), package_name(scene)
     words = {"name": name, "package": package, "scene": bringup, "machine": MACHINE}

@@ -30,9 +30,16 @@ def description(scene: Scene, compiled: str) -> str:
     Raises:
         Refusal: a scene with couplings, whose drives are not those of its joints.
     """
-    if not scene.chain.coupling.plain:
-        raise Refusal("ros2-control", "scene", "have no couplings", scene.where)
+    if not scene.chain.coupling.mimics:
+        rule = "have no couplings but joints that follow one other joint each"
+        valid = "`locked` joints, or a drive for each (without `couplings`)"
+        raise Refusal("ros2-control", "scene", rule, scene.where, valid)
     robot = ET.fromstring(scene.urdf)
+    for element in robot.iter("joint"):
+        for follows in element.findall("coupling"):  # others know `mimic` alone
+            follows.tag = "mimic"
+            if follows.get("joint") == element.get("name"):
+                element.remove(follows)
     for old in robot.findall("ros2_control"):
         robot.remove(old)
     control = ET.SubElement(robot, "ros2_control", name=scene.name, type="system")

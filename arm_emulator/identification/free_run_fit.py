@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.analysis.sensitivities import SensitiveMachine
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification import inertia
 from arm_emulator.identification.free_run import Starts, held_torques, starts
 from arm_emulator.identification.measured_run import MeasuredRun
@@ -62,13 +61,7 @@ def fit_free_runs(
         scene: the nominal machine.
         run: the record.
         report: gets the final distance of each iteration.
-
-    Raises:
-        Refusal: a scene with couplings, whose links' numbers cannot be varied.
     """
-    if not scene.chain.coupling.plain:
-        rule = "be left out for a scene with couplings or mimic joints"
-        raise Refusal("identify", "--simulate", rule, scene.where)
     sought = numbers_of(fit, scene, fit.values)
     scene = torque_driven(scene, run.period, sought)
     speeds = np.abs(np.gradient(run.q_motor, run.period, axis=0))

@@ -113,7 +113,7 @@ class CoreMachine(Turns):
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act on a link, until set anew or reset.
 
-        There is one wrench per joint, the one set last.
+        There is one wrench per joint that moves, the one set last.
 
         Args:
             link: any link of the URDF that moves; the wrench is about a point of it.
@@ -124,23 +124,23 @@ class CoreMachine(Turns):
                 finite or too large; nothing has changed.
         """
         where = "Plant.set_external_wrench"
-        joint, wrench = on_moving_link(self.scene, where, link, wrench)
+        place, wrench = on_moving_link(self.scene, where, link, wrench)
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
         one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
-        if self.core.arm_set_external_wrench(self.machine, joint, one) == REFUSED:
+        if self.core.arm_set_external_wrench(self.machine, place, one) == REFUSED:
             raise self._refusal(where, "another one")
 
     @property
     @in_turn
     def external_wrenches(self) -> dict[str, ExternalWrench]:
-        """External wrench on the link of each joint, by its name; empty in a scene without."""
+        """External wrench on each link that a joint moves, by name; empty in a scene without."""
         wrenches = {}
-        for index, joint in enumerate(self.scene.chain.joints):
+        for place, moved in enumerate(self.scene.chain.links):
             if self.scene.external_wrench:
                 one = ARM.new("arm_wrench")
-                self.core.arm_get_external_wrench(self.machine, index, one)
+                self.core.arm_get_external_wrench(self.machine, place, one)
                 force, moment, point = map(tuple, (one.force, one.moment, one.point))
-                wrenches[joint.link] = ExternalWrench(force, moment, point, AXES[one.axes])
+                wrenches[moved.link] = ExternalWrench(force, moment, point, AXES[one.axes])
         return wrenches
 
     @in_turn

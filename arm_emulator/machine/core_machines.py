@@ -220,12 +220,12 @@ class CoreMachines(Turns):
         """
         where = "Fleet.set_external_wrench"
         mask = chosen_arms(where, arms, self._count)
-        joint, moved = on_moving_link(self.scene, where, link, wrench, self._count)
+        place, moved = on_moving_link(self.scene, where, link, wrench, self._count)
         rows = ARM.rows("arm_wrench", self._count)
         rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
         for name in ("point", "force", "moment"):
             rows[name] = getattr(moved, name)
-        places = mask_bytes(mask), joint, ARM.pointer("arm_wrench", rows)
+        places = mask_bytes(mask), place, ARM.pointer("arm_wrench", rows)
         self.core.arm_fleet_set_external_wrench(self._fleet, *places)
 
     @in_turn

@@ -40,7 +40,7 @@ class ExternalWrench:
 def on_moving_link(
     scene: Scene, where: str, link: str, wrench: ExternalWrench, *arms: int
 ) -> tuple[int, ExternalWrench]:
-    """Return the same wrench as one on the link that a joint moves, and that joint's index.
+    """Return the same wrench as one on a link of the chain, and that link's place in it.
 
     Args:
         scene: the machine.
@@ -58,9 +58,9 @@ def on_moving_link(
         raise Refusal(where, "wrench", "be an ExternalWrench", wrench)
     if wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
-    joint, frame = _frame_of(scene, where, link)
+    place, frame = _frame_of(scene, where, link)
     if not arms:
-        return joint, _moved(where, wrench, frame)
+        return place, _moved(where, wrench, frame)
     force, moment, point = (
         _rows(where, bound, values, arms)
         for bound, values in (
@@ -70,7 +70,7 @@ def on_moving_link(
     if wrench.axes == "link":
         force, moment = _turned(frame.R, force), _turned(frame.R, moment)
     point = _turned(frame.R, point) + frame.p
-    return joint, ExternalWrench(force, moment, point, wrench.axes)
+    return place, ExternalWrench(force, moment, point, wrench.axes)
 
 
 def _moved(where: str, wrench: ExternalWrench, frame: Frame) -> ExternalWrench:
@@ -103,8 +103,8 @@ def _turned(R: Array, rows: Array) -> Array:
 
 
 def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
-    for index, joint in enumerate(scene.chain.joints):
-        if isinstance(link, str) and link in joint.links:
-            return index, joint.links[link]
-    known = [name for joint in scene.chain.joints for name in joint.links]
+    for place, one in enumerate(scene.chain.links):
+        if isinstance(link, str) and link in one.links:
+            return place, one.links[link]
+    known = [name for one in scene.chain.links for name in one.links]
     raise Refusal(where, "link", "be one that moves", link, ", ".join(known))

@@ -20,7 +20,7 @@ def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -
         for one in part.could_vary(joint.name)
     ]
     of_imus = [one for imu in imus for one in imu.could_vary()]
-    of_links = [one for joint in chain.joints for one in varied_body(joint)]
+    of_links = [one for link in chain.links for one in varied_body(link)]
     return of_joints + of_imus + of_links
 
 
@@ -50,7 +50,7 @@ def possible_faults(
         for key, value in part.fault_numbers().items()
         if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
     }
-    numbers |= {one.name: one.value for joint in chain.joints for one in varied_body(joint)}
+    numbers |= {one.name: one.value for link in chain.links for one in varied_body(link)}
     numbers |= line_numbers([joint.name for joint in joints])
     if any(joint.motor and joint.motor.has_winding for joint in joints):
         numbers["supply.share"] = 1.0
@@ -60,7 +60,7 @@ def possible_faults(
         numbers["payload.mass"] = payload
     owners = {
         "joints": [joint.name for joint in joints],
-        "links": [joint.link for joint in chain.joints],
+        "links": [link.link for link in chain.links],
         "imus": [imu.name for imu in imus],
     }
     return faults_of(FAULTS, owners, numbers)

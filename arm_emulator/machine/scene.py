@@ -267,10 +267,6 @@ def _build(root: Section, file: Path) -> Scene:
             if number.startswith(carrier):
                 rule = "not name both payload.mass and numbers of the link that carries it"
                 raise Refusal(where, "varied", rule, number)
-    for key in ("external_wrench", "imus", "varied", "faults") if not chain.coupling.plain else ():
-        if root.has(key):
-            rule = "be absent from a scene with couplings or mimic joints"
-            raise root.refusal(key, rule, "given")
     external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
     assumed = _links_named(root, "assumed", robot)
     for key in BESIDE:

@@ -181,9 +181,9 @@ def _coupling(chain: Chain) -> str:
 
 def _axes(chain: Chain) -> str:
     """Return rotations of vectors from the URDF's links and the world to the core."""
-    links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.joints)
+    links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.links)
     return f"""\
-  static constexpr arm::Real link_axes[N][3][3] = {{
+  static constexpr arm::Real link_axes[L][3][3] = {{
 {links}}};
   static constexpr arm::Real world_axes[3][3] = {{{_matrix(chain.R_BW)}}};
 """

@@ -280,8 +280,8 @@ class Session(Turns):
         Raises:
             Refusal: see `Plant.set_external_wrench`.
         """
-        joint, moved = on_moving_link(self.scene, "external wrench", link, wrench)
-        return self.plant.external_wrenches[self.scene.chain.joints[joint].link] == moved
+        place, moved = on_moving_link(self.scene, "external wrench", link, wrench)
+        return self.plant.external_wrenches[self.scene.chain.links[place].link] == moved
 
     @in_turn
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from arm_emulator.base.column import Column
 from arm_emulator.base.formula import (
     Constant,
@@ -153,19 +155,23 @@ class Breakpoint:
 
     def _put_tool(self) -> None:
         chain, rows = self._plant.scene.chain, self._row.rows
-        if not chain.coupling.plain:
-            return
+        if self._plant.scene.tool not in chain.carried:
+            return  # nor is there a condition on it
         last, frame = chain.place_of(self._plant.scene.tool)
-        joints = BREAKPOINT.rows("breakpoint_joint", last + 1)
-        for row, place in zip(joints, range(last, -1, -1), strict=True):
+        way = chain.way_to(last)[::-1]
+        joints = BREAKPOINT.rows("breakpoint_joint", len(way))
+        self._shares = np.ascontiguousarray(chain.coupling.C[way])
+        q, shares = (one.__array_interface__["data"][0] for one in (rows["q"], self._shares))
+        for row, place, share in zip(joints, way, range(len(way)), strict=True):
             link = chain.links[place]
-            row["q"] = rows["q"][0, place:].__array_interface__["data"][0]
-            row["q"] -= rows.__array_interface__["data"][0]
-            for name in ("theta_0", "cos_alpha", "sin_alpha", "p"):
+            row["share"] = shares + share * self._shares.strides[0]
+            row["q_0"] = chain.coupling.offset[place]
+            for name in ("theta_0", "cos_alpha", "sin_alpha", "cos_gamma", "sin_gamma", "p"):
                 row[name] = getattr(link, name)
             row["slides"] = link.kind == "prismatic"
         self._joints = joints
-        BREAKPOINT.fill(self.struct, joint=joints, joints=last + 1)
+        BREAKPOINT.fill(self.struct, joint=joints, joints=len(way), drives=rows["q"].shape[1])
+        self.struct.q = q - rows.__array_interface__["data"][0]
         self.struct.p = frame.p.tolist()
         self.struct.R = chain.R_BW.T.ravel().tolist()
 

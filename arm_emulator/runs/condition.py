@@ -54,7 +54,7 @@ class Condition:
             raise Refusal(where, "condition", "be text", text)
         self.text = text
         self.columns = {one.name: one for one in columns_of(scene)}
-        known = [*self.columns, *(TOOL if scene.chain.coupling.plain else ())]
+        known = [*self.columns, *(TOOL if scene.tool in scene.chain.carried else ())]
         self.formula = bound_to(parse_formula(text, where, "condition"), known, where, "condition")
         _check_without_time(self.formula, where)
         names = signals_in(self.formula)

@@ -252,10 +252,11 @@ typedef struct arm_wrench {
   double moment[3]; /* N m, about the point */
 } arm_wrench;
 
-/* The wrench that acts on the link of a joint until it is set again; a reset removes it. It is part
- * of a saved machine. Both calls need a scene with `external_wrench`. */
-int arm_set_external_wrench(arm_machine* machine, int32_t joint, const arm_wrench* wrench);
-int arm_get_external_wrench(const arm_machine* machine, int32_t joint, arm_wrench* out);
+/* The wrench that acts on a link until it is set again; a reset removes it. It is part of a saved
+ * machine. Both calls need a scene with `external_wrench`. A link has the number of the joint that
+ * moves it; with couplings that is its number among all joints that move, from base to tips. */
+int arm_set_external_wrench(arm_machine* machine, int32_t link, const arm_wrench* wrench);
+int arm_get_external_wrench(const arm_machine* machine, int32_t link, arm_wrench* out);
 
 /* ------------------------------------------------------------------------------ measuring time */
 

@@ -53,8 +53,8 @@ int arm_fleet_set_parameter(arm_fleet* fleet, const uint8_t* mask, const char* n
 /* All varied numbers at once, a row for each arm in the order of `arm_describe_parameter`: quicker
  * than one after the other. */
 int arm_fleet_set_parameters(arm_fleet* fleet, const uint8_t* mask, const double* values);
-/* An external wrench of each arm on the link of a joint, see `arm_set_external_wrench`. */
-int arm_fleet_set_external_wrench(arm_fleet* fleet, const uint8_t* mask, int32_t joint,
+/* An external wrench of each arm on a link, see `arm_set_external_wrench`. */
+int arm_fleet_set_external_wrench(arm_fleet* fleet, const uint8_t* mask, int32_t link,
                                   const arm_wrench* wrench);
 /* Power of all drives of each arm; `on` has a byte for each. */
 void arm_fleet_power(arm_fleet* fleet, const uint8_t* on);
@@ -141,7 +141,7 @@ typedef struct arm_fleet_control {
 /* A change of an arm's machine between two of its servo periods. */
 enum arm_fleet_change_kind {
   ARM_CHANGES_PARAMETER, /* the varied number `place`, to `value` */
-  ARM_CHANGES_WRENCH,    /* the external wrench on the link of joint `place`, to `wrench` */
+  ARM_CHANGES_WRENCH,    /* the external wrench on link `place`, to `wrench` */
   ARM_CHANGES_POWER      /* the power of all drives: off if `value` is 0 */
 };
 typedef struct arm_fleet_change {

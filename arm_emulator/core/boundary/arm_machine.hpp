@@ -126,18 +126,18 @@ struct arm_machine {
     return check_there(out->joint, "joint of the measurement");
   }
 
-  void set_external_wrench(int j, const arm::GivenWrench& wrench) {
+  void set_external_wrench(int link, const arm::GivenWrench& wrench) {
     if constexpr (Scene::external_wrench) {
-      given[j] = wrench;
-      machine.set_external_wrench(j, arm::in_core_axes<Scene>(j, wrench));
+      given[link] = wrench;
+      machine.set_external_wrench(link, arm::in_core_axes<Scene>(link, wrench));
     }
   }
   void forget_external_wrenches() {
-    for (int j = 0; j < N; ++j) set_external_wrench(j, {});
+    for (int link = 0; link < Scene::L; ++link) set_external_wrench(link, {});
   }
-  int refuse_wrench(int joint) const {
+  int refuse_wrench(int link) const {
     if (!Scene::external_wrench) return refuse(-1, "external_wrench", "be true in the scene", 0.0);
-    if (joint < 0 || joint >= N) return refuse(-1, "joint", "be one of the scene", joint);
+    if (link < 0 || link >= Scene::L) return refuse(-1, "link", "be one that moves", link);
     return ARM_OK;
   }
 
@@ -408,7 +408,7 @@ struct arm_machine {
   std::int64_t powered = true;
   bool measures_time = false;
   std::int64_t spent_ns = 0;  // wall time of steps, while it is measured
-  arm::GivenWrench given[Scene::external_wrench ? N : 1] = {};
+  arm::GivenWrench given[Scene::external_wrench ? Scene::L : 1] = {};
   void (*listener)(void*, const arm_machine*) = nullptr;  // called at the end of every exchange
   void* listens_with = nullptr;
   mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};

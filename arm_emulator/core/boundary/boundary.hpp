@@ -199,9 +199,10 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value) {
 
 namespace {
 
-int check_wrench(const arm_machine* machine, std::int32_t joint, const arm_wrench* wrench,
+int check_wrench(const arm_machine* machine, std::int32_t link, const arm_wrench* wrench,
                  arm::GivenWrench& given) {
-  if (machine->refuse_wrench(joint) || machine->check_size(wrench)) return ARM_REFUSED;
+  const int joint = arm::kCoupled<Scene> ? -1 : link;
+  if (machine->refuse_wrench(link) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
   double* to = given.numbers;
@@ -217,16 +218,16 @@ int check_wrench(const arm_machine* machine, std::int32_t joint, const arm_wrenc
 
 }  // namespace
 
-int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_wrench* wrench) {
+int arm_set_external_wrench(arm_machine* machine, std::int32_t link, const arm_wrench* wrench) {
   arm::GivenWrench given = {};
-  if (!machine || check_wrench(machine, joint, wrench, given)) return ARM_REFUSED;
-  machine->set_external_wrench(joint, given);
+  if (!machine || check_wrench(machine, link, wrench, given)) return ARM_REFUSED;
+  machine->set_external_wrench(link, given);
   return ARM_OK;
 }
 
-int arm_get_external_wrench(const arm_machine* machine, std::int32_t joint, arm_wrench* out) {
-  if (!machine || machine->refuse_wrench(joint) || machine->check_size(out)) return ARM_REFUSED;
-  const double* of = machine->given[Scene::external_wrench ? joint : 0].numbers;
+int arm_get_external_wrench(const arm_machine* machine, std::int32_t link, arm_wrench* out) {
+  if (!machine || machine->refuse_wrench(link) || machine->check_size(out)) return ARM_REFUSED;
+  const double* of = machine->given[Scene::external_wrench ? link : 0].numbers;
   for (double* vector : {out->point, out->force, out->moment})
     for (int k = 0; k < 3; ++k) vector[k] = *of++;
   out->axes = *of != 0.0 ? ARM_WORLD_AXES : ARM_LINK_AXES;

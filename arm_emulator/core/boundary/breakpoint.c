@@ -24,13 +24,17 @@ static double tool(const breakpoint* one, int64_t axis) {
   double x = one->p[0], y = one->p[1], z = one->p[2];
   for (int32_t k = 0; k < one->joints; ++k) {
     const breakpoint_joint* joint = one->joint + k;
-    double q;
-    memcpy(&q, one->row + joint->q, sizeof q);
+    double q = joint->q_0, of_drive;
+    for (int32_t j = 0; j < one->drives; ++j) {
+      memcpy(&of_drive, one->row + one->q + j * (int64_t)sizeof of_drive, sizeof of_drive);
+      q += joint->share[j] * of_drive;
+    }
     const double angle = joint->theta_0 + (joint->slides ? 0.0 : q);
     const double c = cos(angle), s = sin(angle);
     const double x_1 = c * x - s * y, y_1 = s * x + c * y, z_1 = z + (joint->slides ? q : 0.0);
-    x = joint->p[0] + x_1;
-    y = joint->p[1] + joint->cos_alpha * y_1 - joint->sin_alpha * z_1;
+    const double y_2 = joint->cos_alpha * y_1 - joint->sin_alpha * z_1;
+    x = joint->p[0] + joint->cos_gamma * x_1 - joint->sin_gamma * y_2;
+    y = joint->p[1] + joint->sin_gamma * x_1 + joint->cos_gamma * y_2;
     z = joint->p[2] + joint->sin_alpha * y_1 + joint->cos_alpha * z_1;
   }
   const double* R = one->R + 3 * axis;

@@ -40,10 +40,11 @@ typedef struct breakpoint_step {
 } breakpoint_step;
 
 /* A joint between base and tool, see core/mechanics: a turn about z, or a slide along it, then a
- * turn about x by alpha, and p. */
+ * turn about x by alpha, one about z by gamma, and p. */
 typedef struct breakpoint_joint {
-  int64_t q; /* offset of its position in the row */
-  double theta_0, cos_alpha, sin_alpha;
+  const double* share; /* of each drive in its position */
+  double q_0;          /* of its position [rad or m] */
+  double theta_0, cos_alpha, sin_alpha, cos_gamma, sin_gamma;
   double p[3]; /* m */
   int32_t slides;
   int32_t reserved;
@@ -61,11 +62,12 @@ typedef struct breakpoint {
   const breakpoint_step* step;
   const breakpoint_joint* joint; /* from the tool's to the first */
   int32_t joints;
+  int32_t drives; /* whose positions begin in the row at `q` */
+  int64_t q;
   int32_t held; /* 1: it held at the newest tick */
+  int32_t hit;  /* 1: it began to hold. Loops stop there; the owner clears it */
   double p[3];  /* of the tool on the link of the first of `joint` [m] */
   double R[9];  /* from the base's axes to the world's, row by row */
-  int32_t hit;  /* 1: it began to hold. Loops stop there; the owner clears it */
-  int32_t reserved;
   int64_t tick; /* where it began to hold last */
 } breakpoint;
 

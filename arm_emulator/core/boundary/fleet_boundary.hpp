@@ -103,16 +103,16 @@ int arm_fleet_set_parameters(arm_fleet* fleet, const std::uint8_t* mask, const d
   return ARM_OK;
 }
 
-int arm_fleet_set_external_wrench(arm_fleet* fleet, const std::uint8_t* mask, std::int32_t joint,
+int arm_fleet_set_external_wrench(arm_fleet* fleet, const std::uint8_t* mask, std::int32_t link,
                                   const arm_wrench* wrench) {
   if (!fleet || !wrench) return ARM_REFUSED;
   arm::GivenWrench given = {};
   if (fleet->check_all(mask, [&](const arm_machine* arm, int k) {
-        return check_wrench(arm, joint, wrench + k, given);
+        return check_wrench(arm, link, wrench + k, given);
       }))
     return ARM_REFUSED;
   fleet->for_all(mask,
-                 [&](arm_machine* arm, int k) { arm_set_external_wrench(arm, joint, wrench + k); });
+                 [&](arm_machine* arm, int k) { arm_set_external_wrench(arm, link, wrench + k); });
   return ARM_OK;
 }
 

@@ -99,7 +99,8 @@ void take_saved(arm_machine* machine, const void* saved) {
                                      [&](auto& number) { words.read(number); });
   for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) machine->machine.set_parameter(k, values[k]);
   if constexpr (Scene::external_wrench)
-    for (int j = 0; j < arm_machine::N; ++j) machine->set_external_wrench(j, machine->given[j]);
+    for (int link = 0; link < Scene::L; ++link)
+      machine->set_external_wrench(link, machine->given[link]);
   machine->machine.restore(whole);
 }
 

@@ -47,9 +47,9 @@ struct GivenWrench {
   Real numbers[10];
 };
 
-// The same on the link that joint j of a scene moves, with axes of the core instead of the URDF's.
+// The same on a link of a scene, with axes of the core instead of the URDF's.
 template <class S>
-ExternalWrench<Real> in_core_axes(int j, const GivenWrench& given) {
+ExternalWrench<Real> in_core_axes(int link, const GivenWrench& given) {
   ExternalWrench<Real> wrench = {};
   if constexpr (S::external_wrench) {
     using Axes = Real[3][3];
@@ -59,10 +59,10 @@ ExternalWrench<Real> in_core_axes(int j, const GivenWrench& given) {
     };
     const Real *point = given.numbers, *f = point + 3, *n = f + 3;
     const bool of_world = n[3] != 0.0;
-    const Axes& axes = of_world ? S::world_axes : S::link_axes[j];
+    const Axes& axes = of_world ? S::world_axes : S::link_axes[link];
     const Wrench<Real> w = {turned(axes, f), turned(axes, n)};
     (of_world ? wrench.with_base : wrench.with_link) = w;
-    wrench.point = turned(S::link_axes[j], point);
+    wrench.point = turned(S::link_axes[link], point);
   }
   return wrench;
 }
@@ -71,7 +71,7 @@ ExternalWrench<Real> in_core_axes(int j, const GivenWrench& given) {
 template <class S, class X>
 struct ExternalWrenches {
   static constexpr bool present = S::external_wrench;
-  ExternalWrench<X> on[present ? S::N : 1] = {};
+  ExternalWrench<X> on[present ? S::L : 1] = {};
 };
 
 }  // namespace arm

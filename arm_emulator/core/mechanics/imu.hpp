@@ -57,11 +57,16 @@ struct LinkMotion {
 template <class S>
 void link_motions(const Numbers<S>& n, const double* q, const double* v, const double* a,
                   LinkMotion* motions) {
-  using L = Links<S>;
-  typename L::Kinematics k;
-  L::kinematics(q, k);
+  using Tree = LinkTree<S>;
+  typename Tree::Kinematics k;
+  Links<S>::kinematics(q, k);
+  [[maybe_unused]] double of_joints[2][S::L];
+  if constexpr (kCoupled<S>) {
+    Links<S>::joints(v, of_joints[0]), Links<S>::joints(a, of_joints[1]);
+    v = of_joints[0], a = of_joints[1];
+  }
   const LinkMotion base = {{}, {}, -n.gravity()};
-  for (int i = 0; i < S::N; ++i) {
+  for (int i = 0; i < S::L; ++i) {
     const auto& link = k.link[i];
     const int parent = kTree<S>.parent[i];
     LinkMotion m = parent < 0 ? base : motions[parent];
@@ -69,7 +74,7 @@ void link_motions(const Numbers<S>& n, const double* q, const double* v, const d
     m.omega = link.to_child(m.omega);
     m.alpha = link.to_child(m.alpha);
     m.force = link.to_child(at_joint);
-    if (L::revolute(i)) {
+    if (Tree::revolute(i)) {
       m.alpha = m.alpha + Vec3<double>{m.omega.y * v[i], -m.omega.x * v[i], a[i]};
       m.omega.z += v[i];
     } else {

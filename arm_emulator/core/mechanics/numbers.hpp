@@ -298,7 +298,7 @@ class Numbers {
 
   // Take what acts on the links of a machine.
   void set_external_wrenches(int lane, const Numbers<S>& one) {
-    for (int i = 0; i < N; ++i) {
+    for (int i = 0; i < S::L; ++i) {
       ExternalWrench<Real> given = one.external_wrench(i);
       Real numbers[sizeof given / sizeof(Real)];
       Real *to = numbers, *from = numbers;

@@ -198,7 +198,7 @@ class Sensors<S> {
     if constexpr (M > 0) {
       double a[N];
       machine.accelerations(a);
-      LinkMotion motions[N];
+      LinkMotion motions[S::L];
       link_motions(machine.numbers_now(), x.q, x.v, a, motions);
       for (int m = 0; m < M; ++m) {
         Imu& imu = suite.imu[m];

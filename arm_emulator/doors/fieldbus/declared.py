@@ -101,8 +101,10 @@ def places(scene: Scene, units: int) -> NDArray[np.int32]:
     Raises:
         Refusal: a link has more units.
     """
+    drives = (scene.chain.coupling.C != 0.0).argmax(axis=1)  # the first that moves each link
     on = [
-        [m for m, imu in enumerate(scene.imus) if imu.joint == j] for j in range(len(scene.joints))
+        [m for m, imu in enumerate(scene.imus) if drives[imu.place] == j]
+        for j in range(len(scene.joints))
     ]
     for joint, there in zip(scene.joints, on, strict=True):
         if len(there) > units:

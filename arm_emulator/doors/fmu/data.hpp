@@ -13,12 +13,12 @@
 
 namespace fmu {
 
-constexpr int N = kJoints;
+constexpr int N = kJoints, L = kLinks;  // drives; links that move
 
 // Inputs of the machine at a tick.
 struct Inputs {
   double command[N], further[kInputs * N + 1];
-  double external_force[3 * N], external_moment[3 * N], external_point[3 * N];
+  double external_force[3 * L], external_moment[3 * L], external_point[3 * L];
   unsigned char enable[N], close_brake[N], power, external_world_axes;
 };
 

@@ -138,7 +138,7 @@ class Machine {
  private:
   int put_external_wrenches(const Inputs& in) {
     if constexpr (kExternalWrench)
-      for (int j = 0; j < N; ++j) {
+      for (int j = 0; j < L; ++j) {
         arm_wrench wrench = {};
         wrench.size = sizeof wrench;
         wrench.axes = in.external_world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;

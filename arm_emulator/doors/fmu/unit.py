@@ -62,7 +62,8 @@ def _table(scene: Scene, variables: Sequence[Variable]) -> str:
 #include "variable.hpp"
 
 namespace fmu {{
-inline constexpr int kJoints = {len(scene.joints)}, kParameters = {len(scene.varied)};
+inline constexpr int kJoints = {len(scene.joints)}, kLinks = {len(scene.chain.links)};
+inline constexpr int kParameters = {len(scene.varied)};
 inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(readings_of(scene))};
 inline constexpr int kInputs = {len(names)};  // of motors beside their command
 inline constexpr bool kHasInput[kInputs * kJoints + 1] = {{{has}}};

@@ -30,13 +30,13 @@ class Variable:
         type: Float64, Int64, Int32 or Boolean.
         role: independent, fixed, tunable, input or output.
         description: what it is.
-        units: of its values; one per joint if it is `per_joint`, else one or none.
+        units: of its values; one for each of `joints` if there are any, else one or none.
         first: its first value in the array.
         rule: what values must satisfy that are set, of `enum class Rule` in variable.hpp.
         shape: of its array; () of a single number.
         start: values that it begins with, in a row; None of outputs.
         bounds: least and largest value.
-        per_joint: whether its first index is that of a joint, base to tool.
+        joints: names of those that its first index counts, base to tool.
         element: which element of an array it is, from 1; None: none.
     """
 
@@ -51,7 +51,7 @@ class Variable:
     shape: tuple[int, ...] = ()
     start: tuple[float, ...] | None = None
     bounds: tuple[float, float] | None = None
-    per_joint: bool = False
+    joints: tuple[str, ...] = ()
     element: int | None = None
 
     @property
@@ -83,27 +83,27 @@ def scalars(scene: Scene) -> tuple[Variable, ...]:
     """
     found: list[Variable] = []
     for array in variables(scene)[1:]:
-        rows = _of_joints(array, scene) if array.per_joint else [array]
+        rows = _of_joints(array) if array.joints else [array]
         for row in rows:
             found += _elements(row) if row.shape else [row]
     return tuple(found)
 
 
-def _of_joints(array: Variable, scene: Scene) -> list[Variable]:
-    each = array.count // len(scene.joints)
+def _of_joints(array: Variable) -> list[Variable]:
+    each = array.count // len(array.joints)
     what, _, _ = array.description.partition(", base to tool")
     return [
         replace(
             array,
-            name=(*array.name, joint.name),
-            description=f"{what}: {joint.name}",
+            name=(*array.name, joint),
+            description=f"{what}: {joint}",
             units=array.units[j : j + 1],
             first=array.first + j * each,
             shape=array.shape[1:],
             start=None if array.start is None else array.start[j * each : (j + 1) * each],
-            per_joint=False,
+            joints=(),
         )
-        for j, joint in enumerate(scene.joints)
+        for j, joint in enumerate(array.joints)
     ]
 
 
@@ -144,10 +144,11 @@ def _inputs(scene: Scene) -> list[Variable]:
             ("moment", "N m", "external moment on the link that each joint moves"),
             ("point", "m", "where the external force acts, in the frame of each link"),
         ):
-            row = _input(
-                scene, f"external_{name}", "Float64", what, (unit,) * N, zero * AXES, "wrench"
-            )
-            found.append(replace(row, name=("external", name), shape=(N, AXES)))
+            moved = tuple(link.name for link in scene.chain.links)
+            start = (0.0,) * (len(moved) * AXES)
+            symbol, units = f"values.now.external_{name}[]", (unit,) * len(moved)
+            row = _row(moved, ("external", name), symbol, "Float64", "input", what, units, start)
+            found.append(replace(row, rule="wrench", shape=(len(moved), AXES)))
         what = "whether external forces and moments are in axes of the world, not of the links"
         name_ = ("external", "world_axes")
         symbol = "values.now.external_world_axes"
@@ -159,7 +160,7 @@ def _parameters(scene: Scene) -> list[Variable]:
     q = tuple(joint.start for joint in scene.joints)
     v = (0.0,) * len(q)
     found = [
-        _row(scene, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
+        _row(scene.joint_names, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
              f"{what} of each joint at the start", units, start, f"start_{name}")
         for name, what, units, start in (
             ("q", "position", _of_links(scene, "rad", "m"), q),
@@ -205,7 +206,14 @@ def _output(scene: Scene, output: Output) -> Variable:
     symbol = f"shown.{array}[]" + (f".{field}" if field else "")
     units = units_of(scene, output)
     one = _row(
-        scene, (output.name,), symbol, _TYPES[output.kind], "output", output.about, units, None
+        scene.joint_names,
+        (output.name,),
+        symbol,
+        _TYPES[output.kind],
+        "output",
+        output.about,
+        units,
+        None,
     )
     rows = rows_of(scene).get(array)
     return one if rows is None else replace(one, first=len(scene.joints) * rows.index(output.name))
@@ -219,7 +227,16 @@ def _in_unit(output: Output, unit: int) -> str:
 def _truth(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     found = [
-        _row(scene, ("truth", name), f"truth.{name}[]", "Float64", "output", what, units, None)
+        _row(
+            scene.joint_names,
+            ("truth", name),
+            f"truth.{name}[]",
+            "Float64",
+            "output",
+            what,
+            units,
+            None,
+        )
         for name, what, units in (
             ("q", "true position of each joint", _of_links(scene, "rad", "m")),
             ("v", "true speed of each joint", _of_links(scene, "rad/s", "m/s")),
@@ -252,11 +269,11 @@ def _input(
 ) -> Variable:
     """Return a value per joint that the machine is given."""
     symbol = f"values.now.{name}[]"
-    return _row(scene, (name,), symbol, type_, "input", what, units, start, rule)
+    return _row(scene.joint_names, (name,), symbol, type_, "input", what, units, start, rule)
 
 
 def _row(
-    scene: Scene,
+    joints: tuple[str, ...],
     name: Parts,
     symbol: str,
     type_: str,
@@ -267,9 +284,9 @@ def _row(
     rule: str = "finite",
 ) -> Variable:
     """Return a variable with a value per joint."""
-    each = scene.joint_names
+    each = joints
     if len(set(units)) > 1:
-        each = tuple(f"{joint} [{unit}]" for joint, unit in zip(each, units, strict=True))
+        each = tuple(f"{joint} [{unit}]" for joint, unit in zip(joints, units, strict=True))
     return Variable(
         name,
         symbol,
@@ -278,9 +295,9 @@ def _row(
         f"{what}, base to tool: {', '.join(each)}",
         units,
         rule=rule,
-        shape=(len(scene.joints),),
+        shape=(len(joints),),
         start=start,
-        per_joint=True,
+        joints=joints,
     )
 
 
@@ -294,7 +311,7 @@ def _parts(one: Varied, scene: Scene) -> Sequence[str]:
     group, _, rest = one.name.partition(".")
     known = {
         "joints": scene.joint_names,
-        "links": tuple(joint.link for joint in scene.chain.joints),
+        "links": tuple(link.link for link in scene.chain.links),
         "imus": tuple(imu.name for imu in scene.imus),
     }
     owners = sum(known.values(), ()) if group == "faults" else known.get(group, ())
@@ -310,10 +327,11 @@ def _units_of_varied(scene: Scene) -> dict[str, str]:
     Those of parts are declared for joints that turn; of joints that slide they are left out.
     """
     units = {"payload.mass": "kg"}
-    for geometry, joint in zip(scene.chain.joints, scene.joints, strict=True):
+    for link in scene.chain.links:
         for name, unit in _LINK_UNITS.items():
             for tail in ("", *(f"_{x}" for x in (*"xyz", "xx", "yy", "zz", "xy", "xz", "yz"))):
-                units[f"links.{geometry.link}.{name}{tail}"] = unit
+                units[f"links.{link.link}.{name}{tail}"] = unit
+    for geometry, joint in zip(scene.chain.joints, scene.joints, strict=True):
         if geometry.kind == "prismatic":
             continue
         for part in (*joint.parts, *joint.sensors.parts.values()):

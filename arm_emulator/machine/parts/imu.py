@@ -77,8 +77,8 @@ class Imu:
 
     Args:
         name: of the unit.
-        joint: index of the joint that carries it.
-        frame: its frame in that of the joint's link (core/mechanics/scene.hpp).
+        place: of the link that carries it, in the chain.
+        frame: its frame in that of the link (core/mechanics/scene.hpp).
         delay: servo periods by which its readings come late.
         accelerometer, gyroscope: their errors; None: ideal.
     """
@@ -115,7 +115,7 @@ class Imu:
     )  # fmt: skip
 
     name: str
-    joint: int
+    place: int
     frame: Frame
     delay: int
     accelerometer: Accelerometer | None
@@ -134,11 +134,11 @@ class Imu:
             raise section.refusal("link", "be a link that a joint moves", link, valid)
         xyz = section.vector(_XYZ) or (0.0, 0.0, 0.0)
         rpy = section.vector(_RPY) or (0.0, 0.0, 0.0)
-        joint, frame = chain.place_of(link)
+        place, frame = chain.place_of(link)
         accelerometer, gyroscope = section.section("accelerometer"), section.section("gyroscope")
         return cls(
             name=name,
-            joint=joint,
+            place=place,
             frame=frame @ frame_of(xyz, rpy),
             delay=section.integer(DELAY),
             accelerometer=None if accelerometer is None else Accelerometer.read(accelerometer),
@@ -157,7 +157,7 @@ class Imu:
     def initialiser(self, places: Mapping[str, str]) -> str:
         """Return the unit in C++; `places` as for a part."""
         members = {
-            "link": str(self.joint),
+            "link": str(self.place),
             "p": cxx_literals.vector(self.frame.p),
             "axis": "{" + ", ".join(map(cxx_literals.vector, self.frame.R.T)) + "}",
             "delay": str(self.delay),
