@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
-from arm_emulator.campaign.executor import LocalPool, run_campaign, seconds_per_run
+from arm_emulator.campaign.executor import Crew, LocalPool, run_campaign, seconds_per_run
 from arm_emulator.campaign.results import MEASURE, ROBUSTNESS, Results, digest_of
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.scene import load_scene
@@ -62,9 +62,8 @@ def run(name: str, data: Mapping[str, object], count: int, workers: int, folder:
     seconds, _ = seconds_per_run(campaign)  # compiles, too
     results = Results(folder / name, campaign)
     began, used = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    run_campaign(
-        campaign, results, lambda: LocalPool(workers), workers, seconds, lambda progress: None
-    )
+    crew = Crew(lambda: LocalPool(workers), workers, seconds, lambda progress: None)
+    run_campaign(campaign, results, crew)
     wall, now = time.monotonic() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = now.ru_utime + now.ru_stime - used.ru_utime - used.ru_stime
     columns = results.columns()

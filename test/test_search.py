@@ -19,6 +19,7 @@ from scipy import optimize, special, stats
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.case import case_at, case_with, drawn_case
+from arm_emulator.campaign.executor import Crew
 from arm_emulator.campaign.intervals import of_repetitions
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.results import Results, digest_of
@@ -204,8 +205,8 @@ class Here:
 
 def searched(one, folder, pool, workers, seconds=1e-3):
     results = Results(folder, one)
-    searcher = Searcher(one, results, lambda: pool, workers, seconds, lambda _: None)
-    return searcher.run(), results.columns()
+    crew = Crew(lambda: pool, workers, seconds, lambda _: None)
+    return Searcher(one, results, crew).run(), results.columns()
 
 
 def probability(one):

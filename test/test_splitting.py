@@ -12,6 +12,7 @@ from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
+from arm_emulator.campaign.executor import Crew
 from arm_emulator.campaign.forking import ForkingRun
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results
@@ -169,11 +170,12 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     rare = {**DRIFTS["faults"], "edges": {**DRIFTS["faults"]["edges"], "magnitude": 0.015}}
     one = read(tmp_path, DRIFTS | {"faults": rare})
     results = Results(tmp_path / "results", one)
-    first = Splitter(one, results, Here, lambda _: None).run()
+    first = Splitter(one, results, Crew(Here, 1, 1.0, lambda _: None)).run()
     for name in ("pilot", "0003"):  # as if it had been interrupted
         (results.folder / f"splitting/{name}.json").unlink()
     seen = []
-    assert Splitter(one, results, Here, lambda now: seen.append(now.done)).run() == first
+    crew = Crew(Here, 1, 1.0, lambda now: seen.append(now.done))
+    assert Splitter(one, results, crew).run() == first
     assert len(seen) == 2, "what was there was not done again"
     ((name, mean, low, high, _),) = first[0].rows
     assert name == "counts" and low <= mean <= high

@@ -144,23 +144,30 @@ class Progress:
         return rest / self.rate if self.done else math.nan
 
 
-def run_campaign(
-    campaign: Campaign,
-    results: Results,
-    make_pool: Callable[[], Pool],
-    workers: int,
-    seconds: float,
-    report: Callable[[Progress], None],
-) -> None:
-    """Simulate what is missing, to the end or until the campaign may stop.
+@dataclass(frozen=True)
+class Crew:
+    """Processes that simulate, and who is informed of it.
 
-    Args:
-        campaign: which one.
-        results: where to.
+    Attributes:
         make_pool: makes processes; called again after one of them was killed.
-        workers: two chunks for each are under way.
+        workers: their number.
         seconds: of a run, measured beforehand.
         report: is called after each chunk.
+    """
+
+    make_pool: Callable[[], Pool]
+    workers: int
+    seconds: float
+    report: Callable[[Progress], None]
+
+    @property
+    def largest(self) -> int:
+        """Runs of a chunk, at most."""
+        return max(1, min(LARGEST_CHUNK, round(CHUNK / self.seconds)))
+
+
+def run_campaign(campaign: Campaign, results: Results, crew: Crew) -> None:
+    """Simulate what is missing, to the end or until the campaign may stop.
 
     Raises:
         Refusal: a run that is not taken, or workers that end again and again.
@@ -170,30 +177,23 @@ def run_campaign(
     failures = failures_in(campaign, columns, campaign.count)
     progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
     for count in stages_of(campaign):
-        _complete(campaign, results, make_pool, workers, seconds, report, progress, count)
+        _complete(campaign, results, crew, progress, count)
         if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
             return
 
 
 def _complete(
-    campaign: Campaign,
-    results: Results,
-    make_pool: Callable[[], Pool],
-    workers: int,
-    seconds: float,
-    report: Callable[[Progress], None],
-    progress: Progress,
-    count: int,
+    campaign: Campaign, results: Results, crew: Crew, progress: Progress, count: int
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
-    size, breaks = max(1, min(LARGEST_CHUNK, round(CHUNK / seconds))), 0
+    size, breaks = crew.largest, 0
     while missing := results.missing(count):
         left = sum(end - first for first, end in missing)
-        size = max(1, min(size, math.ceil(left / (2 * workers))))
+        size = max(1, min(size, math.ceil(left / (2 * crew.workers))))
         size -= size % WIDTH if size > WIDTH else 0  # lanes are full
-        before, pool = progress.done, make_pool()
+        before, pool = progress.done, crew.make_pool()
         try:
-            _work(campaign, results, pool, workers, chunks_of(missing, size), progress, report)
+            _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
         except pool.breaks:
             breaks = breaks + 1 if progress.done == before else 0
             size = max(1, size // 2)
@@ -218,24 +218,23 @@ def check_breaks(campaign: Campaign, breaks: int, first: int) -> None:
 def _work(
     campaign: Campaign,
     results: Results,
+    crew: Crew,
     pool: Pool,
-    workers: int,
     chunks: Iterable[tuple[int, int]],
     progress: Progress,
-    report: Callable[[Progress], None],
 ) -> None:
-    """Work on chunks until all are done, or the time is over."""
+    """Work on chunks, two under way for each worker, until all are done or the time is over."""
     of_all = str(campaign.file.absolute()), campaign.key, str(results.folder.absolute())
     todo, waiting = iter(chunks), set[cf.Future[Done]]()
     while True:
-        for first, end in itertools.islice(todo, max(0, 2 * workers - len(waiting))):
+        for first, end in itertools.islice(todo, max(0, 2 * crew.workers - len(waiting))):
             waiting.add(pool.submit(simulate, *of_all, first, end))
         if not waiting:
             return
         done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
         for one in done:
             progress.add(one.result())
-        report(progress)
+        crew.report(progress)
         if progress.late(campaign.stop.seconds):
             return
 

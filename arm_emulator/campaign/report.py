@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign import pictures
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.results import DIVERGED, FAILED, INDEX, ROBUSTNESS, Results, digest_of
@@ -72,17 +73,11 @@ def write_report(
         if one.bars and one.rows:
             drawn[one.title.lower()] = pictures.png(pictures.bars_of(one))
     for name, content in drawn.items():
-        _write(results.folder / f"{name}.png", content)
+        write_whole(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
     text = "\n".join(_page(campaign, results, summary, columns, least, drawn, findings))
-    _write(file, text.encode())
+    write_whole(file, text)
     return file
-
-
-def _write(file: Path, content: bytes) -> None:
-    hidden = file.with_name(f".{file.name}.part")
-    hidden.write_bytes(content)
-    hidden.replace(file)
 
 
 def _least(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.float64]:

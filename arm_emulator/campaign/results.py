@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
+from arm_emulator.base.whole_file import hidden_beside, write_whole
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.units import judged_units
@@ -67,7 +68,7 @@ def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
         columns += [np.ascontiguousarray(column) for column in rows.T]
     first, last = done.indices[0], done.indices[-1]
     part = folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet"
-    hidden = part.with_name(f".{part.name}.{os.uname().nodename}.{os.getpid()}")
+    hidden = hidden_beside(part)
     pq.write_table(pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema), hidden)
     with hidden.open("rb") as written:
         os.fsync(written.fileno())
@@ -98,11 +99,8 @@ class Results:
                     got = f"results of {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
                     raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
             else:
-                hidden = folder / f".{ABOUT}.{os.getpid()}"
-                hidden.write_text(json.dumps({
-                    "key": campaign.key.hex(), "file": str(campaign.file.absolute()),
-                }))  # fmt: skip
-                hidden.replace(about)
+                facts = {"key": campaign.key.hex(), "file": str(campaign.file.absolute())}
+                write_whole(about, json.dumps(facts))
         except (OSError, ValueError) as error:
             if isinstance(error, Refusal):
                 raise

@@ -5,23 +5,17 @@ from __future__ import annotations
 import concurrent.futures as cf
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import case_at
-from arm_emulator.campaign.executor import (
-    CHUNK,
-    LARGEST_CHUNK,
-    Pool,
-    Progress,
-    check_breaks,
-    failures_in,
-)
+from arm_emulator.campaign.executor import Crew, Pool, Progress, check_breaks, failures_in
 from arm_emulator.campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.worker import Done, simulate
@@ -29,6 +23,11 @@ from arm_emulator.campaign.worker import Done, simulate
 Array = NDArray[np.float64]
 FOUND = "search.json"
 LEAST = "any requirement"
+
+
+def write_findings(results: Results, found: Sequence[Finding]) -> None:
+    """Write what a search has found beside the results."""
+    write_whole(results.folder / FOUND, json.dumps([asdict(one) for one in found], indent=1))
 
 
 class Searcher:
@@ -40,25 +39,13 @@ class Searcher:
     Args:
         campaign: with a search.
         results: where to.
-        make_pool: makes processes; called again after one of them was killed.
-        workers: that share a batch.
-        seconds: of a run, measured beforehand.
-        report: is called after each chunk.
+        crew: simulates; its workers share a batch.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        results: Results,
-        make_pool: Callable[[], Pool],
-        workers: int,
-        seconds: float,
-        report: Callable[[Progress], None],
-    ) -> None:
+    def __init__(self, campaign: Campaign, results: Results, crew: Crew) -> None:
         assert campaign.search is not None
         self._campaign, self._results, self._method = campaign, results, campaign.search
-        self._make_pool, self._workers, self._report = make_pool, workers, report
-        self._largest = max(1, min(LARGEST_CHUNK, round(CHUNK / seconds)))
+        self._crew = crew
         self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
         self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
         self._varying = [one.name for one in campaign.variation.numbers]
@@ -90,10 +77,7 @@ class Searcher:
             found: list[Finding] = end.value
         finally:
             self._end_pool()
-        file = self._results.folder / FOUND
-        hidden = file.with_name(f".{FOUND}")
-        hidden.write_text(json.dumps([asdict(one) for one in found], indent=1), encoding="utf-8")
-        hidden.replace(file)
+        write_findings(self._results, found)
         return found
 
     def _read(self) -> None:
@@ -114,7 +98,7 @@ class Searcher:
         breaks = 0
         while missing:
             before = self._progress.done
-            pool = self._pool = self._pool or self._make_pool()
+            pool = self._pool = self._pool or self._crew.make_pool()
             try:
                 self._simulate(pool, first, points, missing, outputs)
                 break
@@ -145,17 +129,12 @@ class Searcher:
         return gaps
 
     def _simulate(
-        self,
-        pool: Pool,
-        first: int,
-        points: Array,
-        missing: list[tuple[int, int]],
-        outputs: Array,
+        self, pool: Pool, first: int, points: Array, missing: list[tuple[int, int]], outputs: Array
     ) -> None:
         """Simulate what is missing of a batch."""
         campaign, folder = self._campaign, str(self._results.folder.absolute())
         left = sum(end - begin for begin, end in missing)
-        size = max(1, min(self._largest, math.ceil(left / self._workers)))
+        size = max(1, min(self._crew.largest, math.ceil(left / self._crew.workers)))
         waiting: dict[cf.Future[Done], int] = {}
         for begin, end in chunks_of(missing, size):
             rows = points[begin - first : end - first]
@@ -167,7 +146,7 @@ class Searcher:
             assert done.outputs is not None
             outputs[at : at + done.runs] = done.outputs
             self._progress.add(done)
-            self._report(self._progress)
+            self._crew.report(self._progress)
 
     def _end_pool(self) -> None:
         if self._pool is not None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import concurrent.futures as cf
 import json
-import os
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign.campaign_file import Campaign
-from arm_emulator.campaign.executor import Pool, Progress, check_breaks
+from arm_emulator.campaign.executor import Crew, Progress, check_breaks
 from arm_emulator.campaign.forking import ForkingRun
 from arm_emulator.campaign.results import Results
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.search.splitting import Repetition, Splitting
-from arm_emulator.campaign.searcher import FOUND
+from arm_emulator.campaign.searcher import write_findings
 from arm_emulator.campaign.worker import Done, campaign_of
 
 FOLDER = "splitting"
@@ -32,20 +31,13 @@ class Splitter:
     Args:
         campaign: with a search by `Splitting`.
         results: where to.
-        make_pool: makes processes; called again after one of them was killed.
-        report: is called after each repetition.
+        crew: does it; its report is called after each repetition.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        results: Results,
-        make_pool: Callable[[], Pool],
-        report: Callable[[Progress], None],
-    ) -> None:
+    def __init__(self, campaign: Campaign, results: Results, crew: Crew) -> None:
         assert isinstance(campaign.search, Splitting)
         self._campaign, self._method, self._results = campaign, campaign.search, results
-        self._make_pool, self._report = make_pool, report
+        self._crew = crew
         self._folder = results.folder / FOLDER
         self._folder.mkdir(exist_ok=True)
         count = self._method.runs(len(campaign.variation.numbers))
@@ -70,19 +62,19 @@ class Splitter:
         findings = [self._method.finding(self._method.of, pilot["levels"], found)]
         if found:
             findings.append(self._method.of_levels(pilot["levels"], found))
-        _write(self._results.folder / FOUND, [asdict(one) for one in findings])
+        write_findings(self._results, findings)
         return findings
 
     def _complete(self, numbers: list[int]) -> None:
         """Have the repetitions done that are not."""
         breaks = 0
         while missing := [one for one in numbers if not _file(self._folder, one).exists()]:
-            pool, before = self._make_pool(), self._progress.done
+            pool, before = self._crew.make_pool(), self._progress.done
             try:
                 of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
                 for one in cf.as_completed([pool.submit(split, *of_all, k) for k in missing]):
                     self._progress.add(one.result())
-                    self._report(self._progress)
+                    self._crew.report(self._progress)
             except pool.breaks:
                 breaks = breaks + 1 if self._progress.done == before else 0
             finally:
@@ -98,23 +90,16 @@ def split(file: str, key: bytes, folder: str, number: int) -> Done:
     run = ForkingRun(campaign)
     if number == PILOT:
         levels, leads = method.pilot(run, seed)
-        _write(_file(Path(folder), number), {"levels": levels, "leads": leads})
+        content: dict[str, object] = {"levels": levels, "leads": leads}
         runs = int(method.per_level) * (len(levels) + 1)
     else:
         levels = json.loads(_file(Path(folder), PILOT).read_text())["levels"]
         found = method.repetition(run, levels, seed, number)
-        _write(_file(Path(folder), number), asdict(found))
-        runs = found.runs
+        content, runs = asdict(found), found.runs
+    write_whole(_file(Path(folder), number), json.dumps(content))
     nothing = (0,) * (len(campaign.requirements) + 1)
     return Done(runs, nothing, time.process_time() - began, True)
 
 
 def _file(folder: Path, number: int) -> Path:
     return folder / ("pilot.json" if number == PILOT else f"{number:04d}.json")
-
-
-def _write(file: Path, content: object) -> None:
-    """Write a file, whole or not at all."""
-    hidden = file.with_name(f".{file.name}.{os.uname().nodename}.{os.getpid()}")
-    hidden.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    hidden.replace(file)

@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.intervals import of_repetitions
 from arm_emulator.campaign.search.by_levels import ByLevels
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.variation import Variation
 
-MOST_LEVELS = 60
 SEEDS = 2**32
 
 State = TypeVar("State")
@@ -74,6 +72,7 @@ class Splitting(ByLevels):
 
     kind: ClassVar[str] = "splitting"
     forks: ClassVar[bool] = True
+    most_levels = 60
 
     per_level: float = number(
         ends=(20, 10**6), whole=True, default=200, text="runs of a level, a repetition"
@@ -97,11 +96,6 @@ class Splitting(ByLevels):
     def runs(self, D: int) -> int:
         """Return how many runs, or parts of runs, it takes at most."""
         return int((self.repetitions + 1) * self.per_level) * (self._levels + 1)
-
-    @property
-    def _levels(self) -> int:
-        """Levels after which a repetition gives up."""
-        return min(MOST_LEVELS, math.ceil(math.log(self.least) / math.log(self.share)))
 
     def pilot(self, process: Process[Any], seed: int) -> tuple[list[float], bool]:
         """Return the levels, and whether they lead to failures."""
@@ -160,22 +154,13 @@ class Splitting(ByLevels):
 
     def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
         """Return what repetitions have found."""
-        p = np.array([one.probability for one in found])
         runs = sum(one.runs for one in found)
-        mean, (low, high) = 0.0, (0.0, 1.0)
-        if len(p):
-            mean, (low, high) = float(np.mean(p)), of_repetitions(p, self.confidence)
-            about = (
-                f"Margin of {of} below 0: mean of {len(p)} repetitions over {len(levels)} levels, "
-                f"{runs} runs and forks of runs in all."
-            )
-            if lost := int(np.count_nonzero(p == 0.0)):
-                about += f" {lost} found no failure: take more runs per level."
-        else:
-            about = f"No level led to a failure of {of}: rarer than `least`, or impossible."
-        percent = f"{100 * self.confidence:g} %"
-        head = "requirement", "probability", f"low end ({percent})", f"high end ({percent})", "runs"
-        return Finding("Rare failures", about, head, ((of, mean, low, high, runs),))
+        about = (
+            f"Margin of {of} below 0: mean of {len(found)} repetitions over {len(levels)} levels, "
+            f"{runs} runs and forks of runs in all."
+        )
+        nothing = f"No level led to a failure of {of}: rarer than `least`, or impossible."
+        return self._found(of, [one.probability for one in found], runs, about, nothing)
 
     def of_levels(self, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
         """Return the levels, with the shares of runs that reached each from the one before."""

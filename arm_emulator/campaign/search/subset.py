@@ -24,12 +24,10 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.intervals import of_repetitions
 from arm_emulator.campaign.search.by_levels import ByLevels
 from arm_emulator.campaign.search.method import Array, Course, Finding
 from arm_emulator.campaign.variation import Variation
 
-MOST_LEVELS = 40
 ACCEPTED = 0.44  # share of candidates at which chains forget soonest
 
 
@@ -38,6 +36,7 @@ class Subset(ByLevels):
     """Subset simulation: probabilities of failures too rare to be sampled, with their interval."""
 
     kind: ClassVar[str] = "subset"
+    most_levels = 40
 
     per_level: float = number(
         ends=(20, 10**7), whole=True, default=1000, text="runs of a level, a repetition"
@@ -56,11 +55,6 @@ class Subset(ByLevels):
         if self.share * self.per_level < 2.0:
             rule = f"leave two chains a level, {2.0 / self.share:g} runs"
             raise section.refusal("per_level", rule, int(self.per_level))
-
-    @property
-    def _levels(self) -> int:
-        """Levels after which a repetition gives up."""
-        return min(MOST_LEVELS, math.ceil(math.log(self.least) / math.log(self.share)))
 
     def runs(self, D: int) -> int:
         """Return how many runs it takes at most."""
@@ -114,21 +108,9 @@ class Subset(ByLevels):
         return levels, True, runs
 
     def _finding(self, of: str, p: Array, runs: int) -> Finding:
-        mean, (low, high) = 0.0, (0.0, 1.0)
-        if len(p):
-            mean, (low, high) = float(np.mean(p)), of_repetitions(p, self.confidence)
-            about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
-            if lost := int(np.count_nonzero(p == 0.0)):
-                about += f" {lost} found no failure: take more runs per level."
-        else:
-            about = f"No level reached a failure of {of}: rarer than `least`, or impossible."
-        percent = f"{100 * self.confidence:g} %"
-        return Finding(
-            "Rare failures",
-            about,
-            ("requirement", "probability", f"low end ({percent})", f"high end ({percent})", "runs"),
-            ((of, mean, low, high, runs),),
-        )
+        about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
+        nothing = f"No level reached a failure of {of}: rarer than `least`, or impossible."
+        return self._found(of, p.tolist(), runs, about, nothing)
 
 
 def _chosen(places: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.int64]:

@@ -19,6 +19,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.executor import (
+    Crew,
     DaskPool,
     LocalPool,
     Pool,
@@ -140,11 +141,7 @@ def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
 
 
 def _simulate(
-    one: Campaign,
-    results: Results,
-    dask: str | None,
-    workers: int,
-    seconds: float,
+    one: Campaign, results: Results, dask: str | None, workers: int, seconds: float
 ) -> tuple[bool, list[Finding]]:
     """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
 
@@ -152,12 +149,13 @@ def _simulate(
         return DaskPool(dask) if dask else LocalPool(workers)
 
     with _shown() as report:
+        crew = Crew(pool, workers, seconds, report)
         try:
             if one.search is not None and one.search.forks:
-                return False, Splitter(one, results, pool, report).run()
+                return False, Splitter(one, results, crew).run()
             if one.search is not None:
-                return False, Searcher(one, results, pool, workers, seconds, report).run()
-            run_campaign(one, results, pool, workers, seconds, report)
+                return False, Searcher(one, results, crew).run()
+            run_campaign(one, results, crew)
         except KeyboardInterrupt:
             return True, []
     return False, []
