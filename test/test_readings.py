@@ -1,0 +1,115 @@
+"""Analog sensors of joints: what each kind reads, with its errors, against the truth."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from arm_emulator import Plant, Refusal, load_scene
+from arm_emulator.machine.parts.sensors import ANALOG
+
+TICKS = 2000
+GAIN, STEPS, NOISE, DELAY = 0.02, 2**10, 0.02, 2
+
+
+class Kind(NamedTuple):
+    """A kind: its readings, what they are of, and a size that this exceeds in the motion below."""
+
+    reading: str
+    of: str
+    size: float
+
+
+KINDS = {
+    "tachometer": Kind("link_speed", "v", 1.5),
+    "motor_tachometer": Kind("motor_speed", "omega_m", 120.0),
+    "potentiometer": Kind("link_position", "q", 0.4),
+    "thermometer": Kind("motor_temperature", "temperature", 100.0),
+}
+WINDING = {"heat_capacity": 0.2, "thermal_resistance": 2.0, "ambient": 30.0}
+RIGID = {"joints.elbow.gear.stiffness": None, "joints.elbow.gear.damping": None}
+
+
+def sensors() -> dict[str, Any]:
+    """Overrides: all kinds at the waist and at the elbow, none at the shoulder."""
+    found: dict[str, Any] = {f"joints.{name}.motor.winding": WINDING for name in ("waist", "elbow")}
+    for name, (_, _, size) in KINDS.items():
+        scaled = {"offset": -0.2 * size, "range": size, "resolution": size / STEPS}
+        found[f"joints.waist.{name}"] = {"gain_error": GAIN, **scaled}
+        found[f"joints.elbow.{name}"] = {"noise": NOISE * size, "delay": DELAY}
+    return found
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, np.ndarray]:
+    """Readings and truths by name, a row per tick, under commands that jump."""
+    plant, rng = Plant(load_scene("three_axis", RIGID | sensors())), np.random.default_rng(4)
+    found: dict[str, list[np.ndarray]] = {}
+    for tick in range(TICKS):
+        if tick % 100 == 0:
+            command = rng.uniform(-30.0, 30.0, 3)
+        truths = {of: getattr(plant.state, of) for of in ("q", "v", "omega_m")}
+        truths["temperature"] = plant.winding_temperatures
+        shown = {one.reading: getattr(plant.measured, one.reading) for one in KINDS.values()}
+        for name, row in (truths | shown).items():
+            found.setdefault(name, []).append(np.array(row))
+        plant.exchange(command)
+    return {name: np.array(row) for name, row in found.items()}
+
+
+def test_every_kind_is_there() -> None:
+    assert set(KINDS) == {one.section for one in ANALOG if one.field == "reading"}
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_it_shows_its_quantity_with_its_errors(rows: dict[str, np.ndarray], kind: Kind) -> None:
+    shown, true = rows[kind.reading][:, 0], rows[kind.of][:, 0]
+    wanted = np.clip((1.0 + GAIN) * true - 0.2 * kind.size, -kind.size, kind.size)
+    error = np.abs(shown - wanted).max() * STEPS / kind.size
+    assert 0.4 < error <= 0.5 * (1.0 + 1e-9), "half a multiple of its resolution, from tick 0 on"
+    at_end = np.abs(wanted) == kind.size
+    assert at_end.any() and not at_end.all(), "its range was reached"
+    assert not rows[kind.reading][:, 1].any(), "a joint without one"
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_its_noise_is_white_and_it_is_late(rows: dict[str, np.ndarray], kind: Kind) -> None:
+    shown, true = rows[kind.reading][:, 2], rows[kind.of][:, 2]
+    noise = (shown[DELAY:] - true[:-DELAY]) / (NOISE * kind.size)
+    count = len(noise)
+    # Five standard deviations of each statistic.
+    assert abs(noise.mean()) < 5 / np.sqrt(count)
+    assert noise.std() == pytest.approx(1.0, rel=5 / np.sqrt(2 * count))
+    assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 5 / np.sqrt(count)
+
+
+def test_a_motor_is_read_at_its_shaft_not_at_its_link(rows: dict[str, np.ndarray]) -> None:
+    ratio = load_scene("three_axis").gear_ratios
+    apart = np.abs(rows["omega_m"] - rows["v"] / ratio).max(axis=0)
+    assert apart[0] > 0.1, "an elastic gear winds up [rad/s]"
+    assert apart[2] < 1e-9, "a rigid one does not"
+
+
+def test_other_sensors_have_the_same_bits_beside_them() -> None:
+    """Neither the motion nor the noise of another sensor changes."""
+    found = []
+    for more in ({}, sensors()):
+        current = {"joints.elbow.current_sensor": {"noise": 0.1}}
+        winding = {name: one for name, one in sensors().items() if name.endswith("winding")}
+        plant = Plant(load_scene("three_axis", RIGID | winding | current | more))
+        for _ in range(100):
+            plant.exchange(np.array([5.0, -4.0, 3.0]))
+        found.append((plant.measured.current.tobytes(), plant.state.q.tobytes()))
+    assert found[0] == found[1]
+
+
+def test_a_sensor_without_its_quantity_is_refused() -> None:
+    bare = {"joints.elbow.motor": None, "joints.elbow.gear": None, "joints.elbow.encoder": None}
+    for overrides, line in (
+        (bare | {"joints.elbow.motor_tachometer": {}}, "motor_tachometer must .* a motor"),
+        ({"joints.waist.thermometer": {}}, "thermometer must .* a motor with a winding, got no"),
+    ):
+        with pytest.raises(Refusal, match=line):
+            load_scene("three_axis", overrides)
