@@ -235,3 +235,21 @@ def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
     assert how[0] == ("guess" if placeholder else "URDF")
     torque = written.drives[0].peak_torque
     assert torque == pytest.approx(needed if placeholder else share * needed)
+
+
+@pytest.mark.usefixtures("untuned")
+@pytest.mark.parametrize("last", [10.0, 9.0])
+def test_a_figure_of_all_joints_that_one_cannot_have_is_none(tmp_path: Path, last: float) -> None:
+    """10 N m do not hold the second joint; about a vertical axis nothing refutes them."""
+    free, _ = made(tmp_path / "free", arm([None, None, None], "0 0 1"))
+    written, how = made(tmp_path / "same", arm([10.0, 10.0, last], "0 0 1"))
+    if last == 10.0:
+        assert how == ["guess"] * 3
+        assert [one.peak_torque for one in written.drives] == [
+            one.peak_torque for one in free.drives
+        ]
+        notes = [one.notes["torque"] for one in written.drives]
+        assert "that of all joints, which j2 cannot have" in notes[0]
+        assert "does not hold its own links" in notes[1]
+    else:
+        assert how == ["URDF", "guess", "URDF"]

@@ -27,6 +27,7 @@ DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 # a tool, or where every joint has so many times as much.
 PLACEHOLDER, OVERSIZED = 50.0, 8.0
 UNDERSIZED = 20.0  # likewise below so many times less, for joints on which no weight rests
+ALIKE = 3  # joints that have one figure are all without one, where one of them cannot have it
 
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
 SPEED_UP = 0.25  # s from rest to full speed
@@ -103,8 +104,15 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
         if demand.effort is not None
     ]
     most = PLACEHOLDER if min(shares, default=0.0) <= OVERSIZED else 0.0
-    for demand, (_, of_speed), needed in zip(demands, rated, needs.tolist(), strict=True):
-        torque, about = _peak_torque(demand, needed, most * (needed + demand.tool_torque))
+    bounds = [
+        (max(demand.bare_torque, need / UNDERSIZED), most * (need + demand.tool_torque))
+        for demand, need in zip(demands, needs.tolist(), strict=True)
+    ]
+    alike = {kind: _impossible_for_all(kind, demands, bounds) for kind in MOST_SPEED}
+    for j, (demand, (_, of_speed), needed) in enumerate(
+        zip(demands, rated, needs.tolist(), strict=True)
+    ):
+        torque, about = _peak_torque(demand, needed, *bounds[j], alike[demand.kind])
         torques.append(torque)
         notes.append({"torque": about, "speed": of_speed})
     # Each joint for itself, as much as all joints can hold; what several ask for at a time is
@@ -140,16 +148,45 @@ def _speed(demand: Demand) -> tuple[float, str]:
     return DEFAULT_SPEED[demand.kind], f"guess, {why}"
 
 
-def _peak_torque(demand: Demand, needed: float, largest: float) -> tuple[float, str]:
-    """Return a joint's peak torque, and where it comes from; beyond `largest` it is no figure."""
+def _impossible_for_all(kind: str, demands: list[Demand], bounds: list[tuple[float, float]]) -> str:
+    """Return the joint that cannot have the figure of all joints of a kind; empty: none."""
+    pairs = [
+        (demand, ends)
+        for demand, ends in zip(demands, bounds, strict=True)
+        if demand.kind == kind and demand.sheet is None
+    ]
+    given = {demand.effort for demand, _ in pairs}
+    if len(pairs) < ALIKE or len(given) > 1 or None in given:
+        return ""
+    for demand, (least, largest) in pairs:
+        if not least <= (demand.effort or 0.0) <= largest:
+            return demand.name
+    return ""
+
+
+def _peak_torque(
+    demand: Demand, needed: float, least: float, largest: float, alike: str
+) -> tuple[float, str]:
+    """Return a joint's peak torque, and where it comes from.
+
+    Args:
+        demand: on the joint.
+        needed: by the rules.
+        least: a smaller figure of the description is none.
+        largest: likewise.
+        alike: the joint that cannot have the figure of all; empty: none.
+    """
     if demand.sheet is not None:
         return demand.sheet.torque, f"published, {demand.sheet.source}"
     given = demand.effort
-    least = max(demand.bare_torque, needed / UNDERSIZED)
-    if given is not None and least <= given <= largest:
+    if given is not None and not alike and least <= given <= largest:
         return given, "URDF"
     if given is None:
         why = "none in the URDF"
+    elif least <= given <= largest:
+        why = (
+            f"the URDF's {given:g} is a placeholder, that of all joints, which {alike} cannot have"
+        )
     elif given > largest:
         why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} times what it needs"
     elif given > demand.bare_torque:
