@@ -239,7 +239,9 @@ def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
 
 @pytest.mark.usefixtures("untuned")
 @pytest.mark.parametrize("last", [10.0, 9.0])
-def test_a_figure_of_all_joints_that_one_cannot_have_is_none(tmp_path: Path, last: float) -> None:
+def test_a_figure_of_all_joints_that_one_cannot_have_is_a_placeholder(
+    tmp_path: Path, last: float
+) -> None:
     """10 N m do not hold the second joint; about a vertical axis nothing refutes them."""
     free, _ = made(tmp_path / "free", arm([None, None, None], "0 0 1"))
     written, how = made(tmp_path / "same", arm([10.0, 10.0, last], "0 0 1"))
