@@ -153,6 +153,15 @@ def shared() -> Iterator[Path]:
         yield folder
 
 
+@pytest.fixture
+def bait(planted: Planted, shared: Path) -> Path:
+    """The planted library, in that folder, where everybody may read it."""
+    bait = shared / "bait"
+    bait.write_bytes(planted.stored)
+    bait.chmod(0o644)
+    return bait
+
+
 def victim(shared: Path, **also: str) -> dict[str, str]:
     """The environment of somebody who has no cache but the one in the temporary folder."""
     nowhere = shared / "a_file"
@@ -162,14 +171,32 @@ def victim(shared: Path, **also: str) -> dict[str, str]:
     return environment
 
 
+@contextlib.contextmanager
+def attacked(script: str) -> Iterator[None]:
+    """Within, another user's shell runs a script."""
+    attacker = subprocess.Popen(
+        ["sh", "-c", script], user=SOMEBODY, group=SOMEBODY, extra_groups=[], start_new_session=True
+    )
+    try:
+        yield
+    finally:
+        os.killpg(attacker.pid, 9)
+        attacker.wait()
+
+
+def become_victim(monkeypatch: pytest.MonkeyPatch, shared: Path, sound: Sound) -> None:
+    """Give this process the environment of a victim."""
+    for name, value in victim(shared, CXX=sound.compiler).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(shared))
+
+
 @as_root
 def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
-    planted: Planted, sound: Sound, shared: Path
+    planted: Planted, sound: Sound, shared: Path, bait: Path
 ) -> None:
     """The attacker is another user indeed, and knows the name and how a library is stored."""
-    bait = shared / "bait"
-    bait.write_bytes(planted.stored)
-    bait.chmod(0o644)
     folder = shared / f"arm_emulator-{os.getuid()}"
     plant = f"mkdir {folder} && cp {bait} {folder}/{sound.name} && chmod 700 {folder}"
     subprocess.run(["sh", "-c", plant], user=SOMEBODY, group=SOMEBODY, extra_groups=[], check=True)
@@ -187,29 +214,20 @@ def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
 
 @as_root
 def test_swapping_folders_during_the_check_gains_nothing(
-    planted: Planted, sound: Sound, shared: Path, monkeypatch: pytest.MonkeyPatch
+    planted: Planted, sound: Sound, shared: Path, bait: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Folder, link to ours, link to theirs, nothing: as fast as a shell can, in our temp folder."""
-    bait = shared / "bait"
-    bait.write_bytes(planted.stored)
-    bait.chmod(0o644)
     ours = shared / "ours"
     ours.mkdir(0o755)
     sound.put(ours)
     at = shared / f"arm_emulator-{os.getuid()}"
     swap = (
-        f"cd {shared}; mkdir theirs; cp bait theirs/{sound.name}; while :; do "
+        f"cd {shared}; mkdir theirs; cp {bait} theirs/{sound.name}; while :; do "
         f"ln -s ours {at}; mv theirs x; rm {at}; mv x {at}; mv {at} theirs; ln -s theirs {at};"
         f"rm {at}; done 2> /dev/null"
     )
-    for name, value in victim(shared, CXX=sound.compiler).items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
-    monkeypatch.setattr(tempfile, "tempdir", str(shared))
-    attacker = subprocess.Popen(
-        ["sh", "-c", swap], user=SOMEBODY, group=SOMEBODY, extra_groups=[], start_new_session=True
-    )
-    try:
+    become_victim(monkeypatch, shared, sound)
+    with attacked(swap):
         tries = 0
         until = time.monotonic() + 1.5
         while time.monotonic() < until or tries < 100:
@@ -220,42 +238,28 @@ def test_swapping_folders_during_the_check_gains_nothing(
             with contextlib.suppress(FileNotFoundError):  # what we have made would end the race
                 if at.lstat().st_uid == 0:
                     at.rename(shared / f"made_{tries}")
-    finally:
-        os.killpg(attacker.pid, 9)
-        attacker.wait()
     assert not planted.ran(), tries
 
 
 @as_root
 def test_swapping_the_folder_before_two_dots_gains_nothing(
-    planted: Planted, sound: Sound, shared: Path, monkeypatch: pytest.MonkeyPatch
+    planted: Planted, sound: Sound, shared: Path, bait: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`swapped/../cache` is our folder by its text, and theirs by a link."""
-    bait = shared / "bait"
-    bait.write_bytes(planted.stored)
-    bait.chmod(0o644)
     (shared / "cache").mkdir(0o755)
     sound.put(shared / "cache")
-    for name, value in victim(shared, CXX=sound.compiler).items():
-        monkeypatch.setenv(name, value)
+    become_victim(monkeypatch, shared, sound)
     monkeypatch.setenv(CACHE_VARIABLE, str(shared / "swapped" / ".." / "cache"))
-    monkeypatch.setattr(tempfile, "tempdir", str(shared))
     swap = (
-        f"cd {shared}; mkdir -p theirs/deep theirs/cache; cp bait theirs/cache/{sound.name}; "
+        f"cd {shared}; mkdir -p theirs/deep theirs/cache; cp {bait} theirs/cache/{sound.name}; "
         "while :; do ln -s theirs/deep swapped; rm swapped; mkdir swapped; rmdir swapped; done "
         "2> /dev/null"
     )
-    attacker = subprocess.Popen(
-        ["sh", "-c", swap], user=SOMEBODY, group=SOMEBODY, extra_groups=[], start_new_session=True
-    )
-    try:
+    with attacked(swap):
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
             library_of(sound.scene)  # of the temporary folder
             assert not planted.ran(), "what somebody else put there has run"
-    finally:
-        os.killpg(attacker.pid, 9)
-        attacker.wait()
     assert not planted.ran(), "what somebody else put there has run"
 
 
