@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from by_hand import CLOCKS, go_on, session_of
 from draws import some
 from in_process import in_process
 from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
-from test_by_hand import CLOCKS, go_on, session_of
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag

@@ -7,10 +7,10 @@ import time
 
 import numpy as np
 import pytest
+from by_hand import CLOCKS, go_on, session_of
 from draws import some
 from in_process import InProcess, in_process
 from network import PATIENCE
-from test_by_hand import CLOCKS, go_on, session_of
 
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
 from arm_emulator_msgs.msg import MotorCommand

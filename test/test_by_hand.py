@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from by_hand import CLOCKS, QUANTITIES, ByHand, events_of, go_on, session_of, sound_set_state
 from draws import some
-from in_process import InProcess, in_process
+from in_process import in_process
 from network import JOINTS, PATIENCE, User, user
 from rclpy.serialization import deserialize_message, serialize_message
 from test_bags import rewrite
@@ -26,101 +27,9 @@ from test_recording import begun, end, network_of, recorder
 from arm_emulator import Plant, Refusal, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.machine.varied import Varied
 from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
-
-CLOCKS = ("lockstep", "realtime")
-QUANTITIES = ("position", "velocity", "motor_position", "motor_velocity", "current")
-RATIO = {joint.name: joint.gear.ratio for joint in load_scene("three_axis").joints}
-Call = Callable[[str, Any], Any]  # of a service
-
-
-def sound_set_state(draw: random.Random) -> SetState.Request:
-    """Some joints somewhere near, with their motors."""
-    names = draw.sample(JOINTS, draw.randrange(1, 4))
-    position = [draw.uniform(-1.0, 1.0) for _ in names]
-    velocity = [draw.uniform(-0.5, 0.5) for _ in names]
-    ratio = [RATIO[name] for name in names]
-    values = {
-        "position": position,
-        "velocity": velocity,
-        "motor_position": [
-            q / n + draw.gauss(0, 1e-3) for q, n in zip(position, ratio, strict=True)
-        ],
-        "motor_velocity": [v / n for v, n in zip(velocity, ratio, strict=True)],
-        "current": [draw.uniform(-0.5, 0.5) for _ in names],
-    }
-    given = draw.choice([QUANTITIES, ("position", "motor_position"), ("current",), ("velocity",)])
-    return SetState.Request(joint_names=names, **{name: values[name] for name in given})
-
-
-class ByHand:
-    """Changes a machine by random sound calls, and keeps what it has saved."""
-
-    def __init__(self, draw: random.Random, call: Call, varied: tuple[Varied, ...] = ()) -> None:
-        self._varied = varied
-        self.kinds: set[str] = set()  # what was done
-        self.bursts = [0]  # how many things one right after the other
-        self._draw, self._call = draw, call
-        self._saved: list[bytes] = []
-        self._names: list[str] = []
-
-    def change(self, reset: bool = True) -> None:
-        """Do one thing, at random."""
-        draw = self._draw
-        kinds = {"set_state": 4, "save_state": 3, "restore_state": 4, "power": 2}
-        kinds |= {"reset": int(reset), "set_varied": 3 * bool(self._varied)}
-        kind = draw.choices(list(kinds), list(kinds.values()))[0]
-        request: Any = None
-        if kind == "set_state":
-            request = sound_set_state(draw)
-        elif kind == "save_state":
-            request = SaveState.Request(name=draw.choice(["", "one", "another"]))
-        elif kind == "set_varied":
-            number = draw.choice(self._varied)
-            value = max(number.value, 0.1) * draw.uniform(0.8, 1.25)
-            request = SetVaried.Request(name=number.name, value=value)
-        elif kind == "power":
-            request = draw.random() < 0.7
-        elif kind == "restore_state":
-            if not self._saved:
-                return
-            by_name = self._names and draw.random() < 0.5
-            request = (
-                RestoreState.Request(name=draw.choice(self._names)) if by_name
-                else RestoreState.Request(state=draw.choice(self._saved))
-            )  # fmt: skip
-        answer = self._call(f"emulator/{kind}", request)
-        assert answer.success, f"{kind}: {answer.message}"
-        self.kinds.add(kind)
-        self.bursts[-1] += 1
-        if kind == "save_state":
-            self._saved.append(bytes(answer.state))
-            self._names += [request.name] if request.name else []
-
-    def changes(self, reset: bool = True) -> None:
-        """Do some things, one right after the other."""
-        self.bursts.append(0)
-        while self._draw.random() < 0.7:
-            self.change(reset)
-
-    def has_done_much(self) -> bool:
-        """Whether there were many changes, of several kinds, and several of them at once."""
-        return sum(self.bursts) > 15 and max(self.bursts) > 1 and len(self.kinds) >= 3
-
-
-def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None) -> None:
-    """Deliver until the machine has gone through so many ticks more, or has begun anew."""
-    deadline, gone, newest = time.monotonic() + PATIENCE, 0, session_of(one).tick
-    while gone < ticks:
-        assert time.monotonic() < deadline, f"nobody states anything any more at tick {newest}"
-        between()
-        if not one.deliver():
-            time.sleep(1e-4)  # in real time the next tick is to come
-        now = session_of(one).tick
-        gone, newest = gone + (max(0, now - newest) if now >= newest else now), now
 
 
 @pytest.fixture(scope="module")
@@ -199,11 +108,6 @@ def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
     assert len(set(ticks)) < len(ticks), f"each change at a tick of its own: {ticks}"
 
 
-def events_of(bag: Path) -> list[MachineEvent]:
-    printed = Bag(bag).messages(["/emulator/events"])
-    return [deserialize_message(one.data, MachineEvent) for one in printed]
-
-
 def spoil(which: int, change: Callable[[MachineEvent], None]) -> Callable[[BagMessage], bytes]:
     """Change one event of a bag, by its number."""
 
@@ -274,10 +178,6 @@ def test_without_events_a_difference_is_explained(
     )
     assert check_bag(copy, scene=str(varied)) == 1
     assert "without emulator/events changes by hand are unknown" in capfd.readouterr().out
-
-
-def session_of(one: InProcess) -> Any:
-    return one.nodes["emulator"]._session
 
 
 @pytest.mark.parametrize("seed", some(range(10), 3))

@@ -8,10 +8,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from by_hand import CLOCKS, events_of, go_on, session_of
 from geometry_msgs.msg import Vector3, WrenchStamped
 from in_process import InProcess, in_process
 from machines import CONFIG
-from test_by_hand import CLOCKS, events_of, go_on, session_of
 
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator_msgs.msg import MachineEvent

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from by_hand import go_on, session_of
 from in_process import in_process
 from machines import CONFIG
 from rclpy.serialization import serialize_message
-from test_by_hand import go_on, session_of
 
 from arm_emulator import Fleet, Plant, Refusal, Scene, Session, load_scene
 from arm_emulator.build.c_header import text

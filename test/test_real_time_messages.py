@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from by_hand import go_on
 from draws import some
 from in_process import InProcess, in_process
-from test_by_hand import go_on
 
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.ros.doubles import STARTED

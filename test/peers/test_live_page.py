@@ -15,8 +15,8 @@ import pytest
 from browser import PATIENCE, chromium, opened, shows, tick_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from by_hand import events_of
 from machines import own_three_axis
-from test_by_hand import events_of
 
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.ros.bringup import Bringup
