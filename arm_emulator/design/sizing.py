@@ -172,7 +172,7 @@ def _peak_torque(
     Args:
         demand: on the joint.
         needed: by the rules.
-        least: a smaller figure of the description is none.
+        least: a smaller figure of the description is refused.
         largest: likewise.
         alike: the joint that cannot have the figure of all; empty: none.
     """
