@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from documents import page_of
 from machines import CONFIG
+from test_fit_numbers import VARIED
 
 from arm_emulator import Pose, Refusal, load_scene
 from arm_emulator.base.config_files import find_scene
@@ -104,7 +105,8 @@ def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
 def test_arms_of_the_fleet_make_the_motion_of_the_demo() -> None:
     """An arm as its scene has it, beside one that is not, as in a run without a network."""
     name, instructions = "three_axis", 6
-    stiff = {f"joints.{joint}.gear.stiffness": 2e4 for joint in ("waist", "shoulder", "elbow")}
+    numbers = {one.name: one.value for one in load_scene(name, {"varied": VARIED}).varied}
+    stiff = {one: value * (2.0 if "stiffness" in one else 1.0) for one, value in numbers.items()}
     found = demos(name, [{}, stiff], instructions)
     one = load_offline_run(name)
     kinematics, scene = one.controller.kinematics, one.session.scene

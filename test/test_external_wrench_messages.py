@@ -18,6 +18,7 @@ from arm_emulator_msgs.msg import MachineEvent
 
 TOPICS = {"external_wrench": "link", "external_wrench_in_world": "world"}
 LINKS = ("upper_arm", "forearm", "tool")
+VARIED = "varied: [joints.*.friction.viscous]\n"  # as in test_manners, which compiles it
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pushed")
     shutil.copytree(CONFIG / "urdf", folder / "urdf")
     text = (CONFIG / "three_axis.yaml").read_text()
-    (folder / "three_axis.yaml").write_text(f"{text}\nexternal_wrench: true\n")
+    (folder / "three_axis.yaml").write_text(f"{text}\nexternal_wrench: true\n{VARIED}")
     return folder / "three_axis.yaml"
 
 
