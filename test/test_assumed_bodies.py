@@ -15,6 +15,7 @@ from arm_emulator.design import new_scene
 from arm_emulator.design.assumed_bodies import DENSITY, SLENDER, assume_bodies
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.chain import Body, frame_of
+from arm_emulator.motion.arm_shapes import ArmShapes
 
 RHO = 800.0  # kg/m3
 JOINT = (
@@ -114,6 +115,46 @@ def test_a_mesh_is_its_convex_hull_and_is_found_in_its_package(tmp_path: Path) -
         np.testing.assert_allclose(com, 2.0 * (at + 0.5 * np.array(size)), rtol=1e-5)
         expected = of_box(x, y, z, mass)
         np.testing.assert_allclose(tensor, expected, rtol=1e-5, atol=1e-5 * expected.max())
+
+
+DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset>{unit}<up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="24">{corners}</float_array><technique_common>
+<accessor source="#a" count="8" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>0 1 3 4 5 7 2 6 7 1 2 5</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node id="n"><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>
+"""
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_metre"),
+    [('<unit name="millimeters" meter="0.001"/>', 1e3), ("<unit meter='0.0254'/>", 1 / 0.0254),
+     ('<unit meter="1"/>', 1.0), ("", 1.0)],
+)  # fmt: skip
+def test_a_mesh_is_in_the_unit_that_its_file_names(
+    tmp_path: Path, unit: str, per_metre: float
+) -> None:
+    """For masses as for contacts; a scale of the description multiplies it."""
+    size, at = np.array([0.3, 0.2, 0.1]), np.array([0.1, -0.2, 0.05])
+    corners = (np.array(list(np.ndindex(2, 2, 2))) * size + at) * per_metre / 0.5
+    text = " ".join(map(repr, corners.ravel().tolist()))
+    (tmp_path / "box.dae").write_text(DAE.format(unit=unit, corners=text))
+    name = (tmp_path / "box.dae").as_uri()
+    mesh = shape(f'<mesh filename="{name}" scale="0.5 0.5 0.5"/>')
+    mass, com, _ = given(assumed(mesh, tmp_path))
+    assert mass == pytest.approx(RHO * size.prod(), rel=1e-5), "single precision in the file"
+    assert com == pytest.approx(at + 0.5 * size, abs=1e-6)
+    shapes = ArmShapes(arm([mesh]), ["j1"])
+    (box,) = shapes.meshes.geometryObjects
+    box.geometry.computeLocalAABB()
+    assert np.array(box.geometry.aabb_local.min_).ravel() == pytest.approx(at, abs=1e-6)
+    assert np.array(box.geometry.aabb_local.max_).ravel() == pytest.approx(at + size, abs=1e-6)
 
 
 def test_a_link_without_shape_is_a_rod_and_keeps_its_given_mass(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.mesh_file import find_mesh
 from arm_emulator.machine.chain import Array, Body, Frame, frame_of
+from arm_emulator.motion.mesh_units import mesh_unit
 
 DENSITY = 1200.0  # kg/m3
 SLENDER = 0.1  # radius by length of a rod
@@ -167,14 +168,14 @@ def _points(mesh: ET.Element, folder: Path) -> Array:
     """Return the corners of a mesh (K, 3) [m]."""
     import coal
 
-    name, scale = mesh.get("filename", ""), _row(mesh, "scale", "1 1 1")
+    name, scale = mesh.get("filename", ""), np.array(_row(mesh, "scale", "1 1 1"))
     file = find_mesh(name, folder)
     if file is None:
         raise Refusal("new", f"mesh {name}", "be a file", "not found")
     if file.stat().st_size > MOST_MESH:
         raise Refusal("new", f"mesh {name}", f"have at most {MOST_MESH} bytes", "larger")
     try:
-        points = coal.MeshLoader().load(str(file), np.array(scale)).vertices()
+        points = coal.MeshLoader().load(str(file), mesh_unit(file) * scale).vertices()
     except (RuntimeError, ValueError, TypeError) as error:
         raise Refusal("new", f"mesh {name}", "be readable", f"not read ({error})") from None
     found: Array = np.unique(np.asarray(points, dtype=np.float64), axis=0)

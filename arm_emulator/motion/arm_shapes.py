@@ -20,6 +20,7 @@ from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics_model import WHERE
+from arm_emulator.motion.mesh_units import in_metres
 from arm_emulator.motion.package_folders import package_folders
 
 
@@ -44,7 +45,10 @@ class ArmShapes(Lasting):
         try:
             self.model = pin.buildModelFromXML(urdf_xml)
             self.hulls = pin.buildGeomFromUrdfString(
-                self.model, urdf_xml, pin.GeometryType.COLLISION, package_dirs=package_folders()
+                self.model,
+                in_metres(urdf_xml),
+                pin.GeometryType.COLLISION,
+                package_dirs=package_folders(),
             )
         except (ValueError, RuntimeError, IndexError) as error:
             rule = "have readable shapes for collisions (meshes by file:// or ROS_PACKAGE_PATH)"

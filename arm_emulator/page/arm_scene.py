@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.mesh_units import in_metres
 from arm_emulator.motion.package_folders import package_folders
 
 Array = NDArray[np.float64]
@@ -44,7 +45,10 @@ class ArmScene:
         self.missing = ""
         try:
             self._shapes = pin.buildGeomFromUrdfString(
-                self._model, scene.urdf, pin.GeometryType.VISUAL, package_dirs=package_folders()
+                self._model,
+                in_metres(scene.urdf),
+                pin.GeometryType.VISUAL,
+                package_dirs=package_folders(),
             )
         except ValueError as error:  # a mesh that this machine has not
             self._shapes, self.missing = pin.GeometryModel(), str(error).strip()

@@ -1,0 +1,46 @@
+"""Units of meshes: COLLADA files name theirs, which coal does not read; others are in metres."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+from arm_emulator.motion.package_folders import package_folders
+
+_HEAD = 1 << 16  # bytes: the unit stands at the file's beginning
+_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)\s*[\"']")
+_COLLADA = ".dae"
+
+
+def mesh_unit(file: Path) -> float:
+    """Return the unit of a mesh [m]."""
+    if file.suffix.lower() != _COLLADA:
+        return 1.0
+    with file.open("rb") as opened:
+        found = _UNIT.search(opened.read(_HEAD))
+    try:
+        unit = float(found[1]) if found else 1.0
+    except ValueError:
+        unit = 1.0
+    return unit if unit > 0.0 else 1.0
+
+
+def in_metres(urdf: str) -> str:
+    """Return a robot description whose meshes are scaled by their units, as coal takes them."""
+    if _COLLADA not in urdf.lower():
+        return urdf
+    robot, folders = ET.fromstring(urdf), [Path(folder) for folder in package_folders()]
+    changed = False
+    for mesh in robot.iter("mesh"):
+        url = urlparse(mesh.get("filename", ""))
+        places = [Path(unquote(url.path))]
+        if url.scheme in ("package", "model"):
+            places = [folder / unquote(url.netloc + url.path) for folder in folders]
+        unit = next((mesh_unit(file) for file in places if file.is_file()), 1.0)
+        if unit != 1.0:
+            scale = [unit * float(one) for one in mesh.get("scale", "1 1 1").split()]
+            mesh.set("scale", " ".join(map(repr, scale)))
+            changed = True
+    return ET.tostring(robot, encoding="unicode") if changed else urdf
