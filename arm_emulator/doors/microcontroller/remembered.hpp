@@ -1,5 +1,5 @@
-// Memory of a chip in checkpoints: each of its pieces lists it once, for writing and for reading alike:
-// `template <class List> void remembered(List& list) { list(one, two); }`.
+// Memory of a chip in checkpoints: each of its pieces lists it once, for writing and for reading
+// alike: `template <class List> void remembered(List& list) { list(one, two); }`.
 #pragma once
 
 #include <cstdint>
