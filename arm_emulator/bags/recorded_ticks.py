@@ -69,7 +69,7 @@ def recorded_ticks(
     wanted = ["motor_states", "emulator/events"]
     wanted += ["emulator/joint_states"] if only is None else []
     orders = _Orders(joints, where)
-    for name, message, published in topics.read_with_time(*wanted):
+    for name, message, published in topics.read_in_place(*wanted):
         if name == "emulator/events":
             change = Change(int(message.kind), bytes(message.state))
             if message.kind == MachineEvent.KIND_RESET:

@@ -17,6 +17,7 @@ from arm_emulator.machine.build_facts import COMPILED_WITH
 from arm_emulator.machine.scene import Scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import SCENE
+from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.message_types import definition_of, fields
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
 
@@ -24,12 +25,14 @@ from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, Mo
 TYPES: dict[str, tuple[Any, str]] = {
     "motor_commands": (MotorCommand, "arm_emulator_msgs/msg/MotorCommand"),
     "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
+    "joint_targets": (JointState, "sensor_msgs/msg/JointState"),
     "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
     "emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
     "emulator/status": (EmulatorStatus, "arm_emulator_msgs/msg/EmulatorStatus"),
     "robot_description": (String, "std_msgs/msg/String"),
     "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
+ALIKE = ("motor_states", "emulator/joint_states", "motor_commands")  # but for their numbers
 
 
 class RecordedTopics:
@@ -79,14 +82,36 @@ class RecordedTopics:
 
     def read_with_time(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
         """Yield as `read`, with the wall time of publication [ns]."""
+        for name, data, published in self._data(wanted):
+            yield name, self._message(name, data), published
+
+    def read_in_place(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
+        """Yield as `read_with_time`; a message is overwritten by the next one of its topic.
+
+        Of messages that are alike but for their numbers this takes a fifth of the time.
+        """
+        layouts: dict[str, FixedLayout] = {}
+        for name, data, published in self._data(wanted):
+            known = layouts.get(name)
+            if known is not None and known.take(data):
+                yield name, known.message, published
+                continue
+            message = self._message(name, data)
+            if name in ALIKE:
+                layouts[name] = FixedLayout(message)
+            yield name, message, published
+
+    def _data(self, wanted: tuple[str, ...]) -> Iterator[tuple[str, bytes, int]]:
         names = {self.names[name]: name for name in wanted if name in self.names}
         for one in self.bag.as_published(names):
-            name = names[one.topic]
-            try:
-                yield name, deserialize_message(one.data, TYPES[name][0]), one.published
-            except RuntimeError as error:
-                rule = "be readable"
-                raise Refusal(str(self.bag.path), f"messages on {name}", rule, error) from None
+            yield names[one.topic], one.data, one.published
+
+    def _message(self, name: str, data: bytes) -> Any:
+        try:
+            return deserialize_message(data, TYPES[name][0])
+        except RuntimeError as error:
+            rule = "be readable"
+            raise Refusal(str(self.bag.path), f"messages on {name}", rule, error) from None
 
     @property
     def in_real_time(self) -> bool:

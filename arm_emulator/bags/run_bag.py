@@ -106,22 +106,26 @@ class RunBag:
             effort=state.gear_torque.tolist(),
         )
 
-    def changed(self, kind: int) -> None:
+    def changed(self, kind: int, saved: bytes | None = None) -> None:
         """Write the event of a machine that was changed by hand.
 
         Args:
             kind: one of `MachineEvent.KIND_...`.
+            saved: the machine after it; None: as it is now.
         """
         self._events += 1
-        session = self._session
+        plant = self._session.plant
+        if saved is not None:
+            plant = Plant(self._session.scene)
+            plant.restore(saved)
         self._send(
             "emulator/events",
-            tick=session.tick,
+            tick=self._session.tick,
             number=self._events,
             kind=kind,
-            powered=session.powered,
+            powered=plant.powered,
             machine=1,
-            state=array("B", session.plant.save()),
+            state=array("B", plant.save()),
         )
 
     def _send(self, topic: str, **values: Any) -> None:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from arm_emulator.bags.run_bag import KINDS, RunBag
+from arm_emulator.bags.targeted_run import TargetedRun
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
@@ -15,6 +16,7 @@ from arm_emulator.runs.timeline import Change, Timeline
 from arm_emulator_msgs.msg import MachineEvent
 
 CHANGES, ORDERS = "changes", "orders"  # in words, and as data
+TARGETS = "joint_targets_of"  # the network's bag that has the joint targets
 
 
 def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None = None) -> None:
@@ -39,6 +41,8 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
     orders = [(one.tick, one.made) for one in line.changes if isinstance(one.made, Order)]
     if len(orders) == len(line.changes):
         about[ORDERS] = json.dumps([{"tick": tick, **as_data(one)} for tick, one in orders])
+    if isinstance(line.run, TargetedRun):
+        about[TARGETS] = line.run.source
     if parent is not None:
         if line.parent is None:
             raise Refusal("write_timeline", "the timeline", "be a fork of a parent", "none")
@@ -61,6 +65,9 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
     for tick in range(1, line.newest + 1):
         line.run.advance(1)  # not by the timeline: the state before changes is reported
         bag.report()
+        if isinstance(line.run, TargetedRun) and tick < line.newest:
+            for kind, saved in line.run.changes_here:
+                bag.changed(kind, saved)
         made = changed.get(tick, [])
         orders = [one.made for one in made if isinstance(one.made, Order)]
         if len(orders) == len(made):

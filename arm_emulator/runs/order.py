@@ -160,9 +160,6 @@ class Push(Order):
         return WrenchChange(self.link, ExternalWrench(self.force, self.moment, axes="world"))
 
 
-ORDERS: dict[str, type[Order]] = {one.kind: one for one in Order.__subclasses__()}
-
-
 def as_data(order: Order) -> dict[str, Any]:
     """Return an order as it stands in a file."""
     return {"kind": order.kind, **dataclasses.asdict(order)}
@@ -174,9 +171,10 @@ def of_data(where: str, data: Any) -> Order:
     Raises:
         Refusal: it is not an order.
     """
-    kind = ORDERS.get(data.get("kind", "")) if isinstance(data, Mapping) else None
+    known: dict[str, type[Order]] = {one.kind: one for one in Order.__subclasses__()}
+    kind = known.get(data.get("kind", "")) if isinstance(data, Mapping) else None
     if kind is None:
-        raise Refusal(where, "order", "be of a known kind", data, ", ".join(ORDERS))
+        raise Refusal(where, "order", "be of a known kind", data, ", ".join(known))
     given = {name: value for name, value in data.items() if name != "kind"}
     fields = {one.name: str(one.type) for one in dataclasses.fields(kind)}
     if given.keys() != fields.keys():

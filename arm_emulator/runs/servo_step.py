@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import C_FLAGS
@@ -67,6 +68,13 @@ class ServoStep(ControlCode):
         )
         self._calls = _servo_step()
         self.step = self._calls.servo_step_step
+
+    def command(self, powered: bool) -> NDArray[np.float64]:
+        """Return the commands for the tick that was measured, in the machine's order (N,)."""
+        self.with_.measured = 0
+        rows = np.zeros(len(self._place))
+        rows[self._place] = self._drives.command(powered)
+        return rows
 
     def save(self) -> bytes:
         """Return the servo as it is now."""

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from arm_emulator.bags.ordered_run import ordered_run
 from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.targeted_run import LeaveChanges, TargetedRun
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
@@ -40,7 +41,7 @@ def fork(
     Machine, servo and motion controller are as they were at that moment, to the last bit.
 
     Args:
-        bag: folder of a bag of `run --bag`, or of a fork.
+        bag: folder of a bag of `run --bag`, of a fork, or of a network in lock-step (`record`).
         new: folder of the new bag.
         at: logical time of the moment (s).
         seconds: logical time from there on (default: up to the end of the bag).
@@ -73,6 +74,8 @@ def fork(
             raise Refusal("fork", option, rule, f"{value:g}")
     line.go_to(min(round(at / period), line.newest))
     future = line.fork()
+    if isinstance(line.run, TargetedRun) and line.tick < line.newest:
+        LeaveChanges().give(future)
     for order in orders:
         order.give(future)
     diverged = ""

@@ -1,0 +1,129 @@
+"""`fork` of a network's bag: machine and servo made again from joint targets, to the last bit."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from in_process import in_process
+from machines import own_three_axis
+
+from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.timeline_bag import ORDERS, TARGETS
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.commands.fork import fork
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.bag import Bag
+from arm_emulator_msgs.srv import SetState, SetVaried
+
+VISCOUS = "joints.elbow.friction.viscous"
+LAST = 420  # ticks of 1 ms
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return own_three_axis(tmp_path_factory.mktemp("scene") / "own", f"varied: [{VISCOUS}]")
+
+
+@pytest.fixture(scope="module")
+def moved(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of two runs, of which the last one has moves, and changes by hand on the way."""
+    with in_process(file=scene) as one:
+        one.begin_record()
+        one.run_to(20)
+        one.call("emulator/reset")
+        one.run_to(30)
+        controller = one.nodes["motion_controller"]._controller
+        _, p = controller.kinematics.forward(load_scene(scene).start)
+        target = PoseStamped()
+        target.pose.position.x, target.pose.position.y, target.pose.position.z = map(float, p)
+        target.pose.position.y += 0.05
+        target.pose.orientation.w = 1.0
+        one.send("tool_target", target)
+        one.run_to(200)
+        assert one.call("emulator/set_varied", SetVaried.Request(name=VISCOUS, value=0.4)).success
+        one.run_to(230)
+        assert one.call("emulator/power", False).success
+        one.run_to(260)
+        assert one.call("emulator/power", True).success
+        one.run_to(320)
+        faster = SetState.Request(joint_names=["elbow"], velocity=[0.2])
+        assert one.call("emulator/set_state", faster).success
+        one.run_to(LAST)
+        return one.write(tmp_path_factory.mktemp("bags") / "moved")
+
+
+def way(bag: Path, scene: Path) -> list[bytes]:
+    """The machine at each tick."""
+    machine = RecordedMachine.of(bag, load_scene(scene))
+    found = [machine.session.plant.save()]
+    while machine.tick < machine.last:
+        machine.advance(1)
+        found.append(machine.session.state.q.tobytes() + machine.session.state.current.tobytes())
+    return found
+
+
+@pytest.mark.parametrize("at", [0, 137, 215, 245, 300, 380])
+def test_a_fork_without_a_change_is_the_recorded_run(
+    at: int, scene: Path, moved: Path, tmp_path: Path
+) -> None:
+    """From the fork on nothing but the changes by hand before it is known."""
+    bag = tmp_path / "fork"
+    last = next(end for end in (200, 230, 260, 320, LAST) if end > at)
+    assert fork(moved, bag, at=at * 1e-3, seconds=(last - at) * 1e-3, scene=str(scene)) == 0
+    wanted = way(moved, scene)
+    assert way(bag, scene)[1:] == wanted[1 : last + 1]
+    assert np.ptp([np.frombuffer(one)[1] for one in wanted[1:]]) > 0.005, "an arm that moves [rad]"
+    assert compare(bag, str(scene)).difference is None
+
+
+def test_forks_of_forks_name_the_bag_with_the_targets(
+    scene: Path, moved: Path, tmp_path: Path
+) -> None:
+    first, second, third = (tmp_path / name for name in ("first", "second", "third"))
+    assert fork(moved, first, at=0.21, gains=1.5, seconds=0.1, scene=str(scene)) == 0
+    assert fork(first, second, at=0.29, set_=[f"{VISCOUS}=0.1"], seconds=0.1, scene=str(scene)) == 0
+    assert fork(second, third, at=0.39, seconds=0.0, scene=str(scene)) == 0
+    assert way(third, scene) == way(second, scene)
+    assert way(second, scene)[1:291] == way(first, scene)[1:291]
+    assert way(first, scene)[1:211] == way(moved, scene)[1:211]
+    assert way(first, scene)[310] != way(moved, scene)[310], "the gains act"
+    about = Bag(third).about
+    assert about[TARGETS] == str(moved)
+    kinds = [one["kind"] for one in json.loads(about[ORDERS])]
+    assert kinds == ["leave_changes", "gains", "leave_changes", "set_varied"]
+    assert compare(third, str(scene)).difference is None
+
+
+@pytest.mark.parametrize(("words", "rule"), [
+    ({"displacement": (0.0, 0.01, 0.0)}, "go to the servo"), ({"gains": 0.0}, "above 0"),
+    ({"at": 0.5}, "--at must be within 0 and 0.42 s"),
+])  # fmt: skip
+def test_impossible_requests_are_refused_and_write_nothing(
+    words: dict[str, Any], rule: str, scene: Path, moved: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(Refusal, match=rule):
+        fork(moved, tmp_path / "new", scene=str(scene), **{"at": 0.1, **words})
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_bag_that_cannot_be_made_again_is_refused(
+    scene: Path, moved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    soft = tmp_path / "own" / scene.name
+    shutil.copytree(scene.parent, soft.parent)
+    gains = soft.parent / "servo" / scene.name
+    gains.write_text(gains.read_text().replace("position_gain: 30.0", "position_gain: 29.0"))
+    with pytest.raises(Refusal, match="lead to the recorded commands"):
+        fork(moved, tmp_path / "new", at=0.01, scene=str(soft))
+    monkeypatch.setattr(RecordedTopics, "in_real_time", True)
+    with pytest.raises(Refusal, match="be of lock-step"):
+        fork(moved, tmp_path / "new", at=0.01, scene=str(scene))
+    assert not (tmp_path / "new").exists()
