@@ -26,6 +26,7 @@ from arm_emulator.motion.elastic_arm import ElasticArm
 from arm_emulator.motion.link_torques import LinkTorques
 
 SETTLE = 5.0  # s, before the line begins: the integrals of heavy arms take 1 s
+PRACTICE = 4.0  # s, for the line there and back
 REST = 0.5  # s, after it ends
 PATIENCE = 20.0  # s, of all of it
 
@@ -92,8 +93,17 @@ class Followed:
         return float(np.gradient(self.place, self.t).max())
 
 
-def follow(scene_name: str, known: Known, line: Line | None = None) -> Followed:
-    """Send a scene's tool along a line; where the scene starts the line begins."""
+def follow(
+    scene_name: str, known: Known, line: Line | None = None, *, practised: bool = False
+) -> Followed:
+    """Send a scene's tool along a line; where the scene starts the line begins.
+
+    Args:
+        scene_name: the machine.
+        known: numbers that servo and motion controller assume.
+        line: of the tool.
+        practised: whether the tool goes there and back first, from which the servo learns.
+    """
     line = line or Line()
     file = find_scene(scene_name)
     scene, gains = load_scene(file), load_gains(file)
@@ -126,6 +136,9 @@ def follow(scene_name: str, known: Known, line: Line | None = None) -> Followed:
     run.advance(round(SETTLE / scene.servo_period))
     R_WT, start = kinematics.forward(_reference(run))
     ends = Pose(start, R_WT), Pose(start + line.length * along, R_WT)
+    if practised:
+        run.instructor.add_path(run.controller, (*ends, ends[0]))
+        run.advance(round(PRACTICE / scene.servo_period))
     run.instructor.add_path(run.controller, ends)
     times: list[float] = []
     places: list[float] = []
