@@ -16,9 +16,13 @@ static double larger(double a, double b) { return a > b || isnan(a) ? a : b; }
 static void follow(double* out, int32_t joint, int64_t first, int64_t count,
                    const judges_samples* piece) {
   int64_t at = 0;
-  for (int64_t i = 0; i < count; ++i) {
+  for (int64_t i = 0; i < count;) {
     while (at + 1 < piece->target_count && piece->since[at + 1] <= first + i) ++at;
-    out[i] = piece->targets[at * piece->joints + joint];
+    int64_t end = count;
+    if (at + 1 < piece->target_count && piece->since[at + 1] < first + end)
+      end = piece->since[at + 1] - first;
+    const double target = piece->targets[at * piece->joints + joint];
+    for (; i < end; ++i) out[i] = target;
   }
 }
 
@@ -78,14 +82,33 @@ static void fill(const judges* all, int32_t row, const judges_samples* piece, in
   }
 }
 
+/* The largest or smallest of `found` and some values: several at a time, as each waits for the one
+ * before it. */
+enum { AT_A_TIME = 8 };
+static double extreme(double found, const double* values, int64_t count, int largest) {
+  double each[AT_A_TIME];
+  int64_t i = 0;
+  for (int k = 0; k < AT_A_TIME; ++k) each[k] = found;
+  if (largest) {
+    for (; i + AT_A_TIME <= count; i += AT_A_TIME)
+      for (int k = 0; k < AT_A_TIME; ++k) each[k] = larger(values[i + k], each[k]);
+  } else {
+    for (; i + AT_A_TIME <= count; i += AT_A_TIME)
+      for (int k = 0; k < AT_A_TIME; ++k) each[k] = smaller(values[i + k], each[k]);
+  }
+  for (; i < count; ++i)
+    each[0] = largest ? larger(values[i], each[0]) : smaller(values[i], each[0]);
+  for (int k = 1; k < AT_A_TIME; ++k)
+    each[0] = largest ? larger(each[k], each[0]) : smaller(each[k], each[0]);
+  return each[0];
+}
+
 static void reduce(judges_measure* one, const double* values, int64_t count) {
   double found = one->found;
   switch (one->reduction) {
     case JUDGES_MAX:
-      for (int64_t i = 0; i < count; ++i) found = larger(values[i], found);
-      break;
     case JUDGES_MIN:
-      for (int64_t i = 0; i < count; ++i) found = smaller(values[i], found);
+      found = extreme(found, values, count, one->reduction == JUDGES_MAX);
       break;
     case JUDGES_MEAN:
       for (int64_t i = 0; i < count; ++i) found += values[i];

@@ -18,7 +18,7 @@ from arm_emulator.campaign.bound_case import BoundCase, bound
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.judges import Judges
-from arm_emulator.campaign.outcome import Outcomes
+from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Scenario
 from arm_emulator.campaign.signals import FleetSampler
@@ -28,8 +28,8 @@ from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.runs.servo_fleet import ServoFleet
 
 Array = NDArray[np.float64]
-WIDTH = 32  # runs at a time
-ROOM = 520  # samples in a piece: those of some runs stay in the processor's cache
+WIDTH = 64  # runs at a time
+ROOM = 512  # samples in a piece: whole blocks of the judges, which the processor's cache holds
 
 
 class _Run(NamedTuple):
@@ -92,6 +92,21 @@ class RunsInLanes:
                 yield self._run(cases[first : first + len(runs)], runs)
             if refused is not None:
                 raise refused
+
+    def run(self, case: Case) -> Outcome:
+        """Simulate one run and judge it: to the last bit as beside others.
+
+        Raises:
+            Refusal: values of this run that are out of range.
+        """
+        (found,) = self.runs([case])
+        return Outcome(
+            case.index,
+            case.values,
+            dict(zip(self._campaign.requirements, found.robustness[0].tolist(), strict=True)),
+            dict(zip(self._campaign.measures, found.measures[0].tolist(), strict=True)),
+            float(found.diverged[0]),
+        )
 
     def _bind(self, case: Case) -> _Run:
         """Return a run as its arm gets it.

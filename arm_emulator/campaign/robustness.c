@@ -208,6 +208,33 @@ static void move(node* one, segment sample) {
   ++one->taken;
 }
 
+/* A segment and those of further samples: several at a time if only extremes count. */
+enum { ABREAST = 8 };
+static segment joined_with_all(int32_t kind, segment all, const double* a, const double* b,
+                               int64_t count) {
+  int64_t i = 0;
+  if (kind != ROBUSTNESS_UNTIL && count >= ABREAST) {
+    double each[ABREAST];
+    for (int k = 0; k < ABREAST; ++k) each[k] = all.hold;
+    if (kind == ROBUSTNESS_ALWAYS) {
+      for (; i + ABREAST <= count; i += ABREAST)
+        for (int k = 0; k < ABREAST; ++k) each[k] = least(each[k], a[i + k]);
+    } else {
+      for (; i + ABREAST <= count; i += ABREAST)
+        for (int k = 0; k < ABREAST; ++k) each[k] = most(each[k], a[i + k]);
+    }
+    for (int k = 0; k < ABREAST; ++k) {
+      const segment one = {each[k], -INFINITY};
+      all = joined(kind, all, one);
+    }
+  }
+  for (; i < count; ++i) {
+    const segment sample = {a[i], b[i]};
+    all = joined(kind, all, sample);
+  }
+  return all;
+}
+
 static int feed_window(node* one, stream* left, stream* right) {
   int64_t count = left->count;
   if (right && right->count < count) count = right->count;
@@ -222,12 +249,7 @@ static int feed_window(node* one, stream* left, stream* right) {
       move(one, sample);
     }
   } else {
-    segment all = one->newest;
-    for (int64_t i = 0; i < count; ++i) {
-      const segment sample = {a[i], b[i]};
-      all = joined(kind, all, sample);
-    }
-    one->newest = all;
+    one->newest = joined_with_all(kind, one->newest, a, b, count);
   }
   take(left, count);
   if (right) take(right, count);

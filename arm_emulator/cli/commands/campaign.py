@@ -27,6 +27,7 @@ from arm_emulator.campaign.executor import (
     run_campaign,
     seconds_per_run,
 )
+from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results, column_units, digest_of
 from arm_emulator.campaign.search.method import Finding
@@ -214,8 +215,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
 
 def _replay(one: Campaign, case: Case, kept: Kept, page: str | None, bag: Path | None) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
-    simulator = Simulator(one)
-    outcome = simulator.run(case)
+    outcome = runs_of(one).run(case)
     for name, value in outcome.values.items():
         output.line(f"{name:<44} {value!r}")
     for name, value in outcome.robustness.items():
@@ -226,10 +226,14 @@ def _replay(one: Campaign, case: Case, kept: Kept, page: str | None, bag: Path |
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
+    recorded = kept != NOTHING or page is not None
+    if bag is None and not recorded:
+        return 0
+    simulator = Simulator(one)
     if bag is not None:
         write_case_bag(one, simulator, case, bag)
         output.line(f"wrote   {bag}")
-    if kept != NOTHING or page is not None:
+    if recorded:
         record_case(simulator, case, kept, page)
     return 0
 

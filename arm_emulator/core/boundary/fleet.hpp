@@ -285,7 +285,8 @@ struct arm_fleet {
       for (int k = g * lanes; k < end_of(g); ++k) all = all && own.is_abreast(k % lanes);
       if (!all) return false;
       alignas(64) double current[N * lanes], angle[N * lanes], speed[N * lanes], rows[2][N * lanes];
-      own.report(current, angle, speed);
+      if (measurement || (truth && (truth->current || truth->motor_angle || truth->motor_speed)))
+        own.report(current, angle, speed);
       if (measurement) {
         own.applied(rows[0]);
         put_measurement(own, g, *measurement, current, angle, rows[0]);

@@ -119,12 +119,17 @@ class Coulomb {
     return modes;
   }
 
-  // The same with the modes fixed, whatever torque they take.
-  void solve_in(const Modes& modes, const Matrix& W, X* x) {
+  // The same with the modes fixed, whatever torque they take. W may be used up.
+  void solve_in(const Modes& modes, Matrix& W, X* x) {
     X rhs[N];
     for (int j = 0; j < N; ++j) {
       locked_[j] = modes.locked[j], direction_[j] = modes.direction[j];
       rhs[j] = x[j];
+    }
+    if (!modes.lock()) {
+      factors_.factor(W);
+      for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
+      return factors_.solve(x);
     }
     factor_unlocked(W);
     for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
@@ -137,7 +142,7 @@ class Coulomb {
     Mask<X> all_rest = X{} == X{};
     for (int j = 0; j < N; ++j) all_rest &= modes.locked[j];
     if (!all(all_rest)) {
-      const auto M = mass();
+      auto M = mass();
       return solve_in(modes, M.at, x);
     }
     for (int j = 0; j < N; ++j) held_[j] = x[j];

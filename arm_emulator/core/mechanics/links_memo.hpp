@@ -21,6 +21,11 @@ class LinksMemo {
     known_ = true;
     return links_;
   }
+  // The newest ones, to be changed.
+  Dynamics& used_up() {
+    known_ = false;
+    return links_;
+  }
   // The numbers have changed, or may have.
   void forget() { known_ = false; }
 

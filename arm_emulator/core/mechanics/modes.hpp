@@ -51,7 +51,7 @@ class Modes {
                      Friction& coulomb) const {
     torques(x, u, links, a);
     coulomb.take(x, x, u, of_drives());
-    const auto M = loaded(links);
+    auto M = loaded(links);
     coulomb.solve_in(friction, M.at, a);
   }
 

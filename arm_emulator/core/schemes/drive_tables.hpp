@@ -11,9 +11,11 @@ template <class S, class X, class Make>
 class DriveTables : public ServedDrives<S, X> {
  public:
   using Served = ServedDrives<S, X>;
+  using Served::enters;
   using Served::N, Served::K, Served::M, Served::R, Served::row, Served::linear, Served::matters;
   using typename Served::In, typename Served::Inputs, typename Served::Modes;
   static constexpr bool own = Served::own;
+  static constexpr std::integral_constant<int, -1> link = {};
   using Number = std::conditional_t<own, X, Real>;
 
   // For each input a row of numbers.
@@ -69,30 +71,43 @@ class DriveTables : public ServedDrives<S, X> {
   }
 
   // The parts of a linearly implicit step (linearly_implicit.hpp), from the inputs that are known
-  // by then: the link's rows of both stages, the rates of the states in the first with the link at
-  // rest and moving, and what the step adds to the states.
-  ARM_INLINE auto first(const Inputs& in) const { return answer<In::k1>(rhs_1, in); }
+  // by then: the link's rows of both stages, and the rates of the states in the first with the link
+  // at rest and moving.
+  ARM_INLINE auto first(const Inputs& in) const { return answer<In::k1>(rhs_1, in, link); }
   ARM_INLINE auto rates_at_rest(auto k, const Inputs& in) const {
-    return answer<In::k1>(k_z[k], in);
+    return answer<In::k1>(k_z[k], in, k);
   }
-  ARM_INLINE auto rates(auto k, const Inputs& in) const { return answer<In::change>(k_z[k], in); }
-  ARM_INLINE auto second(const Inputs& in) const { return answer<In::k2>(rhs_2, in); }
+  ARM_INLINE auto rates(auto k, const Inputs& in) const {
+    return answer<In::change>(k_z[k], in, k);
+  }
+  ARM_INLINE auto second(const Inputs& in) const { return answer<In::k2>(rhs_2, in, link); }
+  // The states after the step. All of a joint follow while its inputs are in registers.
   template <int stages>
-  ARM_INLINE auto added(auto k, const Inputs& in) const {
-    return answer<(stages == 2 ? In::count : In::change)>(dz[k], in);
+  ARM_INLINE void add(const Inputs& in, arm::Row<N, X>* z) const {
+    for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
+      for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+        constexpr int inputs = stages == 2 ? In::count : In::change;
+        z[k].at[g] = in[k].at[g] + answer_of<inputs>(dz[k], in, g, k);
+      });
+    });
   }
 
-  // A row's numbers times the inputs, for all joints.
+  // A row's numbers times the inputs, for all joints. `k`: the state of which it is; -1: the link.
   template <int inputs>
-  ARM_INLINE static arm::Row<N, X> answer(const Numbers& numbers, const Inputs& x) {
-    using Row = arm::Row<N, X>;
-    Row out;
-    for_each<Row::groups>([&](auto g) __attribute__((always_inline)) {
-      out.at[g] = group_of(numbers[In::v], g) * x[In::v].at[g];
-      for_each<inputs, kMostInputs>([&](auto input) __attribute__((always_inline)) {
-        if (input != In::v && matters(input))
-          out.at[g] += group_of(numbers[input], g) * x[input].at[g];
-      });
+  ARM_INLINE static arm::Row<N, X> answer(const Numbers& numbers, const Inputs& x, auto k) {
+    arm::Row<N, X> out;
+    for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
+      out.at[g] = answer_of<inputs>(numbers, x, g, k);
+    });
+    return out;
+  }
+  // The same for a group of joints.
+  template <int inputs>
+  ARM_INLINE static auto answer_of(const Numbers& numbers, const Inputs& x, int g, auto k) {
+    typename arm::Row<N, X>::Vector out = {};
+    for_each<inputs, kMostInputs>([&](auto input) __attribute__((always_inline)) {
+      if (matters(input) && (k < 0 || enters(k, input)))
+        out += group_of(numbers[input], g) * x[input].at[g];
     });
     return out;
   }

@@ -108,6 +108,10 @@ class LinearlyImplicit {
   // The same with the drives in the modes that the tables serve.
   void step_in(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x, const X (&u)[row],
                Dynamics links, Past from) {
+    step_using_up(links, friction, x, u, from);
+  }
+  void step_using_up(Dynamics& links, const typename Coulomb<S, X>::Modes& friction, State<S, X>& x,
+                     const X (&u)[row], Past from) {
     Inputs in;
     begin(x, u, in);
     if constexpr (Tables::modal) tables_.put_modes(in);
@@ -323,12 +327,9 @@ class LinearlyImplicit {
   }
 
   ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) {
-    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z = tables_.template added<stages>(k, in);
-      for_each<Numbers::groups>([&](auto g)
-                                    __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
-      z.store(x.z[k]);
-    });
+    Numbers z[K > 0 ? K : 1];
+    tables_.template add<stages>(in, z);
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) { z[k].store(x.z[k]); });
   }
 
   // A step is taken with the modes that hold at its end: a current has not passed its limit, one at

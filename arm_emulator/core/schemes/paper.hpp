@@ -62,9 +62,9 @@ class PaperScheme {
     in[In::u] = Row<N, X>::load(u);
     if constexpr (Tables::modal) choose_modes(x, u, in);
     if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
-    Tables::template answer<In::k1>(tables_.rhs_1, in).store(torque);
+    Tables::template answer<In::k1>(tables_.rhs_1, in, Tables::link).store(torque);
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      auto z = Tables::template answer<In::k1>(tables_.dz[k], in);
+      auto z = Tables::template answer<In::k1>(tables_.dz[k], in, k);
       for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
     });

@@ -117,6 +117,10 @@ class ServedDrives {
     }
   }
 
+  // Whether the rate of state k depends on an input that matters. Lanes that share their drives
+  // know by these constants; else it may.
+  static constexpr bool enters(int k, int input) { return paths.at[k][input]; }
+
  protected:
   // Whether any drive has a rest in a row of f, or of g.
   static constexpr bool bends(int row) {
@@ -133,13 +137,55 @@ class ServedDrives {
   const arm::Numbers<S, X>& n_;
 
  private:
+  // `enters` of all states and inputs: along the terms of the linear drives, in a table
+  // (drive_table.hpp). The rest of g, and its change, enter the link's row alone.
+  struct Paths {
+    bool at[K > 0 ? K : 1][In::count] = {};
+
+    constexpr Paths() {
+      if constexpr (own || width == 1) {
+        for (auto& of_state : at)
+          for (bool& one : of_state) one = true;
+      } else {
+        std::apply([this](const auto&... drive) { (put(drive), ...); }, Constants<S>::sheet.drives);
+      }
+    }
+
+   private:
+    constexpr void put(const auto& drive) {
+      const auto one = LinearDrive<K, M>::of(drive, 0);
+      bool on[K > 0 ? K : 1][K > 0 ? K : 1] = {};  // of a state on others, by way of others
+      for (int k = 0; k < K; ++k)
+        for (int m = 0; m < K; ++m) on[k][m] = k == m || one.F[k][m] != 0.0;
+      for (int by = 0; by < K; ++by)
+        for (int k = 0; k < K; ++k)
+          for (int m = 0; m < K; ++m) on[k][m] |= on[k][by] && on[by][m];
+      for (int k = 0; k < K; ++k)
+        for (int m = 0; m < K; ++m) {
+          if (!on[k][m]) continue;
+          for (int input = 0; input <= In::u; ++input) at[k][input] |= one.F[m][input] != 0.0;
+          const bool link = one.F[m][In::q] != 0.0 || one.F[m][In::v] != 0.0;
+          at[k][In::v] |= link, at[k][In::k1] |= link, at[k][In::k2] |= link;
+          if constexpr (R > 0) at[k][In::rest + m] = at[k][In::change + m] = true;
+        }
+    }
+  };
+  static constexpr Paths paths = {};
+
   template <class Drive>
   void put_rest(const Drive& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
                 Rest& rest) const {
     const auto now = modes()(drive, j, lane);
-    const auto is = drive.rest(drive.with(input_in_lane(drive, j, x, u[j], lane), now), now.held());
-    for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
-    set_lane(rest.at[K][j], lane, is.g);
+    const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), now);
+    const auto put = [&](const auto& is) __attribute__((always_inline)) {
+      for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
+      set_lane(rest.at[K][j], lane, is.g);
+    };
+    // Of the usual modes, which are constants, the linear terms fold away.
+    if (const unsigned held = now.held())
+      put(drive.rest(at, held));
+    else
+      put(drive.rest(at, 0));
   }
 
   void put_offsets(int j) {

@@ -41,11 +41,18 @@ class SmoothTogether {
   // The torques on the links have changed.
   void forget_links() {
     memo_.forget();
-    confirmed_.are = false;
+    confirmed_ = false;
   }
-  void reset(const State<S, X>& x) { method_.reset(x); }
+  void reset(const State<S, X>& x) {
+    confirmed_ = false;
+    method_.reset(x);
+  }
   Memory memory() const { return method_.memory(); }
-  void restore(const Memory& memory) { method_.restore(memory); }
+  // The lanes' states may have changed, too.
+  void restore(const Memory& memory) {
+    confirmed_ = false;
+    method_.restore(memory);
+  }
   const Dynamics& links_at(const State<S, X>& x) { return memo_.at(n_, x); }
 
   template <class Exchange>
@@ -66,7 +73,7 @@ class SmoothTogether {
       Memory later = method_.memory();
       for (int lane = 0; lane < width; ++lane)
         if (alone[lane]) step_alone(lane, start, past, u, x, later);
-      method_.restore(later);
+      restore(later);
     }
   }
 
@@ -88,47 +95,36 @@ class SmoothTogether {
   }
   // The same with location of events.
   Mask<X> locate(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
-    typename Friction::Modes modes = {};
-    if constexpr (Friction::present) modes = friction_at(x, u, links);
-    method_.step_in(modes, x, u, links, Method::Past::used);
+    if constexpr (Friction::present)
+      if (!confirmed_) find_friction(x, u, links);
+    method_.step_using_up(memo_.used_up(), modes_, x, u, Method::Past::used);
     Mask<X> smooth = X{} == X{};
-    if constexpr (Friction::present) smooth = friction_holds(modes, x, u);
+    if constexpr (Friction::present) smooth = friction_holds(modes_, x, u);
     follow(x, u);
     return smooth & is_usual(n_, x, u);
   }
 
-  typename Friction::Modes friction_at(const State<S, X>& x, const X (&u)[row],
-                                       const Dynamics& links) {
-    if (confirmed_.are && same(confirmed_.at, x)) return confirmed_.modes;
+  void find_friction(const State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     X rhs[N];
     torques(x, u, links, rhs);
     coulomb_.take(x, x, u, usual_modes);
     coulomb_.decide([&] { return loaded(links); }, x.v, rhs);
-    return coulomb_.modes();
+    modes_ = coulomb_.modes();
   }
   Mask<X> friction_holds(const typename Friction::Modes& modes, const State<S, X>& y,
                          const X (&u)[row]) {
-    confirmed_.are = false;
     Mask<X> hold = X{} == X{};
     for (int j = 0; j < N; ++j) hold &= y.v[j] * modes.direction[j] >= 0.0;
-    if (!modes.lock()) return hold;
-    const Dynamics& links = memo_.at(n_, y);
-    X rhs[N];
-    torques(y, u, links, rhs);
-    coulomb_.take(y, y, u, usual_modes);
-    coulomb_.hold_in(modes, [&] { return loaded(links); }, rhs);
-    for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
-    confirmed_.are = coulomb_.confirms(modes, y.v);
-    if (confirmed_.are) confirmed_.at = y, confirmed_.modes = modes;
-    return hold;
-  }
-  static bool same(const State<S, X>& a, const State<S, X>& b) {
-    Mask<X> same = X{} == X{};
-    for (int j = 0; j < N; ++j) {
-      same &= (a.q[j] == b.q[j]) & (a.v[j] == b.v[j]);
-      for (int k = 0; k < State<S, X>::K; ++k) same &= a.z[k][j] == b.z[k][j];
+    if (modes.lock()) {
+      const Dynamics& links = memo_.at(n_, y);
+      X rhs[N];
+      torques(y, u, links, rhs);
+      coulomb_.take(y, y, u, usual_modes);
+      coulomb_.hold_in(modes, [&] { return loaded(links); }, rhs);
+      for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
     }
-    return all(same);
+    confirmed_ = coulomb_.confirms(modes, y.v);
+    return hold;
   }
 
   // M with the rotors that the links carry.
@@ -158,10 +154,11 @@ class SmoothTogether {
     return typename Drive::Modes{};
   };
 
-  void follow(State<S, X>& x, const X* u) const {
+  void follow(State<S, X>& x, const X* u) {
     for (int lane = 0; lane < width; ++lane)
       n_.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
         if (!drive.follows_at_once()) return;
+        confirmed_ = false;
         auto at = input_in_lane(drive, j, x, u[j], lane);
         drive.follow(at);
         put_states(drive, j, lane, at, x);
@@ -198,13 +195,9 @@ class SmoothTogether {
   Method method_;
   Friction coulomb_;
   LinksMemo<S, X> memo_;
-  // Modes at the end of a step, which are those at the start of the next.
-  struct Confirmed {
-    State<S, X> at;
-    typename Friction::Modes modes = {};
-    bool are = false;
-  };
-  Confirmed confirmed_;
+  // Modes of a step, and whether its end calls for them again: then they are those of the next.
+  typename Friction::Modes modes_ = {};
+  bool confirmed_ = false;
   Machine* machine_[width] = {};
   Mask<X> there_ = {};
 };

@@ -71,12 +71,13 @@ class TrialDrives : public ServedDrives<S, Real> {
     });
   }
   template <int stages>
-  ARM_INLINE Row added(int k, const Inputs& in) {
+  ARM_INLINE void add(const Inputs& in, Row* z) {
     static_assert(stages == 2);
-    return of_groups([&](Group& one, int g) __attribute__((always_inline)) {
-      const Vector k2 = one.second.z[k] + one.eliminate.e[k] * in[In::k2].at[g];
-      return h_ * (gamma_of(2) * one.rate(k, in[In::k1].at[g]) + 0.5 * k2);
-    });
+    for (int k = 0; k < K; ++k)
+      z[k] = of_groups([&](Group& one, int g) __attribute__((always_inline)) {
+        const Vector k2 = one.second.z[k] + one.eliminate.e[k] * in[In::k2].at[g];
+        return in[k].at[g] + h_ * (gamma_of(2) * one.rate(k, in[In::k1].at[g]) + 0.5 * k2);
+      });
   }
 
   alignas(64) Real diagonal[row] = {};

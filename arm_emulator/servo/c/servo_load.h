@@ -11,8 +11,8 @@
  * What lasts becomes the integral's, too: the base follows slowly, and the integral takes in the
  * same period what the expected load loses by that, so that their sum does not change. */
 
-/* Slower changes of loads are the integral's [s]. */
-static const servo_scalar SLOW = (servo_scalar)1.5;
+/* Slower changes of loads are the integral's [s]; and shares of it per second. */
+static const servo_scalar SLOW = (servo_scalar)1.5, PER_SLOW = 1 / (servo_scalar)1.5;
 /* Evidence that the factor is 1: announced torques of so many times what a count of the encoder
  * changes in the observed load, for so long [s]. */
 static const servo_scalar DOUBTS = 10, DOUBTED = (servo_scalar)0.1;
@@ -23,8 +23,8 @@ static const servo_scalar RIGHT = (servo_scalar)1.1;
 static const servo_scalar SETTLED = (servo_scalar)0.05;
 /* Observers that take less of a difference of angles in a period see loads too late to learn. */
 static const servo_scalar SWIFT = (servo_scalar)0.5;
-/* For so long of a motion evidence counts [s]. */
-static const servo_scalar KEPT = 2;
+/* For so long of a motion evidence counts [s]; and shares of it per second. */
+static const servo_scalar KEPT = 2, PER_KEPT = (servo_scalar)0.5;
 
 /* A servo period, in quantities of the link. */
 typedef struct servo_seen {
@@ -56,7 +56,7 @@ SERVO_INLINE servo_real expected_load(const servo_learned* learned, servo_real t
 SERVO_INLINE servo_real follow_slowly(servo_learned* learned, const servo_seen* seen) {
   const servo_real zero = {0}, one = all_of(1);
   const servo_mask rests = seen->follows & (seen->moves == 0);
-  const servo_real slow = seen->passed < SLOW ? seen->passed / SLOW : one;
+  const servo_real slow = seen->passed < SLOW ? seen->passed * PER_SLOW : one;
   const servo_real share = (rests & (learned->excess == 0)) ? one : slow;
   const servo_real change = seen->follows ? share * (seen->tau - learned->tau_base) : zero;
   learned->tau_base += change;
@@ -66,7 +66,7 @@ SERVO_INLINE servo_real follow_slowly(servo_learned* learned, const servo_seen* 
 /* Go on with means, evidence and product by one period of motion (Welford's update). */
 SERVO_INLINE void gather(servo_learned* learned, const servo_seen* seen) {
   const servo_real zero = {0}, one = all_of(1);
-  const servo_real kept = seen->passed < KEPT ? one - seen->passed / KEPT : zero;
+  const servo_real kept = seen->passed < KEPT ? one - seen->passed * PER_KEPT : zero;
   const servo_real watched = kept * learned->watched + seen->passed;
   const servo_real tau = seen->tau - learned->tau_mean, load = seen->load - learned->load_mean;
   const servo_real share = watched > 0 ? seen->passed / watched : zero;
