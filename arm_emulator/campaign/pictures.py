@@ -84,12 +84,13 @@ def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, fl
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
+def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[str, str]) -> Figure:
     """Draw a histogram of each requirement's margin.
 
     Args:
         columns: of the results.
         requirements: columns of robustness, and their titles.
+        units: of columns.
     """
     count = len(requirements)
     across = 2 if count == 4 else min(3, count)
@@ -109,7 +110,7 @@ def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
         failed = int(np.count_nonzero(~(columns[name] >= 0.0)))
         word = f"{failed} of {len(columns[name])} fail" if failed else "no run fails"
         axis.set_title(word, loc="right", color=FAILS if failed else HOLDS, fontweight="normal")
-        axis.set_xlabel("margin: < 0 fails")
+        axis.set_xlabel(f"{_in('margin', units.get(name))}: < 0 fails")
         axis.set_yticks([])
         axis.spines["left"].set_visible(False)
     for axis in axes[count:]:
@@ -117,7 +118,12 @@ def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
     return figure
 
 
-def influences(columns: Columns, varying: Sequence[str], requirements: Mapping[str, str]) -> Figure:
+def influences(
+    columns: Columns,
+    varying: Sequence[str],
+    requirements: Mapping[str, str],
+    units: Mapping[str, str],
+) -> Figure:
     """Draw the influences on each requirement's margin, and the margin over the two strongest."""
     count = len(requirements)
     figure, axes = _figure(10.2, 2.7 * count, count, 3)
@@ -133,8 +139,8 @@ def influences(columns: Columns, varying: Sequence[str], requirements: Mapping[s
                 axis.set_visible(False)
                 continue
             _cloud(axis, columns[of][some], values[some])
-            axis.set_xlabel(short(of))
-        scatters[0].set_ylabel("margin")
+            axis.set_xlabel(_in(short(of), units.get(of)))
+        scatters[0].set_ylabel(_in("margin", units.get(name)))
     return figure
 
 
@@ -167,7 +173,7 @@ def _bars(axis: Axes, strongest: Mapping[str, float], title: str) -> None:
     axis.set_xlim(0.0, 1.0)
     axis.tick_params(axis="y", length=0)
     axis.set_title(title)
-    axis.set_xlabel("explains of the margin's spread")
+    axis.set_xlabel("share of the margin's spread")
 
 
 def _cloud(axis: Axes, x: Array, y: Array) -> None:
@@ -225,6 +231,10 @@ def _scaled(values: Array) -> Array:
     low, high = float(np.min(values)), float(np.max(values))
     scaled: Array = (values - low) / (high - low) if high > low else np.full(len(values), 0.5)
     return scaled
+
+
+def _in(name: str, unit: str | None) -> str:
+    return f"{name} [{unit}]" if unit else name
 
 
 def short(name: str) -> str:

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign import pictures
 from arm_emulator.campaign.campaign_file import Campaign
-from arm_emulator.campaign.results import DIVERGED, FAILED, INDEX, ROBUSTNESS, Results, digest_of
+from arm_emulator.campaign.results import (
+    DIVERGED,
+    FAILED,
+    INDEX,
+    ROBUSTNESS,
+    Results,
+    column_units,
+    digest_of,
+)
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.summary import Share, Summary
 
@@ -61,10 +69,11 @@ def write_report(
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     least = _least(columns, list(names))
     drawn: dict[str, bytes] = {}
+    units = column_units(campaign)
     if names and summary.count:
-        drawn["margins"] = pictures.png(pictures.margins(columns, names))
+        drawn["margins"] = pictures.png(pictures.margins(columns, names, units))
     if names and varying and summary.count:
-        drawn["influences"] = pictures.png(pictures.influences(columns, varying, names))
+        drawn["influences"] = pictures.png(pictures.influences(columns, varying, names, units))
     if len(varying) > 1 and summary.count:
         order = _by_influence(columns, varying, list(names))
         lines = pictures.coordinates(columns, order, columns[FAILED], least)
@@ -113,8 +122,8 @@ def _page(
     method = campaign.search
     of_all = "" if method else f"of {campaign.count} "
     runs = f"{summary.count} {of_all}runs" if summary.count else "Runs and forks of runs"
-    yield f"<h1>{name}</h1><p class=lead>{runs} of "
-    yield f"{scenario.seconds:g} s of <b>{html.escape(campaign.scene.name)}</b>, "
+    yield f"<h1>{name}</h1><p class=lead>{runs} of the scene "
+    yield f"<b>{html.escape(campaign.scene.name)}</b>, {scenario.seconds:g} s each; "
     how = f"searched by {method.kind}" if method else campaign.variation.sampling
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
     if summary.count:
@@ -194,6 +203,7 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     yield "<th class=n>share<th>confidence interval" if sampled else ""
     yield "<th class=n>least margin<th class=n>in run</tr>"
     scale = max([one.high for one in summary.shares] or [1.0])
+    units = column_units(campaign)
     for one in summary.shares:
         given = campaign.requirements.get(one.name, "")
         text = given if isinstance(given, str) else str(given.get("python", ""))
@@ -203,7 +213,8 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         yield f"<td class='n{bad}'>{one.hits}"
         yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
         known = one.worst >= 0
-        yield f"<td class='n{bad}'>{one.least:.4g}" if known else "<td>"
+        unit = html.escape(units.get(f"{ROBUSTNESS}{one.name}", ""))
+        yield f"<td class='n{bad}'>{one.least:.4g} {unit}" if known else "<td>"
         yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"
     yield "</table>"
 
@@ -227,7 +238,7 @@ def _worst(
     varying = [one.name for one in campaign.variation.numbers]
     shown = _by_influence(columns, varying, [f"{ROBUSTNESS}{n}" for n in campaign.requirements])[:5]
     command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
-    yield "<h2>Worst runs</h2><p>Any run is driven again, bit for bit, and recorded, by"
+    yield "<h2>Worst runs</h2><p>This line prints the row of any run and records its motion:"
     yield f"<br><code>{html.escape(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
     yield "<th class=n>least margin<th>of"
