@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import (
     Task,
-    Timing,
     compile_all,
     interleaved,
     progress,
@@ -28,18 +26,18 @@ from bench.measure import (
 from bench.measure import wall as wall_time
 from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
-from bench.pictures import COLOURS, PEERS, new_figure, save
 from bench.time_at_error import time_at_error
+from bench.work_precision_report import FROM_PYTHON, INPUTS, draw, report
 
 TITLE = "Work and precision"
+
+__all__ = ["TITLE", "draw", "report", "run"]  # of a section
 
 Array = NDArray[np.float64]
 
 FACTORS = (1.0, 0.5, 0.2)  # of the decades of the step
-INPUTS = 3  # motions; the error is the root mean square over them
 TARGETS = (1e-4, 1e-5, 1e-6, 1e-8)  # rad
 AGREEMENT = 1e-6  # rad; beyond this the two machines are not the same
-FROM_PYTHON = "rosenbrock, called every period"
 SCIPY_METHODS = ("RK45", "LSODA")
 # Wall time of a step per joint, a guess for planning only [s].
 GUESS = 20e-9  # of any of our schemes
@@ -311,172 +309,3 @@ def _at_error(points: Mapping[str, list[dict[str, Any]]], target: float) -> dict
         "scipy": best(lambda n: n.startswith("Pinocchio")),
         "ratio": mujoco["time"] / ours["time"] if ours and mujoco else None,
     }
-
-
-# The report
-
-SHOWN_STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-
-
-def draw(figures: dict[str, Any], folder: Path) -> None:
-    """Draw error against wall time, the robots in one picture, the other cases in a second."""
-    robots = [key for key in figures if key in ("three_axis", "ur5", "panda")]
-    others = [key for key in figures if key not in robots]
-    for name, keys in (("work_precision", robots), ("work_precision_more", others)):
-        if keys:
-            _draw([figures[key] for key in keys], folder, name)
-
-
-def _draw(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
-    figure = new_figure(5.2 * len(cases), 5.6)
-    panels = figure.subplots(1, len(cases), squeeze=False)[0]
-    for axes, case in zip(panels, cases, strict=True):
-        for series, points in case["series"].items():
-            good = [p for p in points if p["error"] is not None]
-            x = [p["error"] for p in good]
-            y = [p["time"]["median"] for p in good]
-            if series in COLOURS:
-                style = {"color": COLOURS[series], "marker": "o", "linewidth": 2.0}
-            elif series == FROM_PYTHON:
-                style = {"color": COLOURS["rosenbrock"], "marker": "o", "linestyle": ":"}
-            else:
-                colour, marker = PEERS[series]
-                style = {"color": colour, "marker": marker, "linewidth": 1.0}
-            axes.loglog(x, y, label=series, markersize=4.5, **style)
-        axes.set_title(case["title"])
-        axes.set_xlabel("error after 1 s [rad]")
-        axes.invert_xaxis()
-        axes.grid(True, color="0.9", linewidth=0.8)
-        axes.set_axisbelow(True)
-    panels[0].set_ylabel("wall time per simulated second [s]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    save(figure, folder, name)
-
-
-def report(figures: dict[str, Any]) -> str:
-    """Return the section in Markdown."""
-    lines = [
-        "Error is the difference of the link angles from the reference (SciPy DOP853 on "
-        "Pinocchio's dynamics, rtol 1e-11, arm_emulator/analysis/reference.py) after 1 s: the "
-        f"largest over the joints, root mean square over {INPUTS} motions (sines of 12 V with "
-        "seeded frequencies and phases, from rest). Each voltage is held for one servo period of "
-        "1 ms where not stated otherwise, so no step is longer than that.",
-        "",
-        "Timed is the whole second: ours `Plant.run` (one call, the voltages of all periods applied"
-        " in C, positions after each stored), and, dotted, `Plant.advance` called from Python in "
-        "every period; MuJoCo `data.ctrl[:] = row; mj_step(model, data, nstep)` in every period, "
-        "from Python; SciPy `solve_ivp` started anew in every period, once. Compilation, model "
-        "building and resets are not in it. A call (section Time per step) weighs little beside "
-        "the steps that MuJoCo takes in a period, but is most of ours at few steps per period; "
-        "hence the two columns.",
-        "",
-        "Both machines are one: results of both, extrapolated in the step for MuJoCo, against the "
-        "reference after 1 s (must be below 1e-6 rad, else a comparison would be void).",
-        "",
-        "| machine | MuJoCo RK4, extrapolated [rad] | rosenbrock, 10 us [rad] | same machine |",
-        "|---|---|---|---|",
-    ]
-    for case in figures.values():
-        a = case["agreement"]
-        verdict = "yes" if a["agree"] else "**no: comparison void**"
-        lines.append(f"| {case['title']} | {a['mujoco']:.1e} | {a['ours']:.1e} | {verdict} |")
-    lines += [
-        "",
-        "Wall time per simulated second at a given error, interpolated between the measured steps "
-        "on logarithmic scales. Where the longest step that a period allows is already better than "
-        "that error, its time stands there: nothing coarser exists.",
-        "",
-        "| machine | error [rad] | ours | called every period | MuJoCo's best | SciPy's best "
-        "| MuJoCo / ours | MuJoCo / ours called |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for case in figures.values():
-        for target, at in case["at_error"].items():
-            lines.append(f"| {case['title']} | {target} | " + " | ".join(_cells(case, at)) + " |")
-    lines += ["", *_limits(figures)]
-    pictures = [("work_precision", "the robots")]
-    if any(key not in ("three_axis", "ur5", "panda") for key in figures):
-        pictures.append(("work_precision_more", "other cases"))
-    for name, what in pictures:
-        lines += ["", f"![Error against wall time, {what}]({name}.png)"]
-    lines += ["", "<details><summary>Error and time at each step size</summary>", ""]
-    for case in figures.values():
-        lines += _table(case)
-    lines += ["</details>"]
-    return "\n".join(lines)
-
-
-def _cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
-    cells = [_best(at[key]) for key in ("ours", "ours_from_python", "mujoco", "scipy")]
-    called = at["ours_from_python"]
-    for ours in (at["ours"], called):
-        known = ours and at["mujoco"] and case["agreement"]["agree"]
-        cells.append(f"{at['mujoco']['time'] / ours['time']:.3g}" if known else "-")
-    return cells
-
-
-def _best(best: dict[str, Any] | None) -> str:
-    if best is None:
-        return "not reached"
-    name = best["name"].removeprefix("MuJoCo ").removeprefix("Pinocchio + SciPy ")
-    shown = "" if name == FROM_PYTHON else f" ({name})"
-    return f"{_milliseconds(best['time'])}{shown}"
-
-
-def _milliseconds(seconds: float) -> str:
-    return f"{seconds * 1e3:.3g} ms"
-
-
-def _limits(figures: dict[str, Any]) -> list[str]:
-    """State where the comparison is not in our favour, and why it is as it is."""
-    lines = [
-        "What bounds these figures. With inductance all of MuJoCo's integrators are of first order,"
-        " RK4 too: the current is advanced by an exponential formula outside the integrator's "
-        "stages. Without inductance RK4 has its order of 4, and it is the method of choice for "
-        "very small errors. The schemes here end at order 2.",
-    ]
-    for case in figures.values():
-        for kind, name in (("mujoco", "MuJoCo"), ("scipy", "Pinocchio in SciPy")):
-            below = case["faster_below"][kind]
-            if below is not None:
-                lines.append(f"{case['title']}: below {below:.0e} rad {name} is faster.")
-    lines.append(
-        "At the coarse end our time is that of one step per period, so the ratio falls where a "
-        "larger error would do."
-    )
-    return lines
-
-
-def _table(case: dict[str, Any]) -> list[str]:
-    """Return one machine's errors and times, whole decades of the step."""
-    dts = {p["dt"] for points in case["series"].values() for p in points if "dt" in p}
-    steps = [dt for dt in SHOWN_STEPS if dt in dts]
-    lines = [
-        f"{case['title']}: error [rad], time per simulated second (spread: half the distance of "
-        "the quartiles)",
-        "",
-        "| | " + " | ".join(f"{dt:g} s" for dt in steps) + " |",
-        "|---" * (len(steps) + 1) + "|",
-    ]
-    for name, points in case["series"].items():
-        if "dt" not in points[0]:
-            continue
-        by_step = {p["dt"]: p for p in points}
-        row = [_point(by_step.get(dt)) for dt in steps]
-        lines.append(f"| {name} | " + " | ".join(row) + " |")
-    for name, points in case["series"].items():
-        if "rtol" in points[0]:
-            shown = "; ".join(f"rtol {p['rtol']:g}: {_point(p)}" for p in points)
-            lines += ["", f"{name}: {shown}."]
-    return [*lines, ""]
-
-
-def _point(point: dict[str, Any] | None) -> str:
-    if point is None:
-        return ""
-    if point["error"] is None:
-        return "diverged"
-    time = Timing(**point["time"])
-    spread = f" ± {100 * time.spread:.0f} %" if time.repetitions > 1 else ""
-    return f"{point['error']:.1e}, {_milliseconds(time.median)}{spread}"

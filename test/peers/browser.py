@@ -31,6 +31,12 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as one:
+        yield one
+
+
 def opened(browser: Any, url: str, play: str = "Play", **how: Any) -> Any:
     """Open a page in a session of its own, and wait for its controls."""
     page = browser.new_context(**{"viewport": {"width": 640, "height": 480}, **how}).new_page()
@@ -81,3 +87,30 @@ def until(page: Any, holds: Callable[[], bool]) -> None:
     while not holds():
         assert time.monotonic() < deadline, "it does not come to hold"
         page.wait_for_timeout(20)  # lets playwright work
+
+
+def press(page: Any, button: str) -> None:
+    page.get_by_role("button", name=button, exact=True).click()
+
+
+def box(page: Any, label: str, place: int = 1) -> Any:
+    """Return a field behind a label, by its place among them."""
+    return page.locator(f"xpath=//*[text()='{label}']/following::input[{place}]")
+
+
+def fill(page: Any, label: str, value: str, place: int = 1) -> None:
+    one = box(page, label, place)
+    one.fill(value)
+    one.press("Enter")
+
+
+def choose(page: Any, label: str, option: str) -> None:
+    box(page, label).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def go_to(page: Any, tick: int) -> None:
+    """Write a tick into the slider's field."""
+    slider = page.locator("input[type=text]").first
+    slider.fill(str(tick))
+    slider.press("Enter")

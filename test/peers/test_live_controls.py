@@ -9,7 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PATIENCE, PHONE, chromium, fits, on_picture, opened, shows, tick_of
+from browser import (
+    PATIENCE,
+    PHONE,
+    box,
+    browser,
+    fill,
+    fits,
+    on_picture,
+    opened,
+    press,
+    shows,
+    tick_of,
+)
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from machines import own_three_axis
@@ -20,6 +32,7 @@ from arm_emulator.page.live_page import LivePage
 from arm_emulator.page.machine_hands import MachineHands
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
+__all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
 VISCOUS = "joints.elbow.friction.viscous"
 BREAKS = "faults.elbow.gear_breaks"
@@ -74,26 +87,6 @@ def live(scene: Path) -> Iterator[Live]:
     one = Live(scene)
     yield one
     one.page.close()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
-
-
-def press(page: Any, button: str) -> None:
-    page.get_by_role("button", name=button, exact=True).click()
-
-
-def box(page: Any, label: str, place: int = 1) -> Any:
-    return page.locator(f"xpath=//*[text()='{label}']/following::input[{place}]")
-
-
-def fill(page: Any, label: str, value: str, place: int = 1) -> None:
-    one = box(page, label, place)
-    one.fill(value)
-    one.press("Enter")
 
 
 def test_keys_steps_and_the_past(live: Live, browser: Any) -> None:

@@ -7,12 +7,11 @@ import re
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import PATIENCE, chromium, opened, shows, tick_of
+from browser import PATIENCE, box, browser, fill, opened, press, shows, tick_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from by_hand import events_of
@@ -24,6 +23,7 @@ from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MachineEvent
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
+__all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
 
 
@@ -32,20 +32,10 @@ varied: [joints.elbow.friction.viscous]
 faults: [elbow.gear_breaks]"""
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
-
-
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """The three-axis arm with a number that can be set, and links that can be pushed."""
     return own_three_axis(tmp_path / "scene", OPEN)
-
-
-def press(page: Any, button: str) -> None:
-    page.get_by_role("button", name=button, exact=True).click()
 
 
 def press_until(page: Any, button: str, text: str) -> None:
@@ -56,16 +46,6 @@ def press_until(page: Any, button: str, text: str) -> None:
             page.get_by_text(text).first.wait_for(timeout=2000)
             return
     raise AssertionError(f"no answer {text!r}")
-
-
-def box(page: Any, label: str, place: int = 1) -> Any:
-    return page.locator(f"xpath=//*[text()='{label}']/following::input[{place}]")
-
-
-def fill(page: Any, label: str, value: str, place: int = 1) -> None:
-    one = box(page, label, place)
-    one.fill(value)
-    one.press("Enter")
 
 
 def paused_at(page: Any) -> int:

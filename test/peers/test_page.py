@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from browser import chromium, opened, shows, tick_of, until
+from browser import box, browser, choose, fill, go_to, opened, press, shows, tick_of, until
 from machines import own_three_axis
 from made_bags import synthetic
 
@@ -36,6 +36,7 @@ from arm_emulator.runs.order import Push, ScaleGains
 from arm_emulator.runs.timeline import Timeline
 from bench.rewind import new_target
 
+__all__ = ["browser"]  # a fixture
 viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
 LAST = 400
 
@@ -124,20 +125,12 @@ def test_a_port_that_is_taken_is_refused(shown: Shown) -> None:
         RunPage(Subject.of(shown.line, LAST), lambda: (TermsNow({}, {}), []), port)
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
-
-
 def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page, scene = opened(browser, shown.url), shown.machine.scene
     for button, tick in (("to end", LAST), ("-1", LAST - 1), ("to start", 0), ("+1", 1)):
-        page.get_by_role("button", name=button, exact=True).click()
+        press(page, button)
         shows(page, f"tick {tick},")
-    box = page.locator("input[type=text]").first
-    box.fill("77")
-    box.press("Enter")
+    go_to(page, 77)
     shows(page, "tick 77,")
     other = RecordedMachine.of(shown.machine.path, scene)
     other.advance(77)
@@ -146,7 +139,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page.get_by_role("tab", name="Events").click()
     page.get_by_role("button", name="120: power").click()
     shows(page, "tick 120,")
-    condition = page.locator("xpath=//*[text()='Condition']/following::input[1]")
+    condition = box(page, "Condition")
     condition.fill("tick >= 205")
     page.get_by_role("button", name="Find the next").click()
     shows(page, "holds at tick 205")
@@ -158,7 +151,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     shows(page, "nothing is at its limit")
     page.get_by_role("tab", name="Plot").click()
     page.locator(".uplot canvas").first.wait_for()
-    page.get_by_role("button", name="to start", exact=True).click()
+    press(page, "to start")
     page.get_by_role("button", name="Play").click()
     page.get_by_role("button", name="Pause").wait_for()
     page.wait_for_function("/tick ([1-9]\\d*),/.test(document.body.innerText)")
@@ -187,10 +180,10 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
 
 def test_a_second_browser_and_a_lost_connection(shown: Shown, browser: Any) -> None:
     one, two = opened(browser, shown.url), opened(browser, shown.url)
-    one.get_by_role("button", name="to end", exact=True).click()
+    press(one, "to end")
     shows(two, f"tick {LAST},")
     one.close()
-    two.get_by_role("button", name="-1", exact=True).click()
+    press(two, "-1")
     shows(two, f"tick {LAST - 1},")
     again = opened(browser, shown.url)
     assert tick_of(again) == LAST - 1
@@ -205,21 +198,17 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
     futures = WhatIf(shown, line)
     try:
         page = opened(browser, shown.url)
-        box = page.locator("input[type=text]").first
-        box.fill("100")
-        box.press("Enter")
+        go_to(page, 100)
         shows(page, "tick 100,")
         page.get_by_role("tab", name="What if").click()
-        page.locator("xpath=//*[text()='Power']/following::input[1]").uncheck()
-        seconds = page.locator("xpath=//*[text()='Go on for [s]']/following::input[1]")
-        seconds.fill("0.05")
-        seconds.press("Enter")
+        box(page, "Power").uncheck()
+        fill(page, "Go on for [s]", "0.05")
         until(page, lambda: futures.seconds == 0.05 and names(futures) == ["power off"])
         page.get_by_role("button", name="Go on from this moment").click()
         shows(page, "fork 1, from 0.1 s of the run: power off")
         fork = shown.line
         assert fork is not line and fork.parent is line and fork.newest == 150
-        page.get_by_role("button", name="to end", exact=True).click()
+        press(page, "to end")
         shows(page, "tick 150,")
         straight = load_offline_run("three_axis")
         straight.advance(100)
@@ -247,9 +236,7 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
     try:
         page = opened(browser, shown.url)
         page.get_by_role("tab", name="Push").click()
-        force = page.locator("xpath=//*[text()='Force [N], world axes']/following::input[2]")
-        force.fill("4")
-        force.press("Enter")
+        fill(page, "Force [N], world axes", "4", 2)
         push = page.get_by_role("button", name="Push", exact=True)
         pushed = "forearm is pushed with 0, 4, 0 N"
 
@@ -259,17 +246,11 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
 
         until(page, is_pushed)
         shows(page, pushed)
-        box = page.locator("input[type=text]").first
-        box.fill("70")
-        box.press("Enter")
+        go_to(page, 70)
         shows(page, "tick 70,")
         page.get_by_role("tab", name="What if").click()
-        gains = page.locator("xpath=//*[text()='Position gains times']/following::input[1]")
-        gains.fill("2")
-        gains.press("Enter")
-        seconds = page.locator("xpath=//*[text()='Go on for [s]']/following::input[1]")
-        seconds.fill("0.05")
-        seconds.press("Enter")
+        fill(page, "Position gains times", "2")
+        fill(page, "Go on for [s]", "0.05")
         asked = ["position gains times 2", pushed]
         until(page, lambda: futures.seconds == 0.05 and names(futures) == asked)
         page.get_by_role("button", name="Go on from this moment").click()
@@ -282,9 +263,7 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
         fork = shown.line
         fork.go_to(120)
         assert fork.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
-        folder = page.locator("xpath=//*[text()='New folder for bags']/following::input[1]")
-        folder.fill(str(tmp_path / "kept"))
-        folder.press("Enter")
+        fill(page, "New folder for bags", str(tmp_path / "kept"))
         until(page, lambda: futures.folder == tmp_path / "kept")
         page.get_by_role("button", name="Keep all as bags").click()
         shows(page, "2 bags in")
@@ -300,11 +279,6 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
 
 def names(futures: WhatIf) -> list[str]:
     return [one.name for one in futures.orders]
-
-
-def choose(page: Any, label: str, option: str) -> None:
-    page.locator(f"xpath=//*[text()='{label}']/following::input[1]").click()
-    page.get_by_role("option", name=option, exact=True).click()
 
 
 def tool_of(run: Any) -> Any:
@@ -341,13 +315,10 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
     )
     try:
         page = opened(browser, shown.url)
-        box = page.locator("input[type=text]").first
-        box.fill("460")
-        box.press("Enter")
+        go_to(page, 460)
         shows(page, f"tools {apart:.4g} mm apart")
         assert line.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
-        box.fill("100")
-        box.press("Enter")
+        go_to(page, 100)
         shows(page, "tools 0 mm apart")
         page.get_by_role("tab", name="Plot").click()
         page.locator(".uplot canvas").first.wait_for()
@@ -358,8 +329,7 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         assert t[460] == pytest.approx(0.46), "where both runs are"
         np.testing.assert_array_equal([one[460] for one in differences], by)
         page.screenshot(path=tmp_path / "over.png")
-        box.fill("500")  # the other run stays at its end
-        box.press("Enter")
+        go_to(page, 500)  # the other run stays at its end
         shows(page, "tick 500,")
         shown.lay_over(None)
         page.wait_for_function("!/mm apart/.test(document.body.innerText)")

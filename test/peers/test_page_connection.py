@@ -7,24 +7,18 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import chromium, opened, shows, tick_of
+from browser import browser, opened, press, shows, tick_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from made_bags import synthetic
 
+__all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
 LAST = 60
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
 
 
 class Served:
@@ -83,10 +77,6 @@ class Cable:
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return synthetic(tmp_path_factory.mktemp("bag") / "bag", [True] * LAST, runs=1)
-
-
-def press(page: Any, button: str) -> None:
-    page.get_by_role("button", name=button, exact=True).click()
 
 
 def test_browsers_come_late_and_connections_and_servers_break_off(browser: Any, bag: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PHONE, chromium, fits, opened, shows
+from browser import PHONE, browser, fits, opened, shows
 
 from arm_emulator.analysis.torque_terms import TermsNow
 from arm_emulator.page.run_page import RunPage
@@ -16,6 +16,7 @@ from arm_emulator.page.what_if import WhatIf
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.timeline import Timeline
 
+__all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
 READABLE = 4.5  # contrast of text, WCAG 2 level AA
 COLORS = """() => {
@@ -26,12 +27,6 @@ COLORS = """() => {
   while (getComputedStyle(under).backgroundColor === clear) under = under.parentElement;
   return [of(text, "color"), of(under, "backgroundColor")];
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import chromium, opened, shows
+from browser import browser, opened, press, shows
 
+__all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
 PATIENCE = 180.0  # s, wall
 
@@ -27,19 +28,13 @@ LINE = f"page{os.getpid() % 10000}a", f"page{os.getpid() % 10000}b"
 WATCHED = "This machine can only be watched."
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
-
-
 def pressed(page: Any) -> None:
     """Pause and power, as every door with a clock has them."""
-    page.get_by_role("button", name="Pause", exact=True).click()
+    press(page, "Pause")
     page.get_by_role("button", name="Play", exact=True).wait_for()
-    page.get_by_role("button", name="Play", exact=True).click()
+    press(page, "Play")
     page.get_by_role("tab", name="Machine").click()
-    page.get_by_role("button", name="off", exact=True).click()
+    press(page, "off")
     shows(page, "power off")
     page.get_by_role("tab", name="Events").click()
     page.get_by_role("button", name="power off").wait_for()
@@ -54,7 +49,7 @@ def looked_at(page: Any) -> None:
 
 def stepped(page: Any) -> None:
     """The page of a run without a network."""
-    page.get_by_role("button", name="to end", exact=True).click()
+    press(page, "to end")
     shows(page, "tick 100,")
 
 
