@@ -61,100 +61,47 @@ def _write_table(name: str, page: Path) -> None:
     page.write_text(put(page.read_text(encoding="utf-8"), name, table), encoding="utf-8")
 
 
-def _command(*words: str) -> None:
-    subprocess.run([sys.executable, "-m", "arm_emulator", *words], check=True)
+def _command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Path]:
+    """Return what makes a picture by a command, which writes it as `file` into a folder."""
+
+    def make(scratch: Path) -> Path:
+        command = [sys.executable, "-m", "arm_emulator", *words, into, str(scratch)]
+        subprocess.run(command, check=True, cwd=ROOT)
+        return scratch / file
+
+    return make
 
 
-def _fig4(scratch: Path) -> Path:
-    _command("demo", "three_axis", "--out", str(scratch))
-    return scratch / "fig4.png"
+def _bench(name: str) -> Callable[[Path], Path]:
+    """Return what makes a picture by a bench that draws at once."""
+    return lambda scratch: importlib.import_module(f"bench.{name}").draw(scratch)
 
 
-def _arm(scratch: Path) -> Path:
-    from bench import moving_picture
+def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:
+    """Return what makes a picture of what a bench measures."""
 
-    return moving_picture.draw(scratch)
+    def make(scratch: Path) -> Path:
+        section = importlib.import_module(f"bench.{name}")
+        section.draw(section.run(quick), scratch)
+        return scratch / file
 
-
-def _tune(scratch: Path) -> Path:
-    _command("tune", "ur5", "--out", str(scratch))
-    return scratch / "tune_ur5.png"
-
-
-def _convergence(scratch: Path) -> Path:
-    from bench import convergence
-
-    convergence.draw(convergence.run(False), scratch)
-    return scratch / "convergence.png"
-
-
-def _feedforward(scratch: Path) -> Path:
-    from bench import feedforward
-
-    feedforward.draw(feedforward.run(True), scratch)
-    return scratch / "feedforward.png"
-
-
-def _faults(scratch: Path) -> Path:
-    from bench import fault_matrix
-
-    return fault_matrix.draw(fault_matrix.run(False), scratch)
-
-
-def _manutec(scratch: Path) -> Path:
-    _command("validate", "manutec_r3", "--out", str(scratch))
-    return scratch / "manutec_r3.png"
-
-
-def _kuka(scratch: Path) -> Path:
-    _command("validate", "kuka_kr300", "--out", str(scratch))
-    return scratch / "kuka_kr300_run_B.png"
-
-
-def _tool_paths(scratch: Path) -> Path:
-    from bench import tool_paths
-
-    return tool_paths.draw(scratch)
-
-
-def _kinds_of_moves(scratch: Path) -> Path:
-    from bench import kinds_of_moves
-
-    return kinds_of_moves.draw(scratch)
-
-
-def _look(scratch: Path) -> Path:
-    from bench import page_picture
-
-    return page_picture.draw(scratch)
-
-
-def _live_page(scratch: Path) -> Path:
-    from bench import live_page_picture
-
-    return live_page_picture.draw(scratch)
-
-
-def _campaign(scratch: Path) -> Path:
-    words = ["campaign", "examples/campaign.yaml", "--into", str(scratch)]
-    subprocess.run([sys.executable, "-m", "arm_emulator", *words], check=True, cwd=ROOT)
-    return scratch / "influences.png"
+    return make
 
 
 DRAWN: dict[str, Callable[[Path], Path]] = {
-    "arm.gif": _arm,
-    "campaign.png": _campaign,
-    "convergence.png": _convergence,
-    "faults.png": _faults,
-    "feedforward.png": _feedforward,
-    "fig4.png": _fig4,
-    "kuka_kr300_run_B.png": _kuka,
-    "kinds_of_moves.png": _kinds_of_moves,
-    "live_page.png": _live_page,
-    "look.png": _look,
-    "manutec_r3.png": _manutec,
-    "tool_paths.png": _tool_paths,
-    "tune_ur5.png": _tune,
+    "arm.gif": _bench("moving_picture"),
+    "campaign.png": _command("influences.png", "campaign", "examples/campaign.yaml", into="--into"),
+    "convergence.png": _section("convergence", "convergence.png"),
+    "faults.png": _section("fault_matrix", "faults.png"),
+    "feedforward.png": _section("feedforward", "feedforward.png", quick=True),
+    "fig4.png": _command("fig4.png", "demo", "three_axis"),
+    "kuka_kr300_run_B.png": _command("kuka_kr300_run_B.png", "validate", "kuka_kr300"),
+    "kinds_of_moves.png": _bench("kinds_of_moves"),
+    "live_page.png": _bench("live_page_picture"),
+    "look.png": _bench("page_picture"),
+    "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),
+    "tool_paths.png": _bench("tool_paths"),
+    "tune_ur5.png": _command("tune_ur5.png", "tune", "ur5"),
 }
 
 
