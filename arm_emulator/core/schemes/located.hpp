@@ -117,12 +117,14 @@ class Located {
                    const Dynamics& links, Real left) {
     Trial last, other;
     last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
-    const int begins = other.first_after(last);
-    Real share = begins < 0 ? 0.5 : last.share(other, begins);
+    int first = other.first_after(last);
+    Real share = first < 0 ? 0.5 : last.share(other, first);
     for (int trial = 0; trial < kMostTrials; ++trial) {
       const Real width = other.t - last.t;  // of either sign
       const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
+      // A little beyond the zero, so that the trial that meets it is one that fails.
+      if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
       const Real t = last.t + share * width;
       State<S> end = x;
@@ -134,7 +136,11 @@ class Located {
       Trial before = last;
       if (now.holds() != last.holds()) before = other, other = last;
       last = now;
-      const int first = last.holds() ? other.first_after(last) : last.first_after(other);
+      first = last.holds() ? other.first_after(last) : last.first_after(other);
+      // The zero lies within an instant before a trial that fails.
+      if (first >= 0 && !last.holds() &&
+          magnitude(last.share(other, first) * (other.t - last.t)) <= kInstant * h_)
+        break;
       share = first < 0 ? 0.5 : next_share(last, other, before, first);
     }
     const Real t = last.holds() ? other.t : last.t;
