@@ -14,7 +14,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.view.screenshot import take_screenshots
 
-KINDS = (".mp4", ".gif", ".png")
+RECORDING = ".rrd"
+KINDS = (".mp4", ".gif", ".png", RECORDING)
 BARS = (37, 30)  # points of the viewer's window above and below what is shown: menu, time line
 COLOURS = 96  # of a .gif
 QUALITY = "20"  # of H.264: hardly seen to be compressed

@@ -16,6 +16,7 @@ from arm_emulator.view.rerun_blueprint import (
     COLOURS,
     DEVIATION,
     EVENTS,
+    LIMITS,
     TIMELINE,
     TOOL_PATH,
     TOOL_TARGET,
@@ -48,6 +49,7 @@ class RerunBatches:
         arm_rate: poses of the arm per second on the time line [Hz].
         signal_every: one of this many samples goes into the signals.
         further: names of quantities after `QUANTITIES`, with their units.
+        limits: of quantities by their names, lower and upper (2, N); drawn where they are finite.
 
     Attributes:
         waiting: samples whose signals are still to be sent.
@@ -64,6 +66,7 @@ class RerunBatches:
         arm_rate: int,
         signal_every: int,
         further: Mapping[str, str] = MappingProxyType({}),
+        limits: Mapping[str, Array] = MappingProxyType({}),
     ) -> None:
         known = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
         for name in shafts.joints:
@@ -74,6 +77,14 @@ class RerunBatches:
         self._shafts = shafts
         self._further = further
         self._quantities = (*QUANTITIES, *further)
+        self._limited = tuple(name for name, rows in limits.items() if np.isfinite(rows).any())
+        self._limits = {
+            _path(LIMITS, quantity, f"{name}, {side}"): (float(value), colour)
+            for quantity, rows in limits.items()
+            for side, row in zip(("least", "most"), rows, strict=True)
+            for name, value, colour in zip(self._names, row, itertools.cycle(COLOURS), strict=False)
+            if np.isfinite(value)
+        }
         self._tool = None if tool is None else ToolPosition(tree, shafts.joints, tool)
         self._arm_rate = arm_rate
         self._signal_every = signal_every
@@ -117,7 +128,9 @@ class RerunBatches:
         q = self._shafts.of_joints(q)
         links = [ToolPosition(self._tree, self._shafts.joints, name)(q)[0] for name in names]
         tool = None if self._tool is None else self._tool(q)[0]
-        return blueprint(self._tree.name, names[0], np.array(links), tool, self._further)
+        return blueprint(
+            self._tree.name, names[0], np.array(links), tool, self._further, self._limited
+        )
 
     def send_static(self, recording: rr.RecordingStream) -> None:
         """Send the static data: geometry, names and colours of the curves."""
@@ -147,6 +160,9 @@ class RerunBatches:
                 (f"{DEVIATION}/{axis}", axis, colour, False)
                 for axis, colour in zip("xyz", COLOURS, strict=False)
             ]
+        for path, (_, colour) in self._limits.items():
+            thin = rr.SeriesLines(colors=colour, widths=0.5, names=path.rsplit("/", 1)[-1])
+            recording.log(path, thin, static=True)
         for path, name, colour, held in curves:
             mode = rr.components.InterpolationMode
             drawn = mode.StepAfter if held else mode.Linear
@@ -230,7 +246,12 @@ class RerunBatches:
         waiting, self._waiting, self.waiting = self._waiting, [], 0
         if not waiting:
             return
-        line = _line(np.concatenate([times for times, _ in waiting]))
+        times = np.concatenate([times for times, _ in waiting])
+        line = _line(times)
+        for path, (value, _) in self._limits.items() if len(times) else ():
+            ends = rr.Scalars.columns(scalars=np.full(2, value))
+            recording.send_columns(path, [_line(times[[0, -1]])], ends, strict=True)
+            yield
         rows = np.concatenate([rows for _, rows in waiting])
         for index, quantity in enumerate(self._quantities):
             if len(rows) == 0 or np.isnan(rows[:, index]).all():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,7 @@ TOOL_PATH = "tool/path"
 TOOL_TARGET = "tool/target"
 DEVIATION = "signals/tool_deviation"
 EVENTS = "events"
+LIMITS = "limits"
 
 # Seconds of tool path that stay visible behind the tool.
 PATH_SECONDS = 10.0
@@ -45,6 +46,7 @@ def blueprint(
     links: NDArray[np.float64],
     tool: NDArray[np.float64] | None,
     further: Mapping[str, str],
+    limited: Sequence[str] = (),
 ) -> rrb.Blueprint:
     """Lay out the arm at the left and its signals over time at the right.
 
@@ -55,6 +57,7 @@ def blueprint(
         tool: origin of the tool at the start (3,) [m]; if given, its path, its target and the
             deviation between them are shown too.
         further: quantities beside the usual ones, with their units.
+        limited: those that are shown with their limits once more, which take much of a plot's room.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -77,7 +80,13 @@ def blueprint(
     arm = rrb.Spatial3DView(
         name="Arm",
         origin="/",
-        contents=["+ /**", f"- /{robot}/collision_geometries/**", "- /signals/**", "- /events"],
+        contents=[
+            "+ /**",
+            f"- /{robot}/collision_geometries/**",
+            "- /signals/**",
+            "- /limits/**",
+            "- /events",
+        ],
         spatial_information=here,
         eye_controls=rrb.EyeControls3D(position=middle + distance * EYE, look_target=middle),
         defaults=solid,
@@ -91,6 +100,10 @@ def blueprint(
             axis_x=rrb.TimeAxis(link="LinkToGlobal"),
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
         )
+
+    def within(quantity: str) -> rrb.TimeSeriesView:
+        both = [f"+ /signals/{quantity}/**", f"+ /{LIMITS}/{quantity}/**"]
+        return rrb.TimeSeriesView(name=f"{quantity} and its limits", origin="/", contents=both)
 
     left: rrb.Container | rrb.View = arm
     if tool is not None:
@@ -118,6 +131,7 @@ def blueprint(
                         plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
                         for name, unit in further.items()
                     ),
+                    *(within(name) for name in limited),
                 ),
                 plot("Motor current [A]", "signals/current", legend=False),
                 plot("Motor command", "signals/applied", legend=False),

@@ -75,6 +75,7 @@ class RerunStream:
         signal_every: one of this many samples goes into the signals.
         server_memory: memory of the server for viewers that connect late.
         further: quantities that are offered beside the usual ones, with their units.
+        limits: of quantities, see `RerunBatches`.
 
     Raises:
         Refusal: rerun-sdk is missing, the port is taken, the file cannot be written, a number is
@@ -96,6 +97,7 @@ class RerunStream:
         signal_every: int = 1,
         server_memory: str = "512MiB",
         further: Mapping[str, str] = MappingProxyType({}),
+        limits: Mapping[str, Array] = MappingProxyType({}),
     ) -> None:
         self.url: str | None = None
         self.trouble: str | None = None
@@ -120,7 +122,7 @@ class RerunStream:
 
         tree = _read_urdf(urdf_xml, package_dirs)
         self._batches = RerunBatches(
-            tree, Shafts(urdf_xml, joint_names), tool, arm_rate, signal_every, further
+            tree, Shafts(urdf_xml, joint_names), tool, arm_rate, signal_every, further, limits
         )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browser, opened, press, shows
+from browser import browser, opened, press, shows, tick_of, until
 
 __all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
@@ -53,11 +53,48 @@ def stepped(page: Any) -> None:
     shows(page, "tick 100,")
 
 
+def steps_between(page: Any) -> None:
+    """Firmware stands with its machine, goes on by single ticks, and freely."""
+    press(page, "Pause")
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    until(page, lambda: tick_of(page) > 0 and tick_of(page) == settled(page))
+    stood = tick_of(page)
+    press(page, "+10")
+    shows(page, f"tick {stood + 10},")
+    press(page, "Play")
+    until(page, lambda: tick_of(page) > stood + 10)
+    pressed(page)
+
+
+def settled(page: Any) -> int:
+    """Return the tick that a page shows after a table has been drawn twice as often as it is."""
+    page.wait_for_timeout(1000)
+    return tick_of(page)
+
+
+def write_firmware(folder: Path) -> None:
+    """Build firmware that turns an axis on, and sleeps."""
+    from cortex_m import tiny, write_board  # skips where there is no cross compiler
+
+    tiny(
+        folder,
+        """
+int main(void) {
+  SYSTICK_LOAD = 168000 - 1, SYSTICK_CTRL = 7;
+  for (;;) sleep();
+}
+void SysTick_Handler(void) { REGISTER(0x40000100) = 0x3f800000; /* 1 V */ }
+""",
+    )
+    write_board(folder)
+
+
 @pytest.mark.parametrize(("words", "label", "press"), [
     (["canopen", "three_axis"], "Pause", pressed),
     (["modbus", "three_axis", "--link", "arm"], "Pause", pressed),
     (["udp", "three_axis", "--listen", "0"], "Pause", pressed),
     (["ethercat", "three_axis", "--interface", LINE[0]], "Pause", pressed),
+    (["firmware", "board.yaml", "tiny.elf", "--seconds", "3600"], "Pause", steps_between),
     (["campaign", str(ROOT / "examples/campaign.yaml"), "--replay", "0"], "Live", looked_at),
     (["run", "three_axis", "--seconds", "0.1"], "Play", stepped),
 ], ids=lambda one: one[0] if isinstance(one, list) else "")  # fmt: skip
@@ -67,6 +104,8 @@ def test_its_page_is_served_to_the_token(
     with contextlib.ExitStack() as open_:
         if words[0] == "ethercat":
             open_.enter_context(line())
+        if words[0] == "firmware":
+            write_firmware(tmp_path)
         serve(words, label, press, tmp_path, browser)
 
 
@@ -103,4 +142,5 @@ def serve(
         door.send_signal(signal.SIGINT)
         door.stdout.read()
         late.cancel()
-    assert door.returncode == 0
+    ends = -signal.SIGINT if words[0] == "firmware" else 0  # that one has nothing to close
+    assert door.returncode == ends

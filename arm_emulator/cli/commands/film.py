@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
+from arm_emulator.bags.explained_recording import write_explained
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.number import Number
@@ -19,7 +20,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.recording import Recording
-from arm_emulator.view.film import check_film, write_film
+from arm_emulator.view.film import RECORDING, check_film, write_film
 
 SPEED = Number("--speed", "", above=0.0, at_most=1e3)
 RATE = Number("--rate", "pictures a second", above=0.0, at_most=120.0)
@@ -45,7 +46,8 @@ def film(
 
     Args:
         bag: folder of the bag.
-        file: new .mp4 or .gif; or .png, a picture of the end.
+        file: new .mp4 or .gif; .png, a picture of the end; or .rrd, a recording of Rerun with the
+            torques by term.
         scene: scene file or name (default: the one that the bag names).
         run: which run of the bag, from 1 on (default: the last).
         begin: logical time at which it begins (s).
@@ -72,6 +74,12 @@ def film(
         raise Refusal("film", "pictures", f"be at most {MOST}", len(moments))
     ticks = min(step / 4, (until - begin) / SAMPLES) / period
     every = max(1, int(ticks))
+    if file.suffix == RECORDING:
+        machine.advance(round(begin / period))
+        samples = write_explained(machine, file, round(until / period), every)
+        output.line(f"{file}: {samples} samples, {until - begin:g} s of logical time")
+        output.facts({"file": file, "pictures": 0, "begin": begin, "end": until})
+        return 0
     with tempfile.TemporaryDirectory() as folder:
         rrd = Path(folder) / "run.rrd"
         with Recording(machine.session.plant, rrd) as taken:
