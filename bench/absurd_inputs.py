@@ -10,11 +10,7 @@ import numpy as np
 
 from arm_emulator import Diverged, Plant, Refusal
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench.hard_case import (
-    SHARED,
-    Outcome,
-    three_axis,
-)
+from bench.hard_case import SHARED, Outcome, three_axis
 from bench.motion import Array
 
 

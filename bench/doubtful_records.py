@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.identification import inertia
 from arm_emulator.identification.found import numbers_found
 from arm_emulator.identification.free_run_fit import torque_driven
@@ -34,7 +34,6 @@ from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
 from arm_emulator.machine.possible import could_vary
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import of_child
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import truth as three_axis

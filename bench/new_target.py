@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
 from bench.motion import Array
 
 TITLE = "A new target, and a period"

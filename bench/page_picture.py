@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import Refusal, Timeline
 from arm_emulator.analysis.torque_terms import TermsNow
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
 from arm_emulator.runs.offline import load_offline_run
-from arm_emulator.runs.timeline import Timeline
 from bench.rewind import new_target
 
 SIZE: Any = {"width": 1100, "height": 640}

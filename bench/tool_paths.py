@@ -14,12 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.path_watch import apart
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 from bench.measure import progress
 from bench.motion import Array
 from bench.pictures import new_figure

@@ -20,11 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Kinematics, Pose, Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
-from arm_emulator.motion.kinematics import Kinematics, moving_joints
+from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.way import Way
 from arm_emulator.motion.way_controller import WayController, joints_duration
 from bench.measure import progress

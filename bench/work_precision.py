@@ -15,14 +15,7 @@ from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
-from bench.measure import (
-    Task,
-    compile_all,
-    interleaved,
-    progress,
-    side_by_side,
-    without_collector,
-)
+from bench.measure import Task, compile_all, interleaved, progress, side_by_side, without_collector
 from bench.measure import wall as wall_time
 from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm

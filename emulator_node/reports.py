@@ -16,13 +16,7 @@ from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.middleware import Numbers, Outgoing
-from arm_emulator.ros.node_shell import (
-    DESCRIPTION_QOS,
-    EVENT_QOS,
-    STATE_PUB_QOS,
-    set_stamp,
-    stamp,
-)
+from arm_emulator.ros.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS, set_stamp, stamp
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from emulator_node.context import Context
 from emulator_node.event_words import change_words

@@ -32,12 +32,7 @@ from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import Outgoing
-from arm_emulator.ros.node_parameters import (
-    accept_changes,
-    declare_parameters,
-    describe,
-    replaced,
-)
+from arm_emulator.ros.node_parameters import accept_changes, declare_parameters, describe, replaced
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,

@@ -8,10 +8,7 @@ from collections.abc import Sequence
 from arm_emulator import Scene, Session
 from arm_emulator.doors.fieldbus.converter import Converter
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
-from arm_emulator.doors.fieldbus.modbus_rtu import (
-    crc,
-    is_sound,
-)
+from arm_emulator.doors.fieldbus.modbus_rtu import crc, is_sound
 from arm_emulator.doors.fieldbus.serial_line import LineErrors
 
 NO_ERRORS = LineErrors(0.0, 0)

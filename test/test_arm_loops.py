@@ -16,12 +16,7 @@ from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth, slower
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
-from arm_emulator.design.joint_gains import (
-    GearData,
-    MotorData,
-    ServoGains,
-    joint_servo,
-)
+from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, joint_servo
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.held import held
 from arm_emulator.servo.servo import ServoConfig

@@ -20,15 +20,13 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from arm_emulator import PlantState, Refusal, Session
 from arm_emulator.bags.bad_commit import first_bad_commit
 from arm_emulator.bags.first_difference import FirstDifference, Side, first_difference
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine import compiler
 from arm_emulator.machine.build_facts import build_facts, other_builds
 from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.plant_state import PlantState
-from arm_emulator.machine.session import Session
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of

@@ -19,8 +19,7 @@ import pytest
 from draws import some
 from machines import Oracle, moving_joints, random_chain_urdf, write_scene
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 
 PERIOD, STEPS = 1e-3, 4  # s, and steps in it
 POSES, ROWS = 12, 8

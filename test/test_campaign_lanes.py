@@ -10,7 +10,7 @@ import pytest
 from draws import FULL, some
 from test_campaign import MOVES, TABLE, changed, written
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import ExternalWrench, Fleet, Refusal, ServoFleet, load_gains
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, drawn_case
 from arm_emulator.campaign.fault import changes_of
@@ -18,11 +18,7 @@ from arm_emulator.campaign.lanes import WIDTH, RunsInLanes, runs_of
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_way import FleetWay
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.servo_fleet import ServoFleet
 
 # Lanes round otherwise, by some 1e-16 a step; torques are 1e2 N m and more at 1e-14 rad.
 NEAR, SHARE = 1e-12, 1e-13

@@ -8,16 +8,7 @@ import re
 import struct
 
 import pytest
-from canopen_master import (
-    ENTRIES,
-    dumped,
-    put,
-    refused,
-    sdo,
-    segment_of,
-    sent,
-    uploaded,
-)
+from canopen_master import ENTRIES, dumped, put, refused, sdo, segment_of, sent, uploaded
 
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.eds import eds

@@ -12,9 +12,8 @@ import yaml
 from draws import some
 from scipy.spatial import ConvexHull
 
+from arm_emulator import Kinematics, OfflineRun, Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion import collisions
 from arm_emulator.motion.arm_shapes import ArmShapes
 from arm_emulator.motion.collision_guard import CollisionGuard
@@ -22,13 +21,9 @@ from arm_emulator.motion.collisions import OWN_SHARE, Collisions
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.motion.motion_report import MotionReport, State
 from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 
 MARGIN = 0.01  # m
 

@@ -23,11 +23,7 @@ from arm_emulator.build.compiler_command import find_compiler, identity
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from arm_emulator.core import CORE
-from arm_emulator.machine.compiler import (
-    FLAGS,
-    compile_ahead,
-    library_of,
-)
+from arm_emulator.machine.compiler import FLAGS, compile_ahead, library_of
 from arm_emulator.machine.scene_unit import scene_unit
 
 READY = (

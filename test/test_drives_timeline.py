@@ -26,10 +26,9 @@ from cia402 import (
     make,
 )  # fmt: skip
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, Timeline
 from arm_emulator.doors.fieldbus.drives import Drives
 from arm_emulator.doors.fieldbus.object_dictionary import Aborted
-from arm_emulator.runs.timeline import Timeline
 
 LAST, EVERY = 400, 64  # ticks
 

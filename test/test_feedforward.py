@@ -11,21 +11,18 @@ import yaml
 from draws import some
 from machines import one_link_urdf
 
+from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.known_drive import known_drives
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.elastic_arm import ElasticArm
 from arm_emulator.motion.feedforward import Feedforward
 from arm_emulator.motion.instruction import Instruction
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.motion.reference import Reference
 from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.servo_config import load_servo_config
 from oracles.followed_line import Known, follow
 
 GRAVITY = (0.0, 0.0, -9.81)

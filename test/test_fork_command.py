@@ -14,15 +14,13 @@ import pytest
 import yaml
 from machines import own_three_axis
 
+from arm_emulator import Refusal, Session, load_scene
 from arm_emulator.bags.comparison import compare
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import ORDERS
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.fork import fork
 from arm_emulator.cli.commands.run import run
 from arm_emulator.machine.plant_state import SET
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import load_offline_run

@@ -17,22 +17,13 @@ from in_process import in_process
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, Int8
 
+from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.jog import (
-    JogCommand,
-    JogStatus,
-    joint_command,
-    twist_command,
-)
-from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.jog import JogCommand, JogStatus, joint_command, twist_command
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_directions import ToolDirections
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node import jog_topics
 

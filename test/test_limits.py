@@ -12,10 +12,9 @@ from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator import Kinematics, Scene, load_gains, load_scene
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.runs.gains import Gains, load_gains
+from arm_emulator.runs.gains import Gains
 from oracles.any_arm import move, reachable
 from oracles.own_robots import OWN
 

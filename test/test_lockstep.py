@@ -26,18 +26,14 @@ from network import (
 )
 from sensor_msgs.msg import JointState
 
+from arm_emulator import OfflineRun, Plant, Pose, Refusal, load_scene, load_servo_config
 from arm_emulator.base.busy import busy_processes
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.run import run as run_command
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.node_shell import NANOSECONDS, stamp
-from arm_emulator.runs.offline import OfflineRun, load_offline_run
-from arm_emulator.servo.servo_config import load_servo_config
+from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 
 TARGET_AT = 0.1  # s

@@ -10,12 +10,7 @@ from typing import Any
 
 import pytest
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import (
-    ChangeState,
-    GetAvailableStates,
-    GetAvailableTransitions,
-    GetState,
-)
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from network import User, assert_same_bits, network, offline_states
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter

@@ -18,9 +18,7 @@ from arm_emulator.cli.commands.modbus import modbus
 from arm_emulator.doors.fieldbus import converter as registers
 from arm_emulator.doors.fieldbus.converter import Converter
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
-from arm_emulator.doors.fieldbus.modbus_rtu import (
-    Code,
-)
+from arm_emulator.doors.fieldbus.modbus_rtu import Code
 from arm_emulator.machine.session import EndOfTime
 
 MALFORMED = 1_000_000 if FULL else 5_000

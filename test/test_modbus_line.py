@@ -14,13 +14,7 @@ from modbus_line import Master, line_of, long_of, read_write, sound
 
 from arm_emulator import Scene, Session, load_scene
 from arm_emulator.doors.fieldbus.converter import Converter
-from arm_emulator.doors.fieldbus.modbus_rtu import (
-    Receiver,
-    Station,
-    crc,
-    is_sound,
-    request_length,
-)
+from arm_emulator.doors.fieldbus.modbus_rtu import Receiver, Station, crc, is_sound, request_length
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, silence_time
 
 FRAMES = 100_000 if FULL else 5_000

@@ -19,9 +19,7 @@ import pytest
 from modbus_line import line_of, read_write, sound
 
 from arm_emulator.doors.fieldbus import converter as registers
-from arm_emulator.doors.fieldbus.modbus_rtu import (
-    is_sound,
-)
+from arm_emulator.doors.fieldbus.modbus_rtu import is_sound
 from arm_emulator.machine.scene import Scene, load_scene
 
 

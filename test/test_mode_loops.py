@@ -18,12 +18,7 @@ from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import Loop
-from arm_emulator.analysis.mode_loops import (
-    LoopFigure,
-    ModeLoops,
-    withheld_modes,
-    withheld_words,
-)
+from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from ideal_arm import SECOND, Ideal
 
+from arm_emulator import Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_report import Kind, State
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains, warn_of_gravity
+from arm_emulator.runs.gains import warn_of_gravity
 from arm_emulator.runs.offline import load_offline_run
 
 # The order in force

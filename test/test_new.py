@@ -13,17 +13,15 @@ import pytest
 from draws import some
 from test_new_drives import arm, made, untuned
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Kinematics, Refusal, load_gains, load_scene
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.robot_limits import read_limits
 from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.runs.gains import check_fit, load_gains
+from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import move, reachable
 from oracles.own_robots import OWN, Part, Robot
 

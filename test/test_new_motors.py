@@ -9,8 +9,8 @@ import pytest
 from draws import FULL, some
 from torque_modes import enabled, faults
 
+from arm_emulator import Kinematics, Refusal, load_gains, load_scene
 from arm_emulator.analysis.mode_loops import withheld_modes
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
@@ -19,9 +19,7 @@ from arm_emulator.doors.fieldbus.object_dictionary import modes
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.known import MOTORS
 from arm_emulator.machine.parts.motor import Motor
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.runs.gains import check_fit, load_gains
+from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import arms, move, reachable
 from oracles.own_robots import OWN
 

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from made_bags import synthetic
 
+from arm_emulator import Refusal, Timeline, load_scene
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag
-from arm_emulator.runs.timeline import Timeline
 
 POWERS = [True] * 30 + [False] * 9 + [True] * 60
 

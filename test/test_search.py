@@ -16,7 +16,7 @@ import yaml
 from draws import FULL
 from scipy import optimize, special, stats
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import Refusal, load_scene
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.case import case_at, case_with, drawn_case
 from arm_emulator.campaign.executor import Crew
@@ -30,7 +30,6 @@ from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.shrinking import fewest, shrink
 from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.machine.scene import load_scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PUSHED = {

@@ -18,21 +18,18 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_config, find_scene
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import joint_limits
 from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.way import Way, WayLimits
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 from arm_emulator_msgs.msg import ServoState
 from motion_controller_node.node import MotionControllerNode
 

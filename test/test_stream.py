@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
 
 SPEED = 0.3  # m/s
 BEHIND = 5e-3  # m, what is promised at that speed

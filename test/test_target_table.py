@@ -7,15 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_firmware import (
-    NAMES,
-    SCENE,
-    N,
-    builder,
-    code,
-    random_table,
-    row_at,
-)
+from own_firmware import NAMES, SCENE, N, builder, code, random_table, row_at
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.firmware import Firmware

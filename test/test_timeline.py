@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator import OfflineRun, Pose, Refusal, Timeline
 from arm_emulator.motion.jog import JogCommand
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.pose import Pose
-from arm_emulator.runs.offline import OfflineRun, load_offline_run
-from arm_emulator.runs.timeline import Timeline
+from arm_emulator.runs.offline import load_offline_run
 
 Act = Callable[[OfflineRun], object]
 

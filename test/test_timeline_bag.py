@@ -8,18 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from arm_emulator import OfflineRun, Pose, Refusal, Session, Timeline
 from arm_emulator.bags.comparison import compare
 from arm_emulator.bags.first_difference import Side, first_difference
 from arm_emulator.bags.timeline_bag import write_timeline
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant_state import SET
-from arm_emulator.machine.session import Session
-from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
-from arm_emulator.runs.offline import OfflineRun, load_offline_run
-from arm_emulator.runs.timeline import Timeline
+from arm_emulator.runs.offline import load_offline_run
 
 
 def move(run: OfflineRun, y: float) -> None:

@@ -10,12 +10,9 @@ import pinocchio as pin
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator import Kinematics, Pose, Refusal, load_scene
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.path_way import InARow, plan_path
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tool_curve import ToolCurve
 from arm_emulator.motion.tool_path import LONGEST, MOST_POSES, ROUNDED, ToolLimits, ToolPath

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
+from arm_emulator import Kinematics, Refusal, load_scene
 from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.laws import joint_limits
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference

@@ -10,15 +10,13 @@ import pytest
 from draws import some
 from scipy.spatial.transform import Rotation
 
+from arm_emulator import Kinematics, Pose, load_scene
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import directions
-from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import AlongLimits, Way, WayLimits
 from arm_emulator.motion.way_controller import LOST, WayController

@@ -8,14 +8,7 @@ import math
 import numpy as np
 
 from arm_emulator.servo.servo_config import JointServo
-from arm_emulator.servo.servo_law import (
-    CURRENT,
-    POSITION,
-    SERVO,
-    SPEED,
-    Rows,
-    servo_law,
-)
+from arm_emulator.servo.servo_law import CURRENT, POSITION, SERVO, SPEED, Rows, servo_law
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 STATES = ("theta", "omega", "load", "current", "integral")

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.bound_formula import bound_to, meant_by
-from arm_emulator.base.formula import (
-    Expression,
-    Formula,
-    Signal,
-    parse_expression,
-    parse_formula,
-)
+from arm_emulator.base.formula import Expression, Formula, Signal, parse_expression, parse_formula
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.campaign_file import Campaign

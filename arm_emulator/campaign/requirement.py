@@ -6,13 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from arm_emulator.base.formula import (
-    Combined,
-    Expression,
-    Formula,
-    Margin,
-    Window,
-)
+from arm_emulator.base.formula import Combined, Expression, Formula, Margin, Window
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, Header, Library
 

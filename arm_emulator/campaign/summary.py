@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
-from arm_emulator.campaign.results import (
-    FAILED,
-    INDEX,
-    MEASURE,
-    ROBUSTNESS,
-)
+from arm_emulator.campaign.results import FAILED, INDEX, MEASURE, ROBUSTNESS
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 ANY = "any requirement"

@@ -12,13 +12,7 @@ from functools import partial
 
 from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.command import (
-    Command,
-    command_names,
-    load_command,
-    near_names,
-    summary_of,
-)
+from arm_emulator.cli.command import Command, command_names, load_command, near_names, summary_of
 from arm_emulator.cli.output import output
 from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
 

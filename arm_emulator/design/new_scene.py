@@ -22,11 +22,7 @@ from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.mesh_file import move_meshes
 from arm_emulator.design.own_collisions import own_collisions, own_shapes
 from arm_emulator.design.robot_file import robot_text
-from arm_emulator.design.robot_limits import (
-    forget_impossible,
-    read_limits,
-    write_limits,
-)
+from arm_emulator.design.robot_limits import forget_impossible, read_limits, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
 from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import survey

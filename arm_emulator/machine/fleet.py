@@ -17,12 +17,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import in_turn
 from arm_emulator.build.c_header import NULL, pointer
-from arm_emulator.machine.call_arguments import (
-    LARGEST_STEPS,
-    PIECE,
-    Commands,
-    commands_of,
-)
+from arm_emulator.machine.call_arguments import LARGEST_STEPS, PIECE, Commands, commands_of
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import ARM, FLEET, REFUSED
 from arm_emulator.machine.core_machine import Borrowed

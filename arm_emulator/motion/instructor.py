@@ -20,11 +20,7 @@ from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import Kind, Reports, State
 from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
-from arm_emulator.motion.orders import (
-    Order,
-    Progress,
-    TargetOrder,
-)
+from arm_emulator.motion.orders import Order, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.standstill import Flags, Standstill

@@ -17,13 +17,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts, shafts_of
 from arm_emulator.base.urdf_text import UNLIMITED
-from arm_emulator.motion.kinematics_model import (
-    JOINT,
-    LINK,
-    link_names,
-    rate_limits,
-    whole_model,
-)
+from arm_emulator.motion.kinematics_model import JOINT, LINK, link_names, rate_limits, whole_model
 from arm_emulator.motion.pose import Pose
 
 FloatArray = npt.NDArray[np.float64]

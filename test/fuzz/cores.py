@@ -23,12 +23,9 @@ from typing import Any
 import numpy as np
 from machines import moving_joints, random_chain_urdf, write_scene
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.integrator import DEEPEST_EXCHANGE
 from arm_emulator.machine.loop_clock import real_time_session
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 

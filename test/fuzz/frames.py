@@ -13,14 +13,13 @@ import sys
 import traceback
 from pathlib import Path
 
+from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import Header, Library, text
 from arm_emulator.build.unit import library as compiled
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE, drives_unit
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.c import FOLDER
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 

@@ -19,6 +19,7 @@ import pytest
 from documents import page_of
 from draws import FULL
 
+from arm_emulator import Plant, load_gains
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.canopen import load_segment, write_eds
 from arm_emulator.doors.fieldbus.can_bus import BusService, can_bus
@@ -26,8 +27,6 @@ from arm_emulator.doors.fieldbus.canopen_segment import Segment
 from arm_emulator.doors.fieldbus.drives import Drives
 from arm_emulator.doors.fieldbus.drives_unit import CANOPEN
 from arm_emulator.doors.fieldbus.object_dictionary import dictionary
-from arm_emulator.machine.plant import Plant
-from arm_emulator.runs.gains import load_gains
 
 canopen: Any = pytest.importorskip("canopen")
 pytest.importorskip("can")

@@ -11,24 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cortex_m import (
-    EXAMPLE,
-    chip_of,
-    cross,
-    host_cc,
-    random_table,
-    states,
-)
+from cortex_m import EXAMPLE, chip_of, cross, host_cc, random_table, states
 
+from arm_emulator import Breakpoint, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
 from arm_emulator.machine.firmware import Firmware
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.runs.breakpoint import Breakpoint
-from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.c import FOLDER as SERVO

@@ -25,11 +25,10 @@ import pytest
 from draws import FULL
 from ethercat_master import Master
 
+from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
 from arm_emulator.doors.fieldbus.ethercat import Segment
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.gains import load_gains
 
 HERE = Path(__file__).resolve().parent
 SECONDS = 60.0 if FULL else 6.0  # of the motion

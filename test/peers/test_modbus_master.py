@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 from documents import page_of
 
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
+from arm_emulator import Session, load_scene
 
 client = pytest.importorskip("pymodbus.client")
 pytest.importorskip("serial")
