@@ -23,7 +23,7 @@ from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import move, reachable
-from oracles.own_robots import OWN, Part, Robot
+from oracles.own_robots import OWN, Part, Robot, serial
 
 __all__ = ["untuned"]  # a fixture
 
@@ -102,6 +102,21 @@ def test_a_tree_has_arm_and_fingers(seed: int) -> None:
     assert set(alone.held) == {*fingers}
     named = choose_joints(robot, "robot", joints=[*arm, *({*fingers} - follow)], tool=alone.tool)
     assert named.joints == whole.joints and not named.held, "by name"
+
+
+@pytest.mark.parametrize("joints", [5, 6, 7])
+def test_rods_of_a_palletizer_beside_its_wrist_are_no_gripper(joints: int) -> None:
+    """As in descriptions of large arms: they follow the elbow, from the upper arm and forearm."""
+    parts = [Part("0 1 0", (0.5, 0.0, 0.0))] * joints
+    rods = "".join(
+        f'<link name="rod{k}"/><joint name="r{k}" type="continuous"><parent link="l{k}"/>'
+        f'<child link="rod{k}"/><mimic joint="j3" multiplier="{multiplier}"/></joint>'
+        for k, multiplier in ((2, -1), (3, 1))
+    )
+    text = serial("arm", parts).replace("</robot>", f"{rods}</robot>")
+    choice = choose_joints(ET.fromstring(text), "robot")
+    assert choice.joints == tuple(f"j{k + 1}" for k in range(joints))
+    assert choice.tool == "tool0" and set(choice.held) == {"r2", "r3"}
 
 
 def test_joints_that_cannot_move_are_refused() -> None:

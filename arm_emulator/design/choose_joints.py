@@ -105,12 +105,16 @@ class _Tree:
         return found
 
     def branches(self, joint: _Joint) -> int:
-        """Return how many joints begin on the body on which a joint begins, mimics among them."""
+        """Return how many joints begin on the body on which a joint begins.
+
+        Those that follow a joint of the way there count not: rods of a palletizer.
+        """
         body = joint.parent
         while body in self.above and self.above[body].kind == "fixed":
             body = self.above[body].parent
         beside = [one for link in self.fixed_to(body) for one in self.below.get(link, [])]
-        return sum(one.kind in MOVING for one in beside)
+        way = {one.name for one in self.path(body)}
+        return sum(one.kind in MOVING and not way & {*one.follows} for one in beside)
 
 
 def choose_joints(
