@@ -67,12 +67,6 @@ def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
                 bound.row("here", values, N)
 
 
-@pytest.mark.parametrize("values", NO_NUMBERS)
-def test_values_that_are_no_numbers_are_refused(values: Any) -> None:
-    with pytest.raises(Refusal, match=r"^here: q must "):
-        POSITION.named("q").row("here", values, 3)
-
-
 def test_encoder_counts_keep_the_joint_and_the_hold_of_it_within_its_position() -> None:
     for seed in range(100):
         angle = 10.0 ** random.Random(seed).uniform(-15, 2)

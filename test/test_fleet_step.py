@@ -19,8 +19,7 @@ BRAKED: dict[str, Any] = {
     "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
     "external_wrench": True,
 }
-# What `test_fleet_follow` and `test_external_wrench` ask is asked of this machine, too: its lanes
-# take seconds to compile.
+# Shared by `test_fleet_follow` and `test_external_wrench`: its lanes take seconds to compile.
 LOCATED: dict[str, Any] = {
     "integrator.events": "located",
     "integrator.scheme": "extrapolated",

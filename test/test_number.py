@@ -263,6 +263,7 @@ def test_commands_and_measurements_are_refused_in_rows_alike() -> None:
             if abs(bad) < math.inf or one.at_most != math.inf:
                 with pytest.raises(Refusal, match=rf"^here: {one.name} must be (finite )?numbers"):
                     one.row("here", [0.0, bad, 0.0], 3)
-        for no_row in ("abc", None, [None], [True, 1.0, 2.0], [[1.0], [2.0, 3.0]]):
+        no_rows: tuple[Any, ...] = "abc", None, [None], ["1"] * 3, [1j] * 3, {}, [[1.0], [2.0, 3.0]]
+        for no_row in (*no_rows, [True, 1.0, 2.0]):
             with pytest.raises(Refusal, match=rf"^here: {one.name} must be (finite )?numbers"):
                 one.row("here", no_row, 3)

@@ -1,6 +1,7 @@
 """Arguments of the plain libraries from any caller: counts, arrays, rotations, poses.
 
-Whatever is no such thing is refused in one line, and nothing has changed then.
+Whatever is no such thing is refused in one line, and nothing has changed then. Calls of plants and
+fleets: test_manners.py.
 """
 
 from __future__ import annotations
@@ -134,9 +135,6 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
     before = as_bytes(plant)
     for _ in range(300):
         count = no_count(rng)
-        rows = np.zeros((int(rng.integers(1, 9)), N))
-        refused(plant.advance, zero, count)
-        refused(plant.run, rows, count)
         refused(loop.start, count)
         refused(RealTimeLoop, plant, count, 10, -1)
         refused(RealTimeLoop, plant, 1_000_000, count, -1)
@@ -177,13 +175,8 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
     kinematics = controller.kinematics
     before = as_bytes(plant)
     calls: list[Callable[[Any], object]] = [
-        lambda x: plant.advance(x, 1),
-        lambda x: plant.run([x], 1),
         lambda x: plant.put("here", {"q": x}),
         lambda x: plant.put("here", {"v": good, "current": x}),
-        lambda x: plant.links.accelerations(x, good, good),
-        lambda x: plant.links.accelerations(good, x, good),
-        lambda x: plant.links.accelerations(good, good, x),
         lambda x: loop.command(0, x),
         lambda x: servo.observe(x, good),
         lambda x: servo.observe(counts, x),
@@ -205,8 +198,6 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
         lambda x: Pose(p_WT, [x, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         lambda x: Pose.from_quaternion(x, [0.0, 0.0, 0.0, 1.0]),
         lambda x: session.offer(0, plant.scene.joint_names, x),
-        lambda x: plant.reset(given(x)),
-        lambda x: plant.reset(good, given(x)),
     ]
     for _ in range(150):
         wrong = no_vector(rng)
