@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+import psutil
 import pytest
 from browser import (
     PATIENCE,
@@ -28,8 +33,10 @@ from machines import own_three_axis
 
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.page import live_page
 from arm_emulator.page.live_page import LivePage
 from arm_emulator.page.machine_hands import MachineHands
+from bench.page_browsers import CAMERA
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
 __all__ = ["browser"]  # a fixture
@@ -222,3 +229,50 @@ def test_a_phone_shows_all_controls_of_a_running_machine(live: Live, browser: An
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     shows(page, "three_axis")
     page.context.close()
+
+
+@contextlib.contextmanager
+def client(url: str) -> Iterator[Any]:
+    """Connect as a browser does, by hand."""
+    import viser
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    protocols = [Subprotocol(f"viser-v{viser.__version__}")]
+    address, how = url.replace("http:", "ws:"), {"max_size": None, "ping_interval": None}
+    with connect(address, subprotocols=protocols, **how) as one:
+        one.send(msgspec.msgpack.encode(CAMERA))  # without one a page sends its first picture alone
+        yield one
+
+
+def test_a_browser_that_stops_reading_holds_up_nobody_and_costs_no_memory(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other one gets every picture, and nothing is kept for the first."""
+    monkeypatch.setattr(live_page, "PLOTTED", 0.0)  # a plot in every picture
+    live.advance(1500)
+    got = 0
+
+    def read(socket: Any) -> None:
+        nonlocal got
+        for message in socket:
+            got += len(message)
+
+    process, most, enough = psutil.Process(), 4e6, 12e6  # B
+    with client(live.url) as stalled, client(live.url) as reads:
+        reader = threading.Thread(target=read, args=[reads])
+        reader.start()
+        begin, growth, deadline = 0, 0, time.monotonic() + PATIENCE / 1e3
+        while got - begin < enough:
+            assert time.monotonic() < deadline, f"{got} bytes came"
+            live.advance(1)
+            live.page.draw()
+            time.sleep(0.005)  # lets the server's thread work
+            if not begin and got > most:  # what any browser costs is there
+                begin, before = got, process.memory_info().rss
+            elif begin:
+                growth = max(growth, process.memory_info().rss - before)
+        assert live.page.browsers == 2 and stalled.state.name == "OPEN"
+        reads.close()
+        reader.join()
+    assert growth < 0.5 * enough, "one that keeps what was not read keeps all of it [B]"
