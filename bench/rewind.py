@@ -10,6 +10,7 @@ import hashlib
 import time
 from collections.abc import Sequence
 from functools import partial
+from multiprocessing import Pool
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,33 +36,41 @@ def digest(run: OfflineRun) -> str:
     return hashlib.sha256(state).hexdigest()
 
 
+def straight_run(
+    scene: str, offsets: NDArray[np.float64], per_target: int, looked: set[int]
+) -> dict[int, str]:
+    """Run without a timeline, and return the state at some ticks."""
+    run, seen = load_offline_run(scene), dict[int, str]()
+    for target, offset in enumerate(offsets):
+        new_target(run, offset)
+        begin = target * per_target
+        for stop in sorted(looked & set(range(begin, begin + per_target))):
+            run.advance(stop - run.tick)
+            seen[stop] = digest(run)
+        run.advance(begin + per_target - run.tick)
+    return seen
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run once as usual and once with a timeline, then visit ticks of the past."""
+    """Run with a timeline, and beside it as usual, then visit ticks of the past."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("scene", nargs="?", default="ur5")
     parser.add_argument("--seconds", type=float, default=3600.0)
     given = parser.parse_args(arguments)
-    straight = load_offline_run(given.scene)
     timeline = Timeline(load_offline_run(given.scene))
-    per_target = round(EVERY / straight.session.scene.servo_period)
+    per_target = round(EVERY / timeline.run.session.scene.servo_period)
     targets = max(1, round(given.seconds / EVERY))
     rng = np.random.default_rng(1)
     offsets = rng.uniform(-REACH, REACH, (targets, 3))
     looked = {int(tick) for tick in rng.integers(0, targets * per_target, VISITS)}
-    seen, spent = dict[int, str](), 0.0
-    with progress("runs", 2 * targets) as done:
-        for target, offset in enumerate(offsets):
-            new_target(straight, offset)
-            begin = target * per_target
-            for stop in sorted(looked & set(range(begin, begin + per_target))):
-                straight.advance(stop - straight.tick)
-                seen[stop] = digest(straight)
-            straight.advance(begin + per_target - straight.tick)
-            done("straight")
+    spent = 0.0
+    with Pool(1) as beside, progress("with checkpoints", targets) as done:
+        straight = beside.apply_async(straight_run, (given.scene, offsets, per_target, looked))
         for target, offset in enumerate(offsets):
             timeline.change(f"target {target}", partial(new_target, offset=offset))
             timeline.advance(per_target)
-            done("with checkpoints")
+            done()
+        seen = straight.get()
     for _ in range(100):
         begun = time.process_time()
         timeline.run.save()
@@ -72,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         timeline.go_to(tick)
         waits.append(time.perf_counter() - begun_at)
         equal += digest(timeline.run) == seen[tick]
-    hours = timeline.newest * straight.session.scene.servo_period / 3600.0
+    hours = timeline.newest * timeline.run.session.scene.servo_period / 3600.0
     per_tick, size = spent / timeline.every, timeline.bytes / 1e6
     print(f"{given.scene}, {hours * 3600.0:g} s of logical time, {targets} tool targets")
     print(f"ticks visited      {len(looked)}, equal to the last bit {equal}")
