@@ -1,44 +1,87 @@
 // A controller manager on the machine's time, in the place of ros2_control_node.
 //
 // Parameters beside the manager's: real_time_factor, at which the machine's time goes at most; 0:
-// as fast as the controllers compute.
+// as fast as the controllers compute. start: running, or paused, in which time stands until the
+// service ~/pause is called with false. What controllers got before that call, they have in the
+// cycle from which time goes on, so it acts at the same time on every run.
 
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <memory>
 #include <thread>
 
 #include "lockstep.hpp"
+#include "std_srvs/srv/set_bool.hpp"
+
+namespace {
+
+using arm_emulator_hardware::Lockstep;
+using controller_manager::ControllerManager;
+
+// Why the parameters cannot be taken; empty: they can.
+std::string trouble(double factor, const std::string& start) {
+  if (!(factor >= 0.0 && std::isfinite(factor)))
+    return "real_time_factor must be at least 0, got " + std::to_string(factor);
+  if (start != "running" && start != "paused")
+    return "start must be known, got " + start + "; valid: running, paused";
+  return "";
+}
+
+// Go through cycles until ROS is shut down; false: something has gone wrong.
+bool go(Lockstep& lockstep, double factor, const std::atomic<bool>& paused) {
+  auto next = std::chrono::steady_clock::now();
+  for (bool stood = true; rclcpp::ok();) {
+    if (paused || stood) {
+      stood = paused;
+      if (!lockstep.cycle(false)) break;  // one more once time goes on
+      if (stood) rclcpp::sleep_for(std::chrono::milliseconds(1));
+      next = std::chrono::steady_clock::now();
+      continue;
+    }
+    if (!lockstep.cycle()) break;
+    if (factor == 0.0) continue;
+    next += std::chrono::nanoseconds(std::llround(lockstep.period().nanoseconds() / factor));
+    std::this_thread::sleep_until(next);
+  }
+  return !rclcpp::ok();
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   rclcpp::init(argc, argv);
-  auto executor = std::make_shared<rclcpp::executors::MultiThreadedExecutor>();
+  // A single thread: a callback of a controller ends before that of ~/pause begins.
+  auto executor = std::make_shared<rclcpp::executors::SingleThreadedExecutor>();
   auto options = controller_manager::get_cm_node_options();
   std::vector<std::string> arguments(argv + 1, argv + argc);
   if (arguments.empty()) arguments = {"--ros-args"};
   arguments.insert(arguments.end(), {"-p", "use_sim_time:=true"});
   options.arguments(arguments);
-  auto manager = std::make_shared<controller_manager::ControllerManager>(
-      executor, "controller_manager", "", options);
+  auto manager = std::make_shared<ControllerManager>(executor, "controller_manager", "", options);
+  double factor = 1.0;
+  std::string start = "running";
+  manager->get_parameter("real_time_factor", factor);
+  manager->get_parameter("start", start);
+  const std::string why = trouble(factor, start);
+  std::atomic<bool> paused = start == "paused";
+  using Pause = std_srvs::srv::SetBool;
+  const auto pause = manager->create_service<Pause>(
+      "~/pause", [&](Pause::Request::SharedPtr request, Pause::Response::SharedPtr response) {
+        paused = request->data;
+        response->success = true;
+      });
   executor->add_node(manager);
   std::thread spinner([&] { executor->spin(); });
 
-  double factor = 1.0;
-  manager->get_parameter("real_time_factor", factor);
-  const bool sound = factor >= 0.0 && std::isfinite(factor);
+  bool sound = why.empty();
   if (!sound) {
-    RCLCPP_ERROR(manager->get_logger(),
-                 "controller_manager: real_time_factor must be at least 0, got %g", factor);
+    RCLCPP_ERROR(manager->get_logger(), "%s: %s", manager->get_name(), why.c_str());
   } else {
-    arm_emulator_hardware::Lockstep lockstep(manager);
+    Lockstep lockstep(manager);
     while (rclcpp::ok() && !manager->is_resource_manager_initialized())
       rclcpp::sleep_for(std::chrono::milliseconds(10));
-    auto next = std::chrono::steady_clock::now();
-    while (rclcpp::ok() && lockstep.cycle()) {
-      if (factor == 0.0) continue;
-      next += std::chrono::nanoseconds(std::llround(lockstep.period().nanoseconds() / factor));
-      std::this_thread::sleep_until(next);
-    }
+    sound = go(lockstep, factor, paused);
   }
   executor->cancel();
   spinner.join();

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <future>
@@ -45,6 +46,7 @@ struct Manager : controller_manager::ControllerManager {
 
 class Session {
   static constexpr int kRounds = 3;  // the first one may only find new readers
+  static constexpr int kOthers = 5;  // exit code: another process publishes /clock
 
  public:
   Session(const char* description, const char* parameters)
@@ -68,13 +70,15 @@ class Session {
   }
 
   // The machine stands meanwhile.
+  static constexpr double kSwitch = 120.0;  // s, wall: for what takes some ms on an idle machine
   bool change(const std::vector<std::string>& start, const std::vector<std::string>& stop) {
     using Request = controller_manager_msgs::srv::SwitchController::Request;
     auto done = std::async(std::launch::async, [&] {
-      return manager->switch_controller(start, stop, Request::STRICT, true);
+      return manager->switch_controller(start, stop, Request::STRICT, true,
+                                        rclcpp::Duration::from_seconds(kSwitch));
     });
     while (done.wait_for(std::chrono::milliseconds(1)) != std::future_status::ready)
-      lockstep.cycle(false);
+      if (!lockstep.cycle(false)) std::quick_exit(kOthers);  // the switch would wait for a cycle
     return done.get() == controller_interface::return_type::OK;
   }
 

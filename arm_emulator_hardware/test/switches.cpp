@@ -51,7 +51,7 @@ class Turns {
       if (k % kTurn == 0 && !turn()) return false;
       if (k % kCut == 0 && !cut()) return false;
       if (k % kWrong == 0 && !wrong()) return false;
-      session_.lockstep.cycle();
+      if (!session_.lockstep.cycle()) return false;
       look();
     }
     return true;

@@ -38,7 +38,7 @@ int run(Session& session, double seconds, const char* rows, const std::vector<st
   for (const auto& joint : joints) start.push_back(manager.state(joint + "/true_position"));
   const double periods = (seconds + kRest) / session.lockstep.period().seconds();
   for (long cycle = 0; cycle < std::lround(periods); ++cycle) {
-    session.lockstep.cycle();
+    if (!session.lockstep.cycle()) return 5;
     for (const auto& joint : joints)
       for (const char* what : {"/position", "/velocity", "/effort", "/true_position"}) {
         const double value = manager.state(joint + what);

@@ -5,20 +5,34 @@ The tests need ros2_control, built or installed, on AMENT_PREFIX_PATH.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sysconfig
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+import rclpy
 import yaml
+from draws import FULL
+from rclpy.action import ActionClient
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
+from arm_emulator.base.busy import busy_processes
 from arm_emulator.cli.commands.ros2_control import ros2_control
 from arm_emulator.design.ros2_control import PLUGIN
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of
+from arm_emulator.ros.ros_domain import own_domain
 
 PACKAGE = Path(__file__).resolve().parents[2] / "arm_emulator_hardware"
 PREFIXES = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if one]
@@ -32,6 +46,7 @@ TARGETS = {
     },
 }  # fmt: skip
 SECONDS = 2.0
+RUNS, BUSY = (100, 8) if FULL else (2, 0)  # that are compared, busy processes beside them
 CYCLES = 10_000
 CHECKS = "-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=undefined"
 # The middleware keeps memory until its process ends, and frees it by another size.
@@ -76,9 +91,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("scenes")
 
 
-def run(
-    prefix: Path, program: str, *words: object, seconds: float = 120.0, **more: str
-) -> subprocess.CompletedProcess[str]:
+@pytest.fixture(autouse=True)
+def domain() -> Iterator[int]:
+    """No other controller manager, and no other clock."""
+    with own_domain() as one:
+        yield one
+
+
+def of_program(prefix: Path, program: str, *words: object, **more: str) -> dict[str, Any]:
+    """Return how a program of ours is started."""
     paths = f"{prefix}:{os.environ['AMENT_PREFIX_PATH']}"
     of_wheels = ":".join(map(str, Path(sysconfig.get_paths()["purelib"]).glob("*.libs")))
     libraries = f"{prefix / 'lib'}:{os.environ.get('LD_LIBRARY_PATH', '')}:{of_wheels}"
@@ -86,11 +107,18 @@ def run(
     python = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
     preload = str(python) if of_wheels and python.is_file() else ""
     others = {"AMENT_PREFIX_PATH": paths, "LD_LIBRARY_PATH": libraries, "LD_PRELOAD": preload}
-    return subprocess.run(
-        [prefix / "lib/arm_emulator_hardware" / program, *map(str, words)],
-        capture_output=True, text=True, timeout=seconds, check=False,
-        env={**os.environ, **others, **more},
-    )  # fmt: skip
+    return {
+        "args": [prefix / "lib/arm_emulator_hardware" / program, *map(str, words)],
+        "env": {**os.environ, **others, **more},
+        "text": True,
+    }
+
+
+def run(
+    prefix: Path, program: str, *words: object, seconds: float = 120.0, **more: str
+) -> subprocess.CompletedProcess[str]:
+    how = of_program(prefix, program, *words, **more)
+    return subprocess.run(**how, capture_output=True, timeout=seconds, check=False)
 
 
 def move(
@@ -105,10 +133,11 @@ def move(
 def test_a_trajectory_is_followed_with_equal_bits(prefix: Path, folder: Path, name: str) -> None:
     ros2_control(name, into=folder)
     files = folder / f"{name}.urdf", folder / f"{name}_controllers.yaml"
-    runs = [move(prefix, *files, TARGETS[name]) for _ in range(2)]
+    with busy_processes(BUSY):
+        runs = [move(prefix, *files, TARGETS[name]) for _ in range(RUNS)]
     assert runs[0].returncode == 0, runs[0].stderr
     digest, *lines = runs[0].stdout.splitlines()
-    assert digest.startswith("digest ") and runs[1].stdout == runs[0].stdout
+    assert digest.startswith("digest ") and {one.stdout for one in runs} == {runs[0].stdout}
     scene = load_scene(name)
     for line, joint in zip(lines, scene.joints, strict=True):
         word, *numbers = line.split()
@@ -210,9 +239,126 @@ def test_wrong_descriptions_are_one_line(
     assert len([line for line in done.stderr.splitlines() if why in line]) == 1, done.stderr
 
 
-def test_lockstep_node_refuses_a_rate_in_a_line(prefix: Path, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [("real_time_factor:=-1.0", "real_time_factor must be at least 0, got -1"),
+     ("start:=later", "start must be known, got later; valid: running, paused")],
+)  # fmt: skip
+def test_lockstep_node_refuses_a_parameter_in_a_line(
+    prefix: Path, folder: Path, wrong: str, why: str
+) -> None:
     ros2_control("three_axis", into=folder)
-    words = "--params-file", folder / "three_axis_controllers.yaml", "-p", "real_time_factor:=-1.0"
+    words = "--params-file", folder / "three_axis_controllers.yaml", "-p", wrong
     done = run(prefix, "lockstep_node", "--ros-args", *words)
-    why = "real_time_factor must be at least 0, got -1"
     assert done.returncode == 2 and done.stderr.count(why) == 1, done.stderr
+
+
+@contextmanager
+def guest() -> Iterator[NetworkGuest]:
+    """A client in the domain."""
+    context = rclpy.Context()
+    context.init()
+    node = NetworkGuest("client", "", context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        context.shutdown()
+
+
+def test_times_of_another_process_are_refused_in_a_line(prefix: Path, folder: Path) -> None:
+    """A cycle between whose steps the clock jumps is not a cycle: it must not pass silently."""
+    ros2_control("three_axis", into=folder)
+    files = folder / "three_axis.urdf", folder / "three_axis_controllers.yaml"
+    over = threading.Event()
+    with guest() as node:
+        publisher = node.create_publisher(Clock, "/clock", 10)
+
+        def publish() -> None:
+            message = Clock()
+            while not over.wait(0.001):
+                message.clock.sec += 1
+                publisher.publish(message)
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            done = move(prefix, *files, TARGETS["three_axis"])
+        finally:
+            over.set()
+            thread.join()
+    assert done.returncode == 5 and "digest" not in done.stdout, done.stdout
+    assert done.stderr.count("/clock must be published by this process alone") == 1, done.stderr
+
+
+def goal_run(prefix: Path, folder: Path) -> dict[int, str]:
+    """Send a goal by its action to a manager that stands, let time go on; return states by time.
+
+    The action answers before its controller has the goal, which the manager's one thread hides.
+    """
+    from control_msgs.action import FollowJointTrajectory
+    from control_msgs.msg import JointTrajectoryControllerState
+    from controller_manager_msgs.srv import ConfigureController, LoadController, SwitchController
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    name, target = "joint_trajectory_controller", TARGETS["three_axis"]
+    states: dict[int, str] = {}
+
+    def keep(state: Any) -> None:
+        bits = np.concatenate([state.feedback.positions, state.output.positions]).tobytes()
+        states[nanoseconds_of(state.header.stamp)] = hashlib.sha256(bits).hexdigest()
+
+    with guest() as node:
+
+        def call(kind: Any, service: str, **request: Any) -> Any:
+            client = node.create_client(kind, service)
+            assert node.spin_until(client.service_is_ready, 120.0), service
+            answer = client.call_async(kind.Request(**request))
+            assert node.spin_until(answer.done, 120.0), service
+            return answer.result()
+
+        describe = node.create_publisher(String, "/robot_description", DESCRIPTION_QOS)
+        describe.publish(String(data=(folder / "three_axis.urdf").read_text()))
+        words = (
+            "--ros-args", "--params-file", folder / "three_axis_controllers.yaml",
+            "-p", "start:=paused", "-p", "real_time_factor:=0.5", "--log-level", "warn",
+        )  # fmt: skip
+        manager = subprocess.Popen(**of_program(prefix, "lockstep_node", *words))
+        try:
+            for kind, verb in (LoadController, "load"), (ConfigureController, "configure"):
+                assert call(kind, f"/controller_manager/{verb}_controller", name=name).ok
+            started = {"activate_controllers": [name], "strictness": 2}
+            assert call(SwitchController, "/controller_manager/switch_controller", **started).ok
+            topic = f"/{name}/controller_state"
+            node.create_subscription(JointTrajectoryControllerState, topic, keep, 1000)
+            assert node.spin_until(lambda: bool(states), 120.0), "no state"
+            follow = ActionClient(node, FollowJointTrajectory, f"/{name}/follow_joint_trajectory")
+            assert node.spin_until(follow.server_is_ready, 120.0)
+            goal = FollowJointTrajectory.Goal()
+            goal.trajectory.joint_names = list(target)
+            end = JointTrajectoryPoint(positions=[*target.values()], velocities=[0.0] * 3)
+            end.time_from_start.nanosec = 300_000_000
+            goal.trajectory.points = [end]
+            sent = follow.send_goal_async(goal)
+            assert node.spin_until(sent.done, 120.0) and sent.result().accepted
+            assert call(SetBool, "/controller_manager/pause", data=False).success
+            result = sent.result().get_result_async()
+            assert node.spin_until(result.done, 120.0)
+            assert result.result().result.error_code == FollowJointTrajectory.Result.SUCCESSFUL
+            follow.destroy()
+        finally:
+            manager.terminate()
+            assert manager.wait(60.0) == 0
+    return states
+
+
+def test_a_goal_sent_while_time_stands_gives_equal_bits(prefix: Path, folder: Path) -> None:
+    ros2_control("three_axis", into=folder)
+    with busy_processes(BUSY):
+        first, *others = [goal_run(prefix, folder) for _ in range(RUNS)]
+    for one in others:
+        # States are sent best effort. Of the time that stands, any may be the last one.
+        both = first.keys() & one.keys() - {min(first)}
+        moving = [at for at in both if at < 300_000_000]
+        assert len(moving) > 50
+        assert all(first[at] == one[at] for at in both)
