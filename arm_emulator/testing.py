@@ -89,10 +89,7 @@ def network(
         Refusal: no such node, or a configuration file is missing.
         AssertionError: a node ended within the block, or abnormally at its end.
     """
-    from rclpy import Context
-
     from arm_emulator.ros.bringup import NODES, Bringup
-    from arm_emulator.ros.network_under_test import NetworkUnderTest
     from arm_emulator.ros.ros_domain import own_domain
 
     for name in (wrong for wrong in without if wrong not in NODES):
@@ -109,15 +106,12 @@ def network(
         scene = _scene_with(faults, find_scene(str(scene)), folder)
         again += f" --scene {scene}"
     try:
-        with own_domain(), Bringup(str(scene), emulator=given, log=log, only=only) as nodes:
-            context = Context()
-            context.init()
-            try:
-                user = NetworkUnderTest(context, nodes.ended)
+        with (
+            own_domain(),
+            Bringup(str(scene), emulator=given, log=log, only=only, forked=True) as nodes,
+        ):
+            with joined(only, nodes.ended) as user:
                 yield user
-                user.close()
-            finally:
-                context.try_shutdown()
             assert (ended := nodes.ended()) is None, f"{ended} ended within the test"
             codes = nodes.stop()
             assert set(codes.values()) <= {0}, f"exit codes {codes}"
@@ -127,6 +121,34 @@ def network(
         raise
     if keep is not None:
         shutil.rmtree(keep)
+
+
+@contextlib.contextmanager
+def joined(
+    ours: Sequence[str] = ("emulator", "servo", "motion_controller"),
+    ended: Callable[[], object] = lambda: None,
+) -> Iterator[NetworkUnderTest]:
+    """Use a network in this process's ROS domain for a block, such as one of launch_testing.
+
+    Args:
+        ours: names of its nodes that are not the user's own.
+        ended: names a node that has ended; None while all run.
+
+    Returns:
+        The network, for targets, waits and statuses, see `NetworkUnderTest`.
+    """
+    from rclpy import Context
+
+    from arm_emulator.ros.network_under_test import NetworkUnderTest
+
+    context = Context()
+    context.init()
+    try:
+        user = NetworkUnderTest(context, ended, ours)
+        yield user
+        user.close()
+    finally:
+        context.try_shutdown()
 
 
 def _scene_with(faults: Sequence[str], file: Path, folder: Path) -> Path:

@@ -12,7 +12,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
-from arm_emulator.ros.doubles import STARTED
+from arm_emulator.ros.doubles import started
 from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
@@ -56,7 +56,7 @@ class Intake:
         with self._lock:
             if self._session.by_itself:
                 self._pacer.look()  # it has gone on since
-            if command.machine not in (0, STARTED):
+            if command.machine not in (0, started()):
                 self._diagnostics.count("motor_commands for another emulator")
                 return
             try:

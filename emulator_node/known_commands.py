@@ -7,7 +7,7 @@ import numpy as np
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.scene import Scene
-from arm_emulator.ros.doubles import STARTED
+from arm_emulator.ros.doubles import started
 from arm_emulator.ros.fixed_layout import FixedLayout, Taking
 from arm_emulator.ros.middleware import pattern_of
 from emulator_node.c import MOTOR_COMMANDS
@@ -37,7 +37,7 @@ class KnownCommands:
             place=self._place,
             most=self._most,
             came=self._came,
-            emulator=STARTED,
+            emulator=started(),
             number=number,
         )
 

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.ros.doubles import STARTED
+from arm_emulator.ros.doubles import started
 from arm_emulator.ros.middleware import Numbers, Outgoing
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS, set_stamp, stamp
 from arm_emulator_msgs.msg import MachineEvent, MotorState
@@ -139,7 +139,7 @@ class Reports:
             kind=kind,
             powered=session.powered,
             state=array("B", saved),
-            machine=STARTED,
+            machine=started(),
         )
         event.header.stamp = stamp(session.logical_ns)
         self._outbox.put(self._events, event)
@@ -169,7 +169,7 @@ class Reports:
         scene, measured = self._session.scene, self._session.measured
         message = MotorState(
             joint_names=list(scene.joint_names),
-            machine=STARTED,
+            machine=started(),
             imu_names=[one.name for one in scene.imus],
         )
         self._fields.begin(message, measured)

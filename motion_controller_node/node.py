@@ -49,6 +49,7 @@ from arm_emulator.ros.node_shell import (
     DESCRIPTION_QOS,
     EVENT_QOS,
     NANOSECONDS,
+    NO_DESCRIPTION,
     STATE_SUB_QOS,
     Diagnostics,
     nanoseconds_of,
@@ -135,7 +136,7 @@ class MotionControllerNode(ManagedNode):
         """Answer joint states."""
         self._doubles.begin()
         if self._controller is None:
-            self._diagnostics.warn("waiting for robot_description")
+            self._diagnostics.warn(NO_DESCRIPTION)
         else:
             self._diagnostics.ok("waiting for joint_states")
 

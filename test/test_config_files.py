@@ -71,7 +71,7 @@ def test_gains_are_found_from_any_folder(
             assert found.is_absolute() and found.samefile(scene.parent / places[kind]), spelling
         line = check_scene(spelling).line
         assert "servo: /" in line and "motion: /" in line
-        commands = Bringup(spelling)._commands
+        commands = Bringup(spelling)._words
         assert str(find_beside(file, "servo")) in commands["servo"], spelling
         assert str(find_beside(file, "motion")) in commands["motion_controller"], spelling
         assert f"scene:={file}" in commands["emulator"], spelling

@@ -1,5 +1,6 @@
 """`arm_emulator.testing.network`: acknowledged targets, the bag of a failure, equal bits."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,14 @@ from rclpy.context import Context
 from arm_emulator import Refusal, testing
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.network_under_test import NetworkUnderTest
 from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotionStatus
 
 LONGEST = 30.0  # s, wall, for nodes of one process to find each other
 TARGET = 0.43, 0.05, 0.64
+ANGLES = {"waist": 0.1, "shoulder": 0.6, "elbow": 0.9}
 
 
 def test_a_failure_leaves_a_bag_that_is_driven_again_to_equal_bits(
@@ -61,6 +64,25 @@ def test_one_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture
     scene = note.rpartition(" --scene ")[2]
     assert check_bag(bag, scene=scene) == 0
     assert "equal to the last bit" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda net: net.power(False),
+        lambda net: net.go_on(),
+        lambda net: net.wait_until(0.0),
+        lambda net: net.state_of(net.send_joint_target(ANGLES, 0.3, at=0.1)) == "accepted",
+        lambda net: net.state_of(net.send_joint_target(ANGLES, 0.3)) == "accepted",
+        lambda net: net.state_of(net.send_tool_target(TARGET)) == "accepted",
+    ],
+)
+def test_the_first_call_waits_until_it_can_be_served(
+    call: Callable[[NetworkUnderTest], bool | None], tmp_path: Path
+) -> None:
+    """Nodes start meanwhile: services refuse, and there is no robot description."""
+    with testing.network(start="paused", log=tmp_path) as net:
+        assert call(net) is not False
 
 
 def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:

@@ -10,7 +10,7 @@ from draws import some
 from in_process import InProcess, in_process
 
 from arm_emulator.base.bound import COMMAND
-from arm_emulator.ros.doubles import STARTED
+from arm_emulator.ros.doubles import started
 from arm_emulator_msgs.msg import MotorCommand
 
 JOINTS = ["waist", "shoulder", "elbow"]
@@ -29,14 +29,14 @@ def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
         numbers[draw.randrange(3)] = bad[spoil]
     ticks = {"stale": answered - 1, "same": answered, "future": newest + 10**6}
     tick = ticks.get(spoil, draw.randint(answered + 1, newest))
-    other = STARTED + 1 if spoil == "machine" else draw.choice([0, STARTED])
+    other = started() + 1 if spoil == "machine" else draw.choice([0, started()])
     names = draw.sample(JOINTS, 3) if draw.random() < 0.1 else JOINTS
     return MotorCommand(joint_names=names, command=numbers, tick=tick, machine=other)
 
 
 def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
     within = all(abs(one) <= COMMAND.most for one in command.command)  # false of a NaN
-    return within and answered <= command.tick <= newest and command.machine in (0, STARTED)
+    return within and answered <= command.tick <= newest and command.machine in (0, started())
 
 
 @pytest.mark.parametrize("seed", some(range(8), 2))
@@ -65,6 +65,6 @@ def test_only_commands_that_are_due_are_held(seed: int) -> None:
                 assert session.held[0].tolist() == held
                 assert session.answered_tick == answered
                 assert done[0] == in_c
-                elsewhere = command.machine not in (0, STARTED)
+                elsewhere = command.machine not in (0, started())
                 assert one.refused("emulator") == refused + (not elsewhere)
     assert taken_in_c > 2, "C takes those in the form of the ones before"

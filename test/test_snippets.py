@@ -62,6 +62,7 @@ OTHERS = {
         (".", "c++", "cat", "cc", "cd", "cp", "echo", "eval", "export", "git", "grep", "ulimit"),
         "shell",
     ),
+    "launch_test": "of ROS; test/peers/test_launch_testing.py",
     "pytest": "a test of its own",
     "rerun": "opens a window",
     "ros2": "no wheel has it; types of messages are checked",

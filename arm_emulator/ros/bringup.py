@@ -19,15 +19,22 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.ros.ctrl_c import END_SIGNALS
 from arm_emulator.ros.end_with_parent import parent_environment
+from arm_emulator.ros.node_forks import ForkedNode, forks, python_path
 
-NODES = ("emulator", "servo", "motion_controller")
+# Module and kind of configuration file of each node.
+MODULES = {
+    "emulator": ("emulator_node.node", None),
+    "servo": ("servo_node.node", "servo"),
+    "motion_controller": ("motion_controller_node.node", "motion"),
+}
+NODES = tuple(MODULES)
 STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
 
 
 @dataclass
 class _NodeProcess:
     name: str
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] | ForkedNode
 
 
 class Bringup:
@@ -44,6 +51,8 @@ class Bringup:
         namespace: of all nodes and topics, such as "/cell1".
         use_sim_time: whether the nodes' own clocks follow the emulator's.
         params_file: a ROS parameter file for all nodes; it overrides all of the above.
+        forked: fork the nodes from a process that has imported them, see `node_forks`: networks
+            after the first one of this process start without imports.
 
     Raises:
         Refusal: a configuration file is missing, or a namespace that is not valid.
@@ -61,31 +70,33 @@ class Bringup:
         namespace: str = "",
         use_sim_time: bool = False,
         params_file: Path | None = None,
+        forked: bool = False,
     ) -> None:
         file = find_scene(scene)
         self.log = log
         self._running: list[_NodeProcess] = []
-        self._commands: dict[str, list[str]] = {}
+        forked &= hasattr(os, "pidfd_open")  # Linux
+        self._forks = forks([module for module, _ in MODULES.values()]) if forked else None
+        self._words: dict[str, list[str]] = {}
         emulator_parameters = {"scene": file, "clock": clock, "start": start, **(emulator or {})}
-        every: dict[str, tuple[str, str | None, dict[str, object]]] = {
-            "emulator": ("emulator_node.node", None, emulator_parameters),
-            "servo": ("servo_node.node", "servo", {"clock": clock}),
-            "motion_controller": ("motion_controller_node.node", "motion", {}),
+        parameters: dict[str, dict[str, object]] = {
+            "emulator": emulator_parameters,
+            "servo": {"clock": clock},
+            "motion_controller": {},
         }
         common = _common_arguments(namespace, use_sim_time, params_file)
         for name in only:
-            module, kind, parameters = every[name]
-            command = [sys.executable, "-P", "-m", module, "--ros-args"]
+            _, kind = MODULES[name]
+            words = ["--ros-args"]
             if kind is not None:
-                command += ["--params-file", str(find_beside(file, kind))]
-            for key, value in parameters.items():
-                command += ["-p", f"{key}:={value}"]
-            command += common
-            self._commands[name] = command
+                words += ["--params-file", str(find_beside(file, kind))]
+            for key, value in parameters[name].items():
+                words += ["-p", f"{key}:={value}"]
+            self._words[name] = words + common
 
     def __enter__(self) -> Bringup:
         try:
-            for name in self._commands:
+            for name in self._words:
                 self.start(name)
         except BaseException:
             self.stop()
@@ -101,20 +112,26 @@ class Bringup:
         if self.log is not None:
             self.log.mkdir(parents=True, exist_ok=True)
             log = (self.log / f"{name}.log").open("wb")
-        process = subprocess.Popen(
-            self._commands[name],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT if log is not None else None,
-            process_group=0,  # takes no signals from the terminal: `stop` passes them on
-            preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
-            env={**os.environ, **parent_environment(), **_python_path()},
-        )
+        module, words = MODULES[name][0], self._words[name]
+        process: subprocess.Popen[bytes] | ForkedNode
+        if self._forks is not None:
+            output = None if log is None else log.fileno()
+            process = self._forks.start(module, words, {**os.environ, **python_path()}, output)
+        else:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module, *words],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT if log is not None else None,
+                process_group=0,  # takes no signals from the terminal: `stop` passes them on
+                preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
+                env={**os.environ, **parent_environment(), **python_path()},
+            )
         if log is not None:
             log.close()
         self._running.append(_NodeProcess(name, process))
 
-    def process(self, name: str) -> subprocess.Popen[bytes]:
+    def process(self, name: str) -> subprocess.Popen[bytes] | ForkedNode:
         """Return the process of a running node."""
         return next(one.process for one in reversed(self._running) if one.name == name)
 
@@ -141,7 +158,7 @@ class Bringup:
             with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
                 for one in alive:
                     one.process.wait(max(0.0, deadline - time.monotonic()))
-        return {one.name: one.process.returncode for one in self._running}
+        return {one.name: one.process.wait() for one in self._running}
 
 
 def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | None) -> list[str]:
@@ -160,12 +177,6 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
         read_yaml(params_file)  # invalid YAML is refused here, not by each node
         arguments += ["--params-file", str(params_file.resolve())]
     return arguments
-
-
-def _python_path() -> dict[str, str]:
-    """Return the module path of the nodes: that of this process without its working folder."""
-    folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
-    return {"PYTHONPATH": os.pathsep.join([*folders, str(Path(__file__).resolve().parents[2])])}
 
 
 def _hold_signals_back() -> None:

@@ -10,6 +10,7 @@ import os
 import socket
 import time
 from dataclasses import dataclass
+from functools import cache
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
@@ -18,11 +19,21 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from arm_emulator.ros.node_shell import Diagnostics, StartAnew, wall_timer
 
-STARTED = time.time_ns()  # wall time [ns] at which this process was started, which identifies it
 LISTEN = 0.5  # s, wall: for the middleware to find running nodes
 IDENTIFY = 4.0  # s, wall: for a discovered node to identify itself
 SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
 LOOK_PERIOD = 0.25  # s, wall
+
+
+def started() -> int:
+    """Return the wall time [ns] of this process's start, which identifies it."""
+    return _started(os.getpid())
+
+
+@cache
+def _started(process: int) -> int:
+    """Return the time of the first call in a process: one that was forked has a time of its own."""
+    return time.time_ns()
 
 
 @dataclass
@@ -53,12 +64,13 @@ class Doubles:
         self._known: dict[int, _Double] = {}  # by start time
         self._made_at = time.monotonic()  # the middleware has looked for others since then
         self._leads = self._works = False
+        self._started = started()
         self._mine = {
             "kind": kind,
             "topic": self._topic,
             "host": socket.gethostname(),
             "process": os.getpid(),
-            "started [ns]": STARTED,
+            "started [ns]": self._started,
         }
         late = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, late)
@@ -114,8 +126,8 @@ class Doubles:
 
     def _first(self) -> _Double | None:
         """Return the one that was started first, None if that is this node."""
-        started = min(self._known, default=STARTED)
-        return self._known[started] if started < STARTED else None
+        first = min(self._known, default=self._started)
+        return self._known[first] if first < self._started else None
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -123,7 +135,7 @@ class Doubles:
             if values.get("kind") != self._kind or values.get("topic") != self._topic:
                 continue
             started = values.get("started [ns]", "")
-            if not started.isdecimal() or int(started) == STARTED:
+            if not started.isdecimal() or int(started) == self._started:
                 continue
             words = (
                 f"node /{status.name} on host {values.get('host', 'unknown')}, "
@@ -139,9 +151,9 @@ class Doubles:
     def _name(self, started: int, words: str) -> None:
         if not self._works:
             return
-        if self._leads and started < STARTED:
+        if self._leads and started < self._started:
             raise StartAnew
-        order = "before" if started < STARTED else "after"
+        order = "before" if started < self._started else "after"
         self._node.get_logger().warning(
             f"another {self._kind} is on {self._topic}, started {order} this one: {words}; "
             f"{self._consequence}"

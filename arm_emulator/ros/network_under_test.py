@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.context import Context
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -20,6 +22,7 @@ from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     EVENT_QOS,
     NANOSECONDS,
+    NO_DESCRIPTION,
     STATE_PUB_QOS,
     nanoseconds_of,
     stamp,
@@ -29,6 +32,7 @@ from arm_emulator_msgs.srv import SetVaried
 
 PATIENCE = 120.0  # s, wall: for what takes below a second on an idle machine
 AHEAD = 0.25  # s, logical: a target arrives before it holds
+HEALTH_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 UNDER_WAY = ("accepted", "moving")
 
 
@@ -44,16 +48,19 @@ class NetworkUnderTest:
 
     Args:
         ended: names a node that has ended; None while all run.
+        ours: names of the nodes that are not the user's own.
     """
 
-    def __init__(self, context: Context, ended: Callable[[], object]) -> None:
-        self._ended = ended
+    def __init__(self, context: Context, ended: Callable[[], object], ours: Sequence[str]) -> None:
+        self._ended, self._ours = ended, ours
+        self._health: dict[str, DiagnosticStatus] = {}
         self._guest = guest = NetworkGuest("test", "", context)
         self.statuses: list[MotionStatus] = []
         self._known: list[tuple[int, int]] = []  # kind and time [ns] of each target sent
         guest.listen("emulator/joint_states", JointState, STATE_PUB_QOS)
         guest.listen("emulator/status", EmulatorStatus, STATE_PUB_QOS)
         guest.create_subscription(MotionStatus, "motion/status", self.statuses.append, EVENT_QOS)
+        guest.create_subscription(DiagnosticArray, "diagnostics", self._on_health, HEALTH_QOS)
         create = guest.create_publisher
         self._tool_targets = create(PoseStamped, "tool_target", COMMAND_QOS)
         self._trajectories = create(JointTrajectory, "joint_trajectory", COMMAND_QOS)
@@ -185,6 +192,8 @@ class NetworkUnderTest:
             f"listeners to {publisher.topic_name}",
             lambda: self._guest.is_heard(publisher, "motion/status"),
         )
+        # Until then trajectories are refused.
+        self._wait("a motion controller that knows the arm", self._knows_arm)
         number = len(self._known)
         # The nanoseconds distinguish targets of one time.
         time_ns = round((self.time + AHEAD if at is None else at) * NANOSECONDS) + number
@@ -193,6 +202,15 @@ class NetworkUnderTest:
         publisher.publish(message)
         self._wait(f"an answer to target {number}", lambda: self.state_of(number) != "")
         return number
+
+    def _on_health(self, array: DiagnosticArray) -> None:
+        self._health |= {status.name: status for status in array.status}
+
+    def _knows_arm(self) -> bool:
+        health = self._health.get("motion_controller")
+        return "motion_controller" not in self._ours or (
+            health is not None and health.message not in ("starting", NO_DESCRIPTION)
+        )
 
     def _switch(self, service: str, on: bool) -> None:
         self._call(SetBool, service, SetBool.Request(data=on))

@@ -52,6 +52,8 @@ EVENT_QOS = QoSProfile(depth=KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A late subscriber learns at once which nodes run.
 DIAGNOSTICS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+NO_DESCRIPTION = "waiting for robot_description"  # diagnostics of a node that needs it first
+
 NANOSECONDS = 1_000_000_000
 ENDING = 5.0  # s, wall: time for the middleware to end
 
