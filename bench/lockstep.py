@@ -39,22 +39,31 @@ HOW = {
 }
 HERE = Path(__file__).resolve().parent
 EXAMPLE = HERE.parent / "examples" / "my_servo.py"
-RUNS = (
-    ("three_axis", "three_axis", NODES),
-    ("ur5", "ur5", NODES),
-    ("three_axis, examples/my_servo.py", "three_axis", ("emulator", "motion_controller")),
+# The example with the executor of docs/tutorials/your_servo.md.
+LEAN = f"""
+import rclpy, runpy
+from arm_emulator.ros.lean_executor import LeanExecutor
+rclpy.spin = lambda node: LeanExecutor(node).spin()
+runpy.run_path({str(EXAMPLE)!r})
+"""
+OTHERS = ("emulator", "motion_controller")
+RUNS: tuple[tuple[str, str, tuple[str, ...], list[str]], ...] = (
+    ("three_axis", "three_axis", NODES, []),
+    ("ur5", "ur5", NODES, []),
+    ("three_axis, examples/my_servo.py", "three_axis", OTHERS, [str(EXAMPLE)]),
+    ("the same with the executor of our nodes", "three_axis", OTHERS, ["-c", LEAN]),
 )
 
 
 def main() -> None:
     """Measure in turns and print two tables."""
     rounds: dict[str, list[float]] = {how: [] for how in HOW}
-    runs: dict[str, list[dict[str, float]]] = {name: [] for name, _, _ in RUNS}
+    runs: dict[str, list[dict[str, float]]] = {name: [] for name, *_ in RUNS}
     for _ in range(TURNS):
         for how, took in rounds.items():
             took.append(_round(how))
-        for name, scene, only in RUNS:
-            runs[name].append(_run(scene, only))
+        for name, scene, only, servo in RUNS:
+            runs[name].append(_run(scene, only, servo))
     print("| a round | us, median of each turn |\n|---|---|")
     for how, words in HOW.items():
         print(f"| {words} | {_all(rounds[how])} |")
@@ -81,14 +90,20 @@ def _round(how: str) -> float:
     return float(done.stdout.split()[-1])
 
 
-def _run(scene: str, only: tuple[str, ...]) -> dict[str, float]:
-    """Return factor and time of a tick, and the processor time of each process in it [us]."""
+def _run(scene: str, only: tuple[str, ...], servo: list[str]) -> dict[str, float]:
+    """Return factor and time of a tick, and the processor time of each process in it [us].
+
+    Args:
+        scene: by its name.
+        only: our nodes.
+        servo: words for Python that run a user's one; none: it is ours.
+    """
     with (
         own_domain(),
         Bringup(scene, start="first_answer", log=Path("out/bench/log"), only=only) as network,
         listener() as ticks,
     ):
-        users = {} if "servo" in only else {"servo": subprocess.Popen([sys.executable, EXAMPLE])}
+        users = {"servo": subprocess.Popen([sys.executable, *servo])} if servo else {}
         processes = {name: network.process(name) for name in only} | users
         try:
             while ticks() < 500:

@@ -16,7 +16,7 @@ from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotionStatus
 
-LONGEST = 30.0  # s, wall, for nodes of one process to find each other
+LONGEST = 120.0  # s, wall, for nodes of one process to find each other
 TARGET = 0.43, 0.05, 0.64
 ANGLES = {"waist": 0.1, "shoulder": 0.6, "elbow": 0.9}
 
