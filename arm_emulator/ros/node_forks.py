@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.ctrl_c import END_SIGNALS, end_at_once
 from arm_emulator.ros.end_with_parent import VARIABLE
 
@@ -110,13 +111,19 @@ class Forks:
             words: its arguments.
             environment: its environment.
             output: file descriptor for its output and errors; None: those of this process.
+
+        Raises:
+            Refusal: the process that imports the modules has ended, with its reason on stderr.
         """
         mine, its = socket.socketpair()
         outputs = (1, 2) if output is None else (output, output)
         request = {"module": module, "words": [*words], "folder": os.getcwd()}
         with its:
             packet = json.dumps({**request, "environment": dict(environment)}).encode()
-            socket.send_fds(self._control, [packet], [its.fileno(), *outputs])
+            try:
+                socket.send_fds(self._control, [packet], [its.fileno(), *outputs])
+            except OSError as error:
+                raise Refusal("nodes", module, "be imported", error) from None
         return ForkedNode(mine)
 
 
