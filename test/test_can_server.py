@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +16,7 @@ from draws import some
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.canopen import load_segment, opened
+from arm_emulator.doors.fieldbus import can_server
 from arm_emulator.doors.fieldbus.can_bus import BusService, PythonCanBus
 from arm_emulator.doors.fieldbus.can_server import LONGEST_LINE, MOST_CLIENTS, CanServer
 from arm_emulator.doors.fieldbus.canopen_node import Frame
@@ -81,7 +82,6 @@ class Client:
 
 def test_a_member_reaches_nodes_and_other_members(server: CanServer) -> None:
     with Client(server) as one, Client(server) as other:
-        time.sleep(0.1)  # until the other's frames are no longer held
         assert [one.device_type(node) for node in (1, 2, 3)] == [DEVICE_TYPE] * 3
         other.frame(0x603)  # what one asks
         assert len(other.frame(0x583)) == 8, "and what it is answered"
@@ -94,17 +94,35 @@ def test_a_member_reaches_nodes_and_other_members(server: CanServer) -> None:
         assert other.line() == "< echo >"
 
 
-def test_frames_that_come_early_wait_until_the_handshake_is_read(server: CanServer) -> None:
+def test_frames_that_come_early_wait_until_the_handshake_is_read(
+    server: CanServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Clients read the reply to `rawmode` alone; what came with it would be taken for no reply."""
     with Client(server) as one, socket.create_connection(server.address, timeout=20.0) as late:
+
+        def served() -> None:
+            one.send("< echo >")
+            assert one.line() == "< echo >", "the server has done what came before"
+
+        served()
+        monkeypatch.setattr(can_server, "SETTLING", 1e9)  # s: until the test lets them go
         assert late.recv(64) == b"< hi >"
         late.sendall(b"< open arm >")
         assert late.recv(64) == b"< ok >"
         late.sendall(b"< rawmode >")
+        assert late.recv(64, socket.MSG_PEEK) == b"< ok >"
+        served()
         one.send("< send 123 1 5 >")
-        time.sleep(0.02)
-        assert late.recv(64) == b"< ok >"
-        assert late.recv(64).startswith(b"< frame 123 ")
+        served()
+        assert late.recv(64) == b"< ok >", "and no frame"
+        for member in server._members.values():
+            member.settled = 0.0
+        one.send("< send 124 0 >")
+        served()
+        words = b""
+        while words.count(b">") < 2:
+            words += late.recv(64)
+        assert re.fullmatch(rb"< frame 123 \S+ 05 >< frame 124 \S+  ?>", words), words
 
 
 def test_it_listens_on_this_machine_only_unless_asked() -> None:

@@ -8,10 +8,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pytest
@@ -197,7 +197,12 @@ def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
         while True:
             time.sleep(1.0)
 
-    threading.Timer(0.6, signal.raise_signal, [signal.SIGINT]).start()
+    def printing(words: str, file: TextIO) -> None:
+        print(words, file=file)
+        if "has not returned" in words:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(guarded, "print", printing, raising=False)
     with pytest.raises(KeyboardInterrupt):
         guarded.guarded("mine.so", work)
     printed = capfd.readouterr().err

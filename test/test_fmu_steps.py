@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
-from time import sleep
+from time import monotonic, process_time, sleep
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from fmu_client import DISCARD, ERROR, OK, Fmu, Instance
 from own_fmu import MASS, PERIOD, fmu, moved, plant, random_inputs, scene, set_all
 
 from arm_emulator.machine.plant import Plant
+
+PATIENCE = 60.0  # s
 
 __all__ = ["fmu", "plant", "scene"]  # fixtures
 
@@ -120,8 +122,12 @@ def test_a_step_can_be_ended_from_another_thread(fmu: Fmu) -> None:
     one = Instance(fmu)
     one.start()
     with ThreadPoolExecutor(1) as threads:
+        used, until = process_time(), monotonic() + PATIENCE
         step = threads.submit(one.step, 1e9)  # some weeks
-        sleep(0.2)
+        while (
+            process_time() < used + 0.1 and monotonic() < until
+        ):  # s of computing: it is under way
+            sleep(0.01)
         assert one.call("Terminate") == OK, one.printed
         assert step.result(timeout=30.0) == DISCARD, one.printed
     assert 0.0 < one.get("time")[0] < 1e9, "where it ended"

@@ -6,6 +6,7 @@ import csv
 import inspect
 import itertools
 import json
+import math
 import re
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from draws import some
 from test_outputs import everything
@@ -174,7 +176,10 @@ def in_real_time(file: Path) -> tuple[Plant, Callable[[], None]]:
 
     def go() -> None:
         session.paused = False
-        time.sleep(0.2)
+        end = time.monotonic() + PATIENCE
+        while session.plant.t < 0.1:
+            assert time.monotonic() < end
+            time.sleep(0.01)
         session.close()
 
     return session.plant, go
@@ -219,13 +224,14 @@ def test_loops_in_c_are_recorded_period_by_period(
 
 
 def await_rows(process: subprocess.Popen[str], folder: Path) -> None:
-    """Wait until the recorder has begun, and then for some rows."""
-    end = time.monotonic() + PATIENCE
-    while not any(folder.iterdir()):
+    """Wait until the recorder has begun, and then for some thousand rows."""
+    end, one, needed = time.monotonic() + PATIENCE, psutil.Process(process.pid), math.inf
+    while (used := one.cpu_times().user) < needed:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end, "rows that the test waits for"
+        if needed == math.inf and any(folder.iterdir()):
+            needed = used + 0.5  # s, of which a row needs less than 1e-4
         time.sleep(0.02)
-    time.sleep(1.0)
 
 
 def wait_until_whole(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:

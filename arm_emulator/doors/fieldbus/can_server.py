@@ -199,7 +199,7 @@ class CanServer:
     def _answer(self, member: _Member, line: bytes) -> None:
         if member.connection.fileno() < 0:
             return
-        if time.monotonic() < member.settled:
+        if member.held or time.monotonic() < member.settled:  # no frame passes those before it
             member.held += line
         else:
             member.unsent += line
