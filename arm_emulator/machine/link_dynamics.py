@@ -25,6 +25,8 @@ ANSWERS = {
     name: Number.within(f"what v, tau or a lead to, {name},", unit, math.inf)
     for name, unit in (("a", "rad/s2 or m/s2"), ("tau", "N m or N"), ("nle", "N m or N"))
 }
+_FLOAT = np.dtype(np.float64)
+_CLOSE = (_FLOAT.itemsize,)  # strides of numbers one beside the other
 
 
 class LinkDynamics:
@@ -39,7 +41,7 @@ class LinkDynamics:
     """
 
     def __init__(self, call: Callable[..., Any], joints: int) -> None:
-        self._call, self._N = call, joints
+        self._call, self._N, self._row = call, joints, (joints,)
 
     def __repr__(self) -> str:
         return f"<LinkDynamics of {self._N} joints>"
@@ -90,6 +92,19 @@ class LinkDynamics:
         return M, nle
 
     def _rows(self, of: str, given: dict[str, ArrayLike]) -> Sequence[Array]:
+        # The control code of one arm hands over rows, each period: those are taken at once.
+        usual: list[Array] = []
+        numbers: list[float] = []
+        for one in given.values():
+            if not isinstance(one, np.ndarray) or one.dtype is not _FLOAT:
+                break
+            if one.shape != self._row or one.strides != _CLOSE:
+                break
+            usual.append(one)
+            numbers += one.tolist()
+        else:
+            if math.hypot(*numbers) <= POSITION.most:  # the narrowest bound
+                return usual
         where = f"LinkDynamics.{of}"
         rows: list[Array] = []
         for quantity, values in given.items():
