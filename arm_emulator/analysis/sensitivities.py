@@ -190,8 +190,6 @@ def sensitivities(
 
 def numbers_of(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
-    if not scene.chain.coupling.plain:
-        return {}
     here = {one.name: one for one in could_vary(_without_sensors(scene).joints, scene.chain, ())}
     return here | {one.name: one for one in scene.varied if one.name == MASS}
 
