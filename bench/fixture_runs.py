@@ -28,7 +28,7 @@ TARGETS = ((0.43, 0.05, 0.64), (0.43, -0.05, 0.64))  # m, at 0.2 s and 0.8 s
 
 
 def main() -> int:
-    """Run, and print a line for each failure and one for all."""
+    """Run, and print a line for each failure and each sequence that is new, and one for all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--busy", type=int, default=8, help="busy processes beside")
@@ -44,6 +44,8 @@ def main() -> int:
             try:
                 with tempfile.TemporaryDirectory() as folder:
                     digest = _one_run(Path(folder), ready)
+                if digest not in digests:
+                    print(f"run {len(took)}: sequence {digest[:16]}", flush=True)
                 digests[digest] = digests.get(digest, 0) + 1
             except AssertionError as error:
                 failures += 1
