@@ -109,13 +109,15 @@ class LeanExecutor:
         beside = getattr(self._hot, "beside", ())
         while time.monotonic() < until and generation == self._generation:
             open_ = arrivals.open()
-            while True:
-                left = until - time.monotonic() if open_ else 0.0
-                entities.wait(left, others, arrivals.guard)
-                if left <= 0.0 or not entities.timers_alone(beside):
-                    break
-                entities.serve_timers()
-            in_c = arrivals.close()
+            try:
+                while True:
+                    left = until - time.monotonic() if open_ else 0.0
+                    entities.wait(left, others, arrivals.guard)
+                    if left <= 0.0 or not entities.timers_alone(beside):
+                        break
+                    entities.serve_timers()
+            finally:  # a signal ends the wait: what C has done so far is recorded, too
+                in_c = arrivals.close()
             message = arrivals.left()
             self._count(in_c, message is not None)
             if message is not None:
