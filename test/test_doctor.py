@@ -115,7 +115,7 @@ def test_shared_memory_of_the_dead_is_counted_and_stays(
         fcntl.flock(alive, fcntl.LOCK_EX)  # as its owner does
         monkeypatch.setattr(doctor, "left_over", lambda: shared_memory.left_over(tmp_path))
         one = found("shared memory")
-        assert one.level == "note" and one.text.startswith("2 segments")
+        assert one.level == "note" and one.text.startswith("2 remains")
         assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import arm_emulator.ros.shared_memory
 from arm_emulator.ros.ros_domain import own_domain
-from arm_emulator.ros.shared_memory import SHARED, clear_left_over
+from arm_emulator.ros.shared_memory import MADE, SHARED, clear_left_over
 
 NODE = """
 import os, rclpy, sys
@@ -64,6 +64,45 @@ def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept(
                 node.wait()
                 assert node.stdout is not None
                 node.stdout.close()
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
+def test_a_port_whose_maker_was_killed_while_it_made_it_hangs_nobody() -> None:
+    """A node that opens it waits for ever: so it goes before a node is made."""
+    with own_domain() as domain:
+        ports = [SHARED / f"fastrtps_port{7400 + 250 * domain + 11 + 2 * k}" for k in range(2)]
+        try:
+            for port in ports:
+                port.write_bytes(bytes(52400))
+                os.utime(port, (1.0, 1.0))
+            assert clear_left_over() >= len(ports)
+            assert not any(port.exists() for port in ports)
+            node = subprocess.Popen([sys.executable, "-c", NODE], stdout=subprocess.PIPE, text=True)
+            owned = segments(node)
+            node.send_signal(signal.SIGKILL)
+            node.wait()
+            assert node.stdout is not None
+            node.stdout.close()
+            if owned:  # else this middleware has no ports there
+                assert ports[0].read_bytes()[: len(MADE)] == MADE, "a whole port begins so"
+        finally:
+            for port in ports:
+                port.unlink(missing_ok=True)
+
+
+def test_ports_that_are_whole_young_or_of_others_are_kept(tmp_path: Path) -> None:
+    port = tmp_path / "fastrtps_port64419"
+    port.write_bytes(bytes(52400))
+    assert clear_left_over(tmp_path) == 0, "its maker may be at it"
+    os.utime(port, (1.0, 1.0))
+    if os.geteuid() == 0:
+        os.chown(port, 65534, 65534)
+        assert clear_left_over(tmp_path) == 0, "it is somebody else's"
+        os.chown(port, 0, 0)
+    assert clear_left_over(tmp_path) == 1 and not port.exists()
+    port.write_bytes(MADE + bytes(52396))
+    os.utime(port, (1.0, 1.0))
+    assert clear_left_over(tmp_path) == 0, "it is whole"
 
 
 def test_young_files_of_other_users_or_other_names_are_kept(tmp_path: Path) -> None:

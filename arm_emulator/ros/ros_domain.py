@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.shared_memory import clear_left_over
 
 # Domains whose ports are not among Linux's ephemeral ports. The upper ones come first: users and
 # their scripts take small numbers, and may join a domain at any time.
@@ -37,6 +38,7 @@ def own_domain(unless_named: bool = False) -> Iterator[int]:
             raise Refusal("environment", "ROS_DOMAIN_ID", rule, named)
         yield int(named)
         return
+    clear_left_over()  # whoever joins a domain opens its ports
     domain, claim = _free_domain()
     mine = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     before = {name: os.environ.get(name) for name in mine}

@@ -167,7 +167,7 @@ def _processes() -> Finding:
 def _shared_memory() -> Finding:
     count = sum(1 for _ in left_over())
     if count:
-        text = f"{count} segments of killed processes in /dev/shm"
+        text = f"{count} remains of killed processes in /dev/shm"
         return Finding("shared memory", "note", text, "the next network removes them")
     return Finding("shared memory", "ok", "nothing left behind")
 
