@@ -147,7 +147,7 @@ class ServedDrives {
         for (auto& of_state : at)
           for (bool& one : of_state) one = true;
       } else {
-        std::apply([this](const auto&... drive) { (put(drive), ...); }, Constants<S>::sheet.drives);
+        std::apply([&](const auto&... drive) { (put(drive), ...); }, Constants<S>::sheet.drives);
       }
     }
 
