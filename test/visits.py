@@ -35,6 +35,7 @@ def random_visits(fresh: Callable[[], TableRun], rng: np.random.Generator, last:
 
 
 def states(one: TableRun, ticks: int) -> list[bytes]:
+    """Go on tick by tick; return the machine's whole state at each."""
     saved = []
     for _ in range(ticks):
         one.advance(1)

@@ -140,15 +140,6 @@ def random_table(rng: np.random.Generator, scene: Scene, ticks: int) -> TargetTa
     return TargetTable(t, start + rng.uniform(-0.1, 0.1, (4, len(start))))
 
 
-def states(one: TableRun, ticks: int) -> list[bytes]:
-    """Go on tick by tick; return the machine's whole state at each."""
-    saved = []
-    for _ in range(ticks):
-        one.advance(1)
-        saved.append(one.session.plant.save())
-    return saved
-
-
 def chip_of(scene: Scene, elf: Path, board: Path = EXAMPLE / "board.yaml") -> Microcontroller:
     return Microcontroller(load_board(board, scene.joint_names), ElfImage(elf), scene)
 

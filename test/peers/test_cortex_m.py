@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cortex_m import EXAMPLE, chip_of, cross, host_cc, random_table, states
+from cortex_m import EXAMPLE, chip_of, cross, host_cc, random_table
+from visits import states
 
 from arm_emulator import Breakpoint, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene

@@ -17,11 +17,11 @@ from cortex_m import (
     host_cc,
     random_table,
     run_firmware,
-    states,
     tiny,
     words_of,
     write_board,
 )
+from visits import states
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.flags import C_FLAGS
