@@ -301,12 +301,15 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
 
 
 INTERRUPTED = """
-import os, signal
+import atexit, os, signal
+from arm_emulator.ros import node_shell
 from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.node_shell import run_node
 
 def ctrl_c():
     os.kill(os.getpid(), signal.SIGINT)
+
+def interrupted():
+    {first}
 
 class Interrupted(ManagedNode):
     def __init__(self):
@@ -318,13 +321,20 @@ class Interrupted(ManagedNode):
         ctrl_c()
         print("closed")
 
-run_node(Interrupted)
+node_shell.end_with_parent = interrupted
+atexit.register(ctrl_c)
+node_shell.run_node(Interrupted)
 """
 
 
-@pytest.mark.parametrize(("set_up", "words"), [("ctrl_c()", ""), ("pass", "closed\n")])
-def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: str) -> None:
-    command = [sys.executable, "-c", INTERRUPTED.format(set_up=set_up)]
+@pytest.mark.parametrize(
+    ("first", "set_up", "words"),
+    [("ctrl_c()", "pass", ""), ("pass", "ctrl_c()", ""), ("pass", "pass", "closed\n")],
+)
+def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(
+    first: str, set_up: str, words: str
+) -> None:
+    command = [sys.executable, "-c", INTERRUPTED.format(first=first, set_up=set_up)]
     with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert (done.stdout, done.stderr) == (words, ""), "what it states"

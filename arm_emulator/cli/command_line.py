@@ -38,9 +38,9 @@ def main() -> None:
     end_at_once(code)
     if one is None:
         sys.exit(_printed(partial(_without_command, words), as_json))
-    with CtrlC(code) as ctrl_c:
+    with CtrlC(code):
         sys.exit(_printed(partial(_run, one, words[1:]), as_json))
-    sys.exit(exit_code(ctrl_c.signal, code))
+    sys.exit(exit_code(CtrlC.signal, code))
 
 
 def _printed(work: Callable[[], int], as_json: bool) -> int:

@@ -42,45 +42,54 @@ def end_at_once(code: int | None) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, END_SIGNALS)
 
 
+def heed_no_more() -> None:
+    """Ignore signals: all is done, and Python would let them kill it while it ends."""
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def exit_code(number: int, code: int | None) -> int:
     """Return `code`, or 128 + the signal's number in the place of None."""
     return 128 + number if code is None else code
 
 
 class CtrlC:
-    """Lets Ctrl-C and SIGTERM interrupt code before `leave_to_rclpy`, and none after it.
+    """Lets Ctrl-C and SIGTERM interrupt a `with` block until `leave_to_rclpy`, and nothing else.
 
     rclpy shuts its context down on a signal and passes it on to Python, which raises
     KeyboardInterrupt wherever it is by then: on a busy machine even during the shutdown.
     Create it before ``rclpy.init``, in the main thread.
 
-    A `with` block ends on a signal, with KeyboardInterrupt or the exception that a library makes
-    of it.
+    The block ends on a signal, with KeyboardInterrupt or the exception that a library makes of it.
+    A signal before the block ends the process at once; one after it is only noted.
 
     Args:
-        code: the exit code of a signal in the midst of an import, see `end_at_once`.
+        code: the exit code of a signal before the block, or in the midst of an import, see
+            `end_at_once`.
 
     Attributes:
         signal: number of the first signal, 0 before any.
     """
 
     signal: ClassVar[int] = 0
+    _breaks_off: ClassVar[bool] = False
     _whole: ClassVar[bool] = False  # in a block that a signal interrupts at its end
     _came: ClassVar[bool] = False  # a signal in it
 
     def __init__(self, code: int | None = 0) -> None:
         self._code = code
-        self._breaks_off = True
         for number in END_SIGNALS:
             signal.signal(number, self._on_signal)
 
-    def leave_to_rclpy(self) -> None:
+    @classmethod
+    def leave_to_rclpy(cls) -> None:
         """From now on a signal only shuts down the context."""
-        self._breaks_off = False
+        cls._breaks_off = False
 
-    def break_off_again(self) -> None:
+    @classmethod
+    def break_off_again(cls) -> None:
         """Return to the behaviour before `leave_to_rclpy`."""
-        self._breaks_off = True
+        cls._breaks_off = True
 
     @classmethod
     @contextlib.contextmanager
@@ -99,14 +108,18 @@ class CtrlC:
                 raise KeyboardInterrupt
 
     def __enter__(self) -> CtrlC:
+        if CtrlC.signal:
+            os._exit(exit_code(CtrlC.signal, self._code))
+        CtrlC._breaks_off = True  # Python runs no handler between here and the block
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> bool:
+        CtrlC._breaks_off = False
         return bool(CtrlC.signal) and not isinstance(error, SystemExit)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         CtrlC.signal = CtrlC.signal or number
-        if not self._breaks_off:
+        if not CtrlC._breaks_off:
             return
         if CtrlC._whole:
             CtrlC._came = True

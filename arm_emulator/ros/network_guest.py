@@ -90,7 +90,6 @@ def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
     Raises:
         Refusal: the namespace is invalid.
     """
-    ctrl_c = CtrlC(None)
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
         node = NetworkGuest(name, namespace)
@@ -98,7 +97,6 @@ def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
         rclpy.try_shutdown()
         reason = str(error).splitlines()[0]
         raise Refusal(name, "--namespace", "be a name of ROS", reason) from None
-    del ctrl_c
     try:
         yield node
     finally:

@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
+from arm_emulator.ros.ctrl_c import CtrlC, heed_no_more, until_shut_down
 from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.end_with_parent import end_with_parent
 from arm_emulator.ros.lean_executor import LeanExecutor
@@ -268,5 +268,6 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
             node.destroy_node()
         with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
             rclpy.try_shutdown()
+        heed_no_more()
     if code:
         sys.exit(code)

@@ -44,9 +44,8 @@ def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool
         raise Refusal("replay", "rate", "be > 0 and finite", rate)
     recorded = Bag(bag)
     names = _chosen(recorded, topics)
-    ctrl_c = CtrlC()
     rclpy.init()
-    ctrl_c.leave_to_rclpy()
+    CtrlC.leave_to_rclpy()
     node = rclpy.create_node("replayer", enable_rosout=False, start_parameter_services=False)
     count, started = 0, time.monotonic()
     try:

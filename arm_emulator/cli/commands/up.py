@@ -17,7 +17,6 @@ from arm_emulator.cli.output import output
 from arm_emulator.page.page_address import PageAddress
 from arm_emulator.page.page_token import page_token
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.ctrl_c import CtrlC
 
 
 @command(
@@ -62,7 +61,6 @@ def up(
         if record.exists():
             raise Refusal("up", f"folder {record}", "be new", "one that exists")
         streams["record"] = record.resolve()
-    CtrlC()
     with contextlib.suppress(KeyboardInterrupt):
         if params_file is None:  # which may change the servo's gains
             _check_loops(find_scene(scene))
