@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from geometry_msgs.msg import PoseStamped
 
-from arm_emulator.machine.outputs import reported_by_parts
 from arm_emulator.machine.session import Session
-from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.ros.node_shell import nanoseconds_of
+from arm_emulator.runs.view_of import view_of
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import MotionStatus
 from emulator_node.event_words import words_of
@@ -27,18 +26,9 @@ class View:
 
     def __init__(self, session: Session, file: str, port: int) -> None:
         self._session = session
-        scene, robots = session.scene, example_robot_data()
-        self._shown = [one for one in reported_by_parts(scene) if not one.per_unit]
-        self._stream = RerunStream(
-            scene.urdf,
-            scene.joint_names,
-            q_start=scene.start,
-            tool=scene.tool,
-            package_dirs=[robots.parents[1]] if robots else [],
-            file=file or None,
-            port=port or None,
-            further={one.name: one.unit for one in self._shown},
-        )
+        view = view_of(session.scene)
+        self._further = list(view["further"])
+        self._stream = RerunStream(**view, file=file or None, port=port or None)
 
     @property
     def dropped(self) -> int:
@@ -63,7 +53,7 @@ class View:
             state.current,
             session.measured.applied,
             (session.measured.encoder_counts + 0.5) * session.plant.link_angle_per_count,
-            [getattr(session.measured, one.name) for one in self._shown],
+            [getattr(session.measured, name) for name in self._further],
         )
 
     def target(self, target: PoseStamped) -> None:

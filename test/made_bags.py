@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point, Pose, PoseStamped
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
@@ -19,22 +21,28 @@ from arm_emulator_msgs.msg import MotorCommand, MotorState
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
 
 
-def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -> Path:
-    """A bag of some runs, made without a network, with the machine at 0 V before tick `first`."""
+def synthetic(
+    folder: Path,
+    powers: list[bool],
+    first: int = 0,
+    runs: int = 2,
+    p_WT: Sequence[float] | None = None,
+) -> Path:
+    """A bag of some runs, made without a network, with the machine at 0 V before tick `first`.
+
+    At the start of each run p_WT, if given, is sent as a target of the tool.
+    """
     session = Session(load_scene("three_axis"), "lockstep", "first_answer")
     names = list(session.scene.joint_names)
     rng = np.random.default_rng(7)
     clock = 10**18
     with BagWriter(folder) as writer:
         numbers = {
-            topic: writer.add_topic(
-                Topic(
-                    topic,
-                    f"arm_emulator_msgs/msg/{kind.__name__}",
-                    definition_of(f"arm_emulator_msgs/msg/{kind.__name__}"),
-                )
+            topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
+            for topic, kind in (
+                *((name, f"arm_emulator_msgs/msg/{one.__name__}") for name, one in TYPES.items()),
+                ("/tool_target", "geometry_msgs/msg/PoseStamped"),
             )
-            for topic, kind in TYPES.items()
         }
 
         def send(topic: str, message: Any) -> None:
@@ -60,6 +68,9 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
             session.reset()
             session.powered = True
             report()
+            if p_WT is not None:
+                x, y, z = p_WT
+                send("/tool_target", PoseStamped(pose=Pose(position=Point(x=x, y=y, z=z))))
             for powered in powers:
                 if session.tick >= first:
                     voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -25,6 +26,7 @@ from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, Mo
 TYPES: dict[str, tuple[Any, str]] = {
     "motor_commands": (MotorCommand, "arm_emulator_msgs/msg/MotorCommand"),
     "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
+    "tool_target": (PoseStamped, "geometry_msgs/msg/PoseStamped"),
     "joint_targets": (JointState, "sensor_msgs/msg/JointState"),
     "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
     "emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),

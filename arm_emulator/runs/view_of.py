@@ -1,4 +1,4 @@
-"""Data of a scene for showing rows of its machine in Rerun."""
+"""Data of a scene for showing its machine in Rerun."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from arm_emulator.machine.urdf_file import example_robot_data
 
 
 def view_of(scene: Scene) -> dict[str, Any]:
-    """Return what `RerunRows` gets of a scene as its view."""
+    """Return what `RerunStream` gets of a scene."""
     robots = example_robot_data()
     shown = [one for one in reported_by_parts(scene) if not one.per_unit]
     of_joints = shaft_limits(scene.urdf, scene.joint_names)

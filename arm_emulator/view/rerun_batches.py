@@ -120,7 +120,7 @@ class RerunBatches:
                 pass
         self._start_over()
 
-    def blueprint(self, q_start: ArrayLike | None) -> rrb.Blueprint:
+    def blueprint(self, q_start: ArrayLike | None, targets: bool) -> rrb.Blueprint:
         """Return the layout of the viewer, with its eyes set for the pose q_start (N,)."""
         q = np.zeros((1, len(self._names)))
         q[0] = 0.0 if q_start is None else q_start
@@ -128,9 +128,8 @@ class RerunBatches:
         q = self._shafts.of_joints(q)
         links = [ToolPosition(self._tree, self._shafts.joints, name)(q)[0] for name in names]
         tool = None if self._tool is None else self._tool(q)[0]
-        return blueprint(
-            self._tree.name, names[0], np.array(links), tool, self._further, self._limited
-        )
+        known = self._tree.name, names[0], np.array(links), tool, self._further, self._limited
+        return blueprint(*known, targets=targets)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
         """Send the static data: geometry, names and colours of the curves."""

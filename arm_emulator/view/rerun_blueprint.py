@@ -47,6 +47,8 @@ def blueprint(
     tool: NDArray[np.float64] | None,
     further: Mapping[str, str],
     limited: Sequence[str] = (),
+    *,
+    targets: bool = True,
 ) -> rrb.Blueprint:
     """Lay out the arm at the left and its signals over time at the right.
 
@@ -54,10 +56,10 @@ def blueprint(
         robot: the URDF's name, under which its geometry stands.
         root: the URDF's root link, the frame of the 3D views.
         links: origins of all links at the start (L, 3) [m]; the eye is set so that they are seen.
-        tool: origin of the tool at the start (3,) [m]; if given, its path, its target and the
-            deviation between them are shown too.
+        tool: origin of the tool at the start (3,) [m]; if given, its path is shown too.
         further: quantities beside the usual ones, with their units.
         limited: those that are shown with their limits once more, which take much of a plot's room.
+        targets: whether the tool's target, and the deviation from it, are shown beside its path.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -117,8 +119,8 @@ def blueprint(
             line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
             overrides={TOOL_PATH: behind},
         )
-        deviation = plot("Target minus tool [m]", DEVIATION)
-        left = rrb.Vertical(arm, rrb.Horizontal(close, deviation), row_shares=[2, 1])
+        deviation = [plot("Target minus tool [m]", DEVIATION)] if targets else []
+        left = rrb.Vertical(arm, rrb.Horizontal(close, *deviation), row_shares=[2, 1])
     return rrb.Blueprint(
         rrb.Horizontal(
             left,

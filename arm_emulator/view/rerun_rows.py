@@ -39,7 +39,7 @@ class RerunRows:
         view: Mapping[str, Any],
     ) -> None:
         place = {"port": int(where)} if where.isdecimal() else {"file": where}
-        self._stream = RerunStream(**view, **place)
+        self._stream = RerunStream(**view, **place, targets=False)
         self._angle_per_count = angle_per_count
         self._columns: dict[str, list[Column]] = {}
         for one in columns:

@@ -76,6 +76,8 @@ class RerunStream:
         server_memory: memory of the server for viewers that connect late.
         further: quantities that are offered beside the usual ones, with their units.
         limits: of quantities, see `RerunBatches`.
+        targets: whether targets of the tool may come, see `offer_target`: the layout has a plot for
+            them.
 
     Raises:
         Refusal: rerun-sdk is missing, the port is taken, the file cannot be written, a number is
@@ -98,6 +100,7 @@ class RerunStream:
         server_memory: str = "512MiB",
         further: Mapping[str, str] = MappingProxyType({}),
         limits: Mapping[str, Array] = MappingProxyType({}),
+        targets: bool = True,
     ) -> None:
         self.url: str | None = None
         self.trouble: str | None = None
@@ -134,7 +137,7 @@ class RerunStream:
             server = rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=server_memory)
             sinks.append(server)
             self.url = server.uri
-        recording.set_sinks(*sinks, default_blueprint=self._batches.blueprint(q_start))
+        recording.set_sinks(*sinks, default_blueprint=self._batches.blueprint(q_start, targets))
         self._batches.send_static(recording)
 
         self._stop = threading.Event()

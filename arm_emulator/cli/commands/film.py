@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -9,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.bags.explained_recording import write_explained
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.recorded_view import write_view
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
@@ -19,7 +20,6 @@ from arm_emulator.cli.options import RunNumber, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag
-from arm_emulator.runs.recording import Recording
 from arm_emulator.view.film import RECORDING, check_film, write_film
 
 SPEED = Number("--speed", "", above=0.0, at_most=1e3)
@@ -76,17 +76,15 @@ def film(
     every = max(1, int(ticks))
     if file.suffix == RECORDING:
         machine.advance(round(begin / period))
-        samples = write_explained(machine, file, round(until / period), every)
+        ends = round(until / period)
+        samples = write_view(topics, machine, file, ends, every, explained=True)
         output.line(f"{file}: {samples} samples, {until - begin:g} s of logical time")
         output.facts({"file": file, "pictures": 0, "begin": begin, "end": until})
         return 0
     with tempfile.TemporaryDirectory() as folder:
         rrd = Path(folder) / "run.rrd"
-        with Recording(machine.session.plant, rrd) as taken:
-            taken.take()
-            while machine.tick < machine.last and machine.tick * period < until + step:
-                machine.advance(min(every, machine.last - machine.tick))
-                taken.take()
+        ends = min(machine.last, math.ceil((until + step) / period))
+        write_view(topics, machine, rrd, ends, every, explained=False)
         write_film(rrd, file, moments.tolist(), rate, size)
     output.line(f"{file}: {len(moments)} pictures, {until - begin:g} s of logical time")
     output.facts({"file": file, "pictures": len(moments), "begin": begin, "end": until})

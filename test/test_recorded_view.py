@@ -1,4 +1,4 @@
-"""`film BAG run.rrd`: torques by term over time, limits, and texts where something begins."""
+"""A recorded run in Rerun: torques by term, limits, texts where something begins, targets."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pytest
 from made_bags import synthetic
 from rerun.chunk import RrdReader
 
 from arm_emulator.analysis.torque_terms import TorqueTerms
 from arm_emulator.bags.explanation import acting
 from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.recorded_view import write_view
 from arm_emulator.cli.commands.film import film
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.ros.bag import Bag
 
 LAST, BEGIN, END = 200, 40, 180  # ticks of 1 ms
 SCENE = load_scene("three_axis")
@@ -66,6 +71,38 @@ def test_terms_limits_and_texts_are_those_of_the_run(tmp_path: Path) -> None:
     # A machine that is driven again has the power of the period that ended.
     assert (101, "the drives have no power") in texts, texts
     assert (151, "no longer: the drives have no power") in texts, texts
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_the_tool_is_shown_beside_the_targets_of_its_run(tmp_path: Path, explained: bool) -> None:
+    p_WT, file = (0.3, -0.2, 0.5), tmp_path / "run.rrd"
+    bag = synthetic(tmp_path / "bag", [True] * LAST, runs=2, p_WT=p_WT)
+    machine, topics = RecordedMachine.of(bag, SCENE), RecordedTopics(Bag(bag))
+    write_view(topics, machine, file, END, 1, explained=explained)
+    seen = columns(file)
+    kinematics = Kinematics(SCENE.urdf, SCENE.joint_names, SCENE.tool)
+    q = np.array([
+        [value for _, value in seen[f"/signals/q/{joint}"]] for joint in SCENE.joint_names
+    ]).T  # fmt: skip
+    p = np.array([kinematics.forward(one)[1] for one in q])
+    for axis, target, at in zip("xyz", p_WT, p.T, strict=True):
+        times, got = zip(*seen[f"/signals/tool_deviation/{axis}"], strict=True)
+        # It is published behind the state of tick 0, and the arm is drawn 60 times a second.
+        assert times == tuple(10**6 * -(-number * 1000 // 60) for number in range(1, 11))
+        # Angles of the view are in single precision.
+        np.testing.assert_allclose(got, target - at[np.array(times) // 10**6], atol=1e-6)
+
+
+def test_without_targets_no_room_is_kept_for_them(tmp_path: Path) -> None:
+    plotted = {}
+    for name, p_WT in (("with", (0.3, -0.2, 0.5)), ("without", None)):
+        bag = synthetic(tmp_path / name, [True] * 3, runs=1, p_WT=p_WT)
+        file = tmp_path / f"{name}.rrd"
+        write_view(
+            RecordedTopics(Bag(bag)), RecordedMachine.of(bag, SCENE), file, 3, 1, explained=False
+        )
+        plotted[name] = b"Target minus tool" in file.read_bytes()
+    assert plotted == {"with": True, "without": False}
 
 
 def _escaped(text: str) -> str:
