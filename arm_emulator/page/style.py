@@ -11,6 +11,7 @@ STYLE = """<style>
 table { display: block; overflow-x: auto; white-space: nowrap; font-size: 12px !important; }
 td, th { padding: 3px 5px !important; text-align: right; }
 td:first-child { text-align: left; }
+table.u-legend { white-space: normal; }  /* of a plot, an entry for each joint */
 .mantine-Tabs-list { flex-wrap: wrap; }
 @media (max-width: 36em) {
   div[style*="flex-grow: 1"][style*="height: 100%"] {

@@ -69,6 +69,9 @@ def test_a_phone_shows_the_arm_above_all_controls(shown: RunPage, browser: Any) 
         page.get_by_role("tab", name=tab).tap()
         control.wait_for()
         fits(control)
+        for entry in page.locator(".u-legend .u-series:visible").all():
+            box = entry.bounding_box()
+            assert box["x"] + box["width"] <= PHONE["width"], "names of joints are cut off"
     page.get_by_role("button", name="to end", exact=True).tap()
     shows(page, "tick 100,")
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
