@@ -23,6 +23,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.end_with_parent import VARIABLE
 from arm_emulator.ros.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
@@ -266,6 +267,26 @@ def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> Non
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(launcher.pid, signal.SIGKILL)
                 launcher.stdout.close()
+
+
+NODE = """
+from arm_emulator.ros.end_with_parent import end_with_parent
+
+end_with_parent()
+print("runs")
+"""
+
+
+def test_a_launcher_that_has_ended_is_gone_before_anybody_waits_for_it() -> None:
+    launcher = subprocess.Popen([sys.executable, "-c", ""])
+    os.waitid(os.P_PID, launcher.pid, os.WEXITED | os.WNOWAIT)
+    for number, words in ((launcher.pid, ""), (os.getpid(), "runs\n")):
+        done = subprocess.run(
+            [sys.executable, "-c", NODE], env={**os.environ, VARIABLE: str(number)},
+            capture_output=True, text=True, check=True, timeout=PATIENCE,
+        )  # fmt: skip
+        assert (done.stdout, done.stderr) == (words, "")
+    launcher.wait()
 
 
 def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import ctypes
 import os
 import signal
 import sys
+from pathlib import Path
 
 VARIABLE = "ARM_EMULATOR_PARENT"
 _PR_SET_PDEATHSIG = 1
@@ -32,10 +33,9 @@ def end_with_parent() -> None:
 
 
 def _runs(process: int) -> bool:
+    """Return whether a process runs; one that has ended may still have its number."""
     try:
-        os.kill(process, 0)
-    except ProcessLookupError:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
         return False
-    except PermissionError:
-        pass
-    return True
+    return state not in "ZX"
