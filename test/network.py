@@ -463,7 +463,7 @@ def node(module: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 def kill(user: User, nodes: Bringup, name: str) -> None:
     """Kill a node; what it left unsaid stays unsaid."""
     process = nodes.process(name)
-    process.kill()
+    process.send_signal(signal.SIGKILL)
     process.wait()
     user.forget_listeners(name)
 

@@ -4,15 +4,20 @@ Fast DDS keeps half a MiB in /dev/shm for each participant, beside a file that i
 long as it lives. A process that ends removes both; a killed one cannot, and no other process does.
 Segments without an owner are removed here, as by `fastdds shm clean`. Ports stay: the next process
 reuses them, and others may write to them. But a port whose maker was killed while it made it is
-removed: every process that opens it waits for the maker, for ever and deaf to signals.
+removed: every process that opens it waits for the maker, for ever and deaf to signals. And a port
+whose reader was killed is marked as broken: the next reader makes a new one, and whoever has the
+old one open would write to it for ever. Fast DDS marks it only where the reader was killed while it
+waited for a message or was in the midst of one, not in the microseconds between.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import mmap
 import os
 import re
+import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,10 +28,21 @@ SLOWEST = 10.0  # s that the making of a port may take, which is microseconds of
 MADE = (2).to_bytes(4, "little")  # begins a port, by Boost's managed shared memory
 _LOCK = re.compile(r"(?P<segment>fastrtps_[0-9a-f]{16})_el")
 _PORT = re.compile(r"fastrtps_port[0-9]+")
+_READER = re.compile(r"(?P<port>fastrtps_port(?P<number>[0-9]{1,5}))_el")  # locks an exclusive port
+# Fast DDS's PortNode: number, listeners, patience [ms] of checks, a third of it, cells, waiting.
+_NODE = struct.Struct("<6I")
+_SOUND = 1  # in the byte behind: `is_port_ok`
 
 
 def clear_left_over(shared: Path = SHARED) -> int:
-    """Remove what owners of this user have left who are gone; return of how many."""
+    """Remove what owners of this user have left who are gone; return of how many.
+
+    Ports whose readers are gone are marked.
+    """
+    for lock, port, number in _ports_with_locks(shared):
+        with contextlib.suppress(OSError, ValueError), _held(lock) as old:
+            if old:
+                _mark_as_broken(port, number)
     removed = 0
     for files in left_over(shared):
         with contextlib.suppress(OSError):
@@ -52,6 +68,23 @@ def left_over(shared: Path = SHARED) -> Iterator[list[Path]]:
                 yield [file]
 
 
+def _ports_with_locks(shared: Path) -> Iterator[tuple[Path, Path, int]]:
+    """Yield lock, file and number of each port with a lock; whether it is held is not known."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(shared):
+            if lock := _READER.fullmatch(name):
+                yield shared / name, shared / lock["port"], int(lock["number"])
+
+
+def _mark_as_broken(port: Path, number: int) -> None:
+    with _opened(port, os.O_RDWR) as (opened, _), mmap.mmap(opened, 0) as memory:
+        at = -1
+        while (at := memory.find(struct.pack("<I", number), at + 1, -_NODE.size)) >= 0:
+            _, _, patience, third, *_ = _NODE.unpack_from(memory, at)
+            if patience > 0 and third == patience // 3:
+                memory[at + _NODE.size] &= ~_SOUND
+
+
 def _half_made(port: Path) -> bool:
     with contextlib.suppress(OSError), _opened(port) as (opened, found):
         mine = found.st_uid == os.geteuid()
@@ -61,8 +94,8 @@ def _half_made(port: Path) -> bool:
 
 
 @contextlib.contextmanager
-def _opened(file: Path) -> Iterator[tuple[int, os.stat_result]]:
-    opened = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+def _opened(file: Path, how: int = os.O_RDONLY) -> Iterator[tuple[int, os.stat_result]]:
+    opened = os.open(file, how | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         yield opened, os.fstat(opened)
     finally:
