@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from test_bags import run
 
+from arm_emulator.bags import recorded_topics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
+from arm_emulator.cli.commands.explain import explain
 from arm_emulator.cli.commands.replay import offer
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
@@ -95,6 +98,17 @@ def test_a_topic_that_is_not_in_the_bag_is_refused(tmp_path: Path) -> None:
     code, printed = run("replay", other_topics(tmp_path / "bag"), "--topics", "walk")
     assert code == 2
     assert "--topics must be in the bag, got /walk; valid: /talk" in printed
+
+
+def test_a_bag_whose_scene_is_not_known_is_refused_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = synthetic(tmp_path / "bag", [True] * 2)
+    monkeypatch.setattr(recorded_topics, "config_folder", lambda: tmp_path)
+    rule = f"{bag}: --scene must name the scene with the joints waist, shoulder, elbow, got none"
+    for command in (check_bag, partial(explain, at=0.0)):
+        with pytest.raises(Refusal, match=re.escape(rule)):
+            command(bag)
 
 
 def test_unknown_message_types_are_refused() -> None:

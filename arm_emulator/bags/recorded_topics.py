@@ -133,7 +133,7 @@ class RecordedTopics:
         own = self.bag.path / SCENE
         if own.is_file():
             return str(own)
-        folder = config_folder()
+        where, folder = str(self.bag.path), config_folder()
         for _, array in self.read("diagnostics"):
             for status in array.status:
                 if status.name.split("/")[-1] == "emulator" and status.hardware_id:
@@ -141,7 +141,7 @@ class RecordedTopics:
                     if (folder / f"{name}.yaml").is_file():
                         return str(name)
                     got = f"none, and {name} is not shipped"
-                    raise Refusal("check-bag", "--scene", "name the scene's file", got)
+                    raise Refusal(where, "--scene", "name the scene's file", got)
         _, state = next(self.read("motor_states"))
         fitting = [
             file.stem
@@ -150,7 +150,7 @@ class RecordedTopics:
         ]
         if len(fitting) != 1:
             rule = f"name the scene with the joints {', '.join(state.joint_names)}"
-            raise Refusal("check-bag", "--scene", rule, "none", ", ".join(fitting) or None)
+            raise Refusal(where, "--scene", rule, "none", ", ".join(fitting) or None)
         return fitting[0]
 
     @property

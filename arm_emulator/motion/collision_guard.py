@@ -114,10 +114,8 @@ class CollisionGuard:
             pieces = np.ceil(self._parts(np.diff(q, axis=0)) - 1e-9)
             if (pieces <= 1.0).all():
                 break
-            count = np.clip(pieces, 1, _MOST).astype(np.int64)
-            ends = np.repeat(part[1:], count), np.repeat(part[:-1], count)
-            inside = np.concatenate([np.arange(1, one + 1) / one for one in count])
-            part = np.concatenate([[0.0], ends[1] + inside * (ends[0] - ends[1])])[: 2 * _MOST]
+            finer = (len(part) - 1) * min(int(pieces.max()), _MOST)
+            part = np.linspace(0.0, 1.0, min(finer, 2 * _MOST) + 1)
             q = angles(part)
         return part, q
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import functools
 import math
 
 import numpy as np
@@ -18,6 +19,14 @@ DERIVATIVES = 4  # the curve itself among them
 ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that begins outside
 
 
+@functools.cache
+def _derived(degrees: int) -> tuple[FloatArray, FloatArray]:
+    """Return factors and exponents of powers in their derivatives, (DERIVATIVES, degrees) each."""
+    orders, powers = range(DERIVATIVES), range(degrees)
+    factors = [[float(math.perm(d, order)) for d in powers] for order in orders]
+    return np.array(factors), np.array([[max(0, d - order) for d in powers] for order in orders])
+
+
 class JointCurve:
     """Joint coordinates over s in [0, 1], polynomials piece by piece.
 
@@ -29,14 +38,7 @@ class JointCurve:
     def __init__(self, breaks: FloatArray, coefficients: FloatArray) -> None:
         self.breaks, self.coefficients = breaks, np.ascontiguousarray(coefficients)
         self._breaks: list[float] = breaks[1:-1].tolist()
-        degree = coefficients.shape[1]
-        self._factors = np.array(
-            [[math.perm(d, order) for d in range(degree)] for order in range(DERIVATIVES)],
-            dtype=np.float64,
-        )
-        self._powers = np.array(
-            [[max(0, d - order) for d in range(degree)] for order in range(DERIVATIVES)]
-        )
+        self._factors, self._powers = _derived(coefficients.shape[1])
 
     @classmethod
     def line(cls, start: FloatArray, end: FloatArray) -> JointCurve:
@@ -90,8 +92,8 @@ class JointCurve:
     def derivatives(self, s: FloatArray) -> FloatArray:
         """Return q and its first three derivatives at places (K,), (4, K, N)."""
         piece = np.searchsorted(self._breaks, s, side="right")
-        x = (s - self.breaks[piece])[:, None, None]
-        weights = self._factors * x**self._powers
+        powers = np.vander(s - self.breaks[piece], self._factors.shape[1], increasing=True)
+        weights = self._factors * powers[:, self._powers]
         return np.asarray(np.swapaxes(weights @ self.coefficients[piece], 0, 1))
 
     def moving(self, s: float, d1: float, d2: float, d3: float) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,11 @@ def along_a_line(begin: Pose, end: Pose, parts: FloatArray) -> Poses:
     """Return poses at shares (K,) of a straight way that turns evenly about one axis."""
     p = begin.p_WT + parts[:, None] * (end.p_WT - begin.p_WT)
     turn = pin.log3(end.R_WT @ begin.R_WT.T)
-    return Poses(p, rotations(parts[:, None] * turn) @ begin.R_WT)
+    angle = math.hypot(*turn)
+    axis = pin.skew(turn / angle if angle > 0.0 else turn)
+    once, angles = axis @ begin.R_WT, parts[:, None, None] * angle
+    twice = axis @ once
+    return Poses(p, begin.R_WT + np.sin(angles) * once + 2.0 * np.sin(0.5 * angles) ** 2 * twice)
 
 
 def rotations(vectors: FloatArray) -> FloatArray:

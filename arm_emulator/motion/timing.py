@@ -104,7 +104,7 @@ class Timing:
         at = k[0] + _GAUSS[:, None] * (k[1] + _GAUSS[:, None] * k[2])
         if not (at > 0.0).all():
             raise ArithmeticError("the timing of a way would stand still")
-        spans = _WEIGHTS @ at**-0.5 / self._pieces
+        spans = _WEIGHTS @ (1.0 / np.sqrt(at)) / self._pieces
         self._times = [0.0, *np.cumsum(spans).tolist()]
         self.duration: float = self._times[-1]
         self._polynomials = k.T.tolist()

@@ -62,9 +62,12 @@ def errors(arm: ArmTree, q: FloatArray, wanted: Poses, turns: bool = True) -> Fl
     """Return the tool's distances from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
     p, R = arm.forward(q)
-    off = np.linalg.norm(p - wanted.p, axis=1) / kinematics.reach
+    off: FloatArray = _length(p - wanted.p) / kinematics.reach
     if turns and kinematics.turns_tool:
-        # Of a small rotation the vector is the antisymmetric part; a large one is far off anyway.
-        apart = wanted.R @ np.swapaxes(R, 1, 2)
-        off = off + np.linalg.norm(apart - np.swapaxes(apart, 1, 2), axis=(1, 2)) / np.sqrt(8.0)
-    return np.asarray(off)
+        # |R - 1| is 2 sqrt(2) sin(angle / 2).
+        off += _length((R - wanted.R).reshape(-1, 9)) / np.sqrt(2.0)
+    return off
+
+
+def _length(rows: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))

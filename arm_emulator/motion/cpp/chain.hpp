@@ -98,9 +98,8 @@ struct Frames {
   }
 };
 
-inline void torques(const way_arm& arm, const double* q, const double* v, const double* a,
+inline void torques(const way_arm& arm, const Frames& at, const double* v, const double* a,
                     double* tau) {
-  const Frames at(arm, q);
   Vector omega[MOST_JOINTS], alpha[MOST_JOINTS], acc[MOST_JOINTS], f[MOST_JOINTS], n[MOST_JOINTS];
   for (int i = 0; i < arm.joints; ++i) {
     const int k = arm.parent[i];

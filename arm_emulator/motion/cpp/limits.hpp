@@ -77,22 +77,32 @@ inline Joints joints_at(const way_curve& curve, double ramp, double sigma) {
   return at;
 }
 
-// Torques of the coordinates; q, v, a of them.
-inline void coordinate_torques(const way_arm& arm, const double* q, const double* v,
+// Frames of the links; q of the coordinates.
+inline Frames frames_at(const way_arm& arm, const double* q) {
+  double of[MOST_JOINTS];
+  for (int32_t i = 0; i < arm.joints; ++i) {
+    of[i] = arm.offset[i];
+    for (int32_t j = 0; j < arm.coordinates; ++j)
+      of[i] += arm.coupling[static_cast<int64_t>(i) * arm.coordinates + j] * q[j];
+  }
+  return Frames(arm, of);
+}
+
+// Torques of the coordinates; v, a of them.
+inline void coordinate_torques(const way_arm& arm, const Frames& at, const double* v,
                                const double* a, double* tau) {
   const int32_t n = arm.coordinates;
-  double of[4][MOST_JOINTS];
+  double of[3][MOST_JOINTS];
   for (int32_t i = 0; i < arm.joints; ++i) {
     const double* row = arm.coupling + static_cast<int64_t>(i) * n;
-    of[0][i] = arm.offset[i], of[1][i] = of[2][i] = 0.0;
-    for (int32_t j = 0; j < n; ++j)
-      of[0][i] += row[j] * q[j], of[1][i] += row[j] * v[j], of[2][i] += row[j] * a[j];
+    of[0][i] = of[1][i] = 0.0;
+    for (int32_t j = 0; j < n; ++j) of[0][i] += row[j] * v[j], of[1][i] += row[j] * a[j];
   }
-  torques(arm, of[0], of[1], of[2], of[3]);
+  torques(arm, at, of[0], of[1], of[2]);
   std::fill(tau, tau + n, 0.0);
   for (int32_t i = 0; i < arm.joints; ++i)
     for (int32_t j = 0; j < n; ++j)
-      tau[j] += arm.coupling[static_cast<int64_t>(i) * n + j] * of[3][i];
+      tau[j] += arm.coupling[static_cast<int64_t>(i) * n + j] * of[2][i];
 }
 
 // Rows of one place; `loaded`: with torques.
@@ -127,9 +137,10 @@ inline void rows_at(const way_arm* arm, const way_limits& limits, int32_t n, con
   if (arm) {
     const double still[MOST_JOINTS] = {};
     double weight[MOST_JOINTS], rate[MOST_JOINTS], change[MOST_JOINTS];
-    coordinate_torques(*arm, at.f[0], still, still, weight);
-    coordinate_torques(*arm, at.f[0], at.f[1], at.f[2], rate);
-    coordinate_torques(*arm, at.f[0], still, at.f[1], change);
+    const Frames frames = frames_at(*arm, at.f[0]);
+    coordinate_torques(*arm, frames, still, still, weight);
+    coordinate_torques(*arm, frames, at.f[1], at.f[2], rate);
+    coordinate_torques(*arm, frames, still, at.f[1], change);
     for (int32_t j = 0; j < n; ++j) {
       const double most = limits.torque[j];
       if (most < HUGE_VAL)
@@ -155,7 +166,7 @@ inline bool overloaded(const way_arm& arm, const way_limits& limits, const Joint
   const double rate = std::sqrt(c);
   for (int32_t j = 0; j < arm.coordinates; ++j)
     v[j] = at.f[1][j] * rate, a[j] = at.f[2][j] * c + 0.5 * at.f[1][j] * d;
-  coordinate_torques(arm, at.f[0], v, a, tau);
+  coordinate_torques(arm, frames_at(arm, at.f[0]), v, a, tau);
   for (int32_t j = 0; j < arm.coordinates; ++j)
     if (std::fabs(tau[j]) > limits.torque[j]) return true;
   return false;

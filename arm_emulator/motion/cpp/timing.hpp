@@ -22,7 +22,9 @@ constexpr double INSIDE = 0.8;         // of the fastest constant c: start of th
 constexpr double BEGIN = 3.0;          // sharpness of the first barrier, per row
 constexpr double SHARPER = 20.0;       // from one barrier to the next
 constexpr int MOST_NEWTON_STEPS = 12;  // at a barrier
-constexpr double CENTRED = 0.3;        // Newton decrement at which a barrier is done
+constexpr int SIDE_BY_SIDE = 8;        // rows, whose product needs no logarithm on the way
+constexpr double LONGER = 4.0;         // than the step before a step may be
+constexpr double CENTRED = 1.0;        // Newton decrement at which a barrier is done
 
 struct Timing {
   int32_t intervals, firsts, thirds;
@@ -90,6 +92,13 @@ struct Timing {
       t_c[i] = root * third_c[i], t_d[i] = root * third_d[i], t_e[i] = root * third_e[i];
   }
 
+  // Take the logarithm of a product that has grown or shrunk far.
+  static void drain(double* product, double* sum) {
+    if (*product > 1e-100 && *product < 1e100) return;
+    *sum -= std::log(std::max(*product, 1e-300));
+    *product = 1.0;
+  }
+
   // Barrier function at y, sharp t; infinite outside. `u` has the c at which tangents touch.
   double value(const double* y, double t) const {
     double sum = 0.0;
@@ -104,24 +113,30 @@ struct Timing {
         if (!(c > 0.0) || !(c < top[p])) return INFINITY;
         sum += t * SHARE[k] / intervals / std::sqrt(c) - std::log(top[p] - c);
         double product = 1.0, least = 1.0;
-        const int64_t f = p * firsts;
-        for (int i = 0; i < firsts; ++i) {
-          const double r = f_0[f + i] + f_c[f + i] * c + f_d[f + i] * d, slack = 1.0 - r * r;
-          least = std::min(least, slack);
-          product *= slack;
-          if (product < 1e-100) sum -= std::log(std::max(product, 1e-300)), product = 1.0;
+        const double *f0 = f_0 + p * firsts, *fc = f_c + p * firsts, *fd = f_d + p * firsts;
+        for (int32_t i = 0; i < firsts;) {
+          double of_some = 1.0;
+          for (const int32_t end = std::min(firsts, i + SIDE_BY_SIDE); i < end; ++i) {
+            const double r = f0[i] + fc[i] * c + fd[i] * d, slack = 1.0 - r * r;
+            least = std::min(least, slack);
+            of_some *= slack;
+          }
+          product *= of_some;
+          drain(&product, &sum);
         }
         if (!(least > 0.0)) return INFINITY;
         const double root = std::sqrt(u[p]), level = 1.5 / root - 0.5 * c / (u[p] * root);
         if (thirds && !(level > 0.0)) return INFINITY;
-        const int64_t g = p * thirds;
-        for (int i = 0; i < thirds; ++i) {
-          const double r = t_c[g + i] * c + t_d[g + i] * d + t_e[g + i] * e;
-          const double slack = level * level - r * r;
-          least = std::min(least, slack);
-          product *= slack;
-          if (product < 1e-100 || product > 1e100)
-            sum -= std::log(std::max(product, 1e-300)), product = 1.0;
+        const double *tc = t_c + p * thirds, *td = t_d + p * thirds, *te = t_e + p * thirds;
+        for (int32_t i = 0; i < thirds;) {
+          double of_some = 1.0;
+          for (const int32_t end = std::min(thirds, i + SIDE_BY_SIDE); i < end; ++i) {
+            const double r = tc[i] * c + td[i] * d + te[i] * e, slack = level * level - r * r;
+            least = std::min(least, slack);
+            of_some *= slack;
+          }
+          product *= of_some;
+          drain(&product, &sum);
         }
         if (!(least > 0.0)) return INFINITY;
         sum -= std::log(std::max(product, 1e-300));
@@ -226,6 +241,7 @@ struct Timing {
     std::fill(x, x + n, INSIDE);
     const double rows = static_cast<double>(points()) * (1.0 + 2.0 * firsts + 2.0 * thirds);
     for (double t = BEGIN * rows;; t *= SHARPER) {
+      double length = 1.0;
       for (int k = 0; k < MOST_NEWTON_STEPS; ++k) {
         derive(t);
         if (!newton()) break;
@@ -233,7 +249,7 @@ struct Timing {
         for (int i = 0; i < n; ++i) slope += gradient[i] * step[i];
         if (-slope < CENTRED) break;
         const double here = value(x, t);
-        double length = 1.0;
+        length = std::min(1.0, LONGER * length);
         for (; length > 1e-6; length *= 0.5) {
           for (int i = 0; i < n; ++i) trial[i] = x[i] + length * step[i];
           if (value(trial, t) <= here + 0.1 * length * slope) break;

@@ -19,7 +19,7 @@ void way_torques(const way_arm* arm, int32_t count, const double* q, const doubl
                  const double* a, double* tau) {
   const int64_t n = arm->joints;
   for (int64_t k = 0; k < count; ++k)
-    way::torques(*arm, q + k * n, v + k * n, a + k * n, tau + k * n);
+    way::torques(*arm, way::Frames(*arm, q + k * n), v + k * n, a + k * n, tau + k * n);
 }
 
 int32_t way_trace(const way_arm* arm, int32_t rows, int32_t count, const double* p, const double* R,
