@@ -16,11 +16,11 @@ import pytest
 from arm_emulator.cli.commands import doctor
 from arm_emulator.cli.commands.doctor import Finding, findings
 from arm_emulator.cli.output import output
+from arm_emulator.ros.ros_domain import own_domain
 
 
 def found(name: str) -> Finding:
-    [one] = [one for one in findings() if one.name == name]
-    return one
+    return next(one for one in findings() if one.name == name)
 
 
 def test_each_finding_is_a_line_and_a_row_of_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,6 +117,57 @@ def test_shared_memory_of_the_dead_is_counted_and_stays(
         one = found("shared memory")
         assert one.level == "note" and one.text.startswith("2 remains")
         assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"
+
+
+NETWORK = """
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Int64
+rclpy.init()
+nodes = [rclpy.create_node(name, namespace="/cell") for name in ("one", "two")]
+best = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+nodes[0].create_publisher(Clock, "clock", 1)
+nodes[0].create_publisher(Int64, "number", best)
+{more}
+print(flush=True)
+rclpy.spin(nodes[0])
+"""
+TWO_CLOCKS = 'nodes[1].create_publisher(Clock, "clock", 1)'
+DEAF = 'nodes[1].create_subscription(Int64, "number", print, 1)'
+HEARS = 'nodes[1].create_subscription(Int64, "number", print, best)'
+
+
+@pytest.mark.parametrize(
+    ("more", "level", "words"),
+    [
+        (HEARS, "ok", "2 other nodes in the domain"),
+        (TWO_CLOCKS, "problem", "/cell/clock has 2 publishers: /cell/one, /cell/two"),
+        (DEAF, "note", "/cell/number: /cell/two hears nothing of /cell/one: Best effort publisher"),
+        (f"{DEAF}; {TWO_CLOCKS}", "problem", "/cell/two hears nothing of /cell/one"),
+    ],
+)
+def test_clocks_and_qos_of_a_running_network(more: str, level: str, words: str) -> None:
+    with own_domain():
+        command = [sys.executable, "-c", NETWORK.format(more=more)]
+        network = subprocess.Popen(command, stdout=subprocess.PIPE)
+        assert network.stdout is not None
+        try:
+            network.stdout.readline()
+            deadline = time.monotonic() + 60.0  # a busy machine discovers later
+            while words not in (one := found("network")).text or one.level != level:
+                assert time.monotonic() < deadline, one
+        finally:
+            network.kill()
+            network.wait()
+            network.stdout.close()
+
+
+def test_a_middleware_that_was_not_tried_is_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    assert found("ROS 2").level == "note"
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    assert found("ROS 2").level == "ok"
 
 
 def permits_real_time() -> bool:

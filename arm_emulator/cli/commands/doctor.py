@@ -23,6 +23,9 @@ from arm_emulator.version import VERSION
 
 WAKE_UP, WAKE_UPS = 1e-3, 500  # s, and how many are timed
 LEAST_DISK = 1.0  # GB: libraries, a recording
+DISCOVERY = 1.0  # s, wall: for the middleware to find the nodes of the domain
+MOST_FAULTS = 3  # of a network, that are named
+FAST_DDS = ("default middleware", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 NODES = ("emulator_node.node", "servo_node.node", "motion_controller_node.node")
 # Module, its package, and the commands that need it.
 EXTRAS = (
@@ -75,6 +78,8 @@ def findings() -> Iterator[Finding]:
             yield Finding(package, "note", text, f"pip install {package}")
         else:
             yield Finding(package, "ok", "installed")
+    if importlib.util.find_spec("rclpy") is not None:
+        yield _network()
 
 
 def _tried(name: str, look: Callable[[], str]) -> Finding:
@@ -126,7 +131,11 @@ def _ros() -> Finding:
         remedy = "`make setup` in a checkout, or source a workspace: `. install/setup.bash`"
         return Finding("ROS 2", "note", text, remedy)
     middleware = os.environ.get("RMW_IMPLEMENTATION", "default middleware")
-    return Finding("ROS 2", "ok", f"{os.environ.get('ROS_DISTRO', 'from wheels')}, {middleware}")
+    text = f"{os.environ.get('ROS_DISTRO', 'from wheels')}, {middleware}"
+    if middleware not in FAST_DDS:
+        remedy = "unset RMW_IMPLEMENTATION if nodes do not start, or if lock-step is slow"
+        return Finding("ROS 2", "note", f"{text}, with which nothing was tried", remedy)
+    return Finding("ROS 2", "ok", text)
 
 
 def _domain() -> Finding:
@@ -140,6 +149,29 @@ def _domain() -> Finding:
         remedy = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST to stay on this machine"
         return Finding("ROS domain", "note", text, remedy)
     return Finding("ROS domain", "ok", f"{named}, {reach}")
+
+
+def _network() -> Finding:
+    """Look at the nodes of the domain, of any program."""
+    try:
+        from arm_emulator.ros.network_faults import network_faults
+        from arm_emulator.ros.network_guest import guest
+
+        with guest("doctor", "") as node:
+            node.spin_until(lambda: False, DISCOVERY)
+            count = len(set(node.get_node_names_and_namespaces())) - 1
+            faults = sorted(set(network_faults(node)), key=lambda one: (not one.grave, one.text))
+    except Exception as error:  # a middleware that is not there, a domain that is not valid
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        return Finding("network", "problem", f"cannot be joined: {reason}", "see the lines above")
+    nodes = f"{count} other nodes in the domain"
+    if not faults:
+        return Finding("network", "ok", nodes)
+    texts = [one.text for one in faults[:MOST_FAULTS]]
+    if len(faults) > len(texts):
+        texts.append(f"{len(faults) - len(texts)} more")
+    level = "problem" if faults[0].grave else "note"
+    return Finding("network", level, f"{nodes}; {'; '.join(texts)}", faults[0].remedy)
 
 
 def _processes() -> Finding:
