@@ -33,52 +33,20 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
         scene: the scene.
         boundary: the header of the core that has the functions of the library.
     """
-    threads, threads_header = {
-        1: ("OneThread", "schemes/one_thread.hpp"),
-        2: ("TwoThreads", "schemes/two_threads.hpp"),
-    }[scene.threads]
+    kind = "OneThread" if scene.threads == 1 else "TwoThreads"
+    places = _places(scene)
     R_BW = scene.chain.R_BW
     gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
-    places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
-    braked = [joint for joint in scene.joints if joint.brake]
-    closed = {f"joints.{one.name}.brake.closed": f"p[{len(places) + k}]"
-              for k, one in enumerate(braked)}  # fmt: skip
-    places |= closed
-    put_faults(scene.faults, places)
-    bodies = [_link_body(geometry, places) for geometry in scene.chain.links]
-    if (load := scene.load) is not None and "payload.mass" in places:
-        bare, per_kg = _body(load.bare), _body(load.per_kg)
-        bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
-    links = ",\n".join(map(_link, scene.chain.links, bodies))
+    links = ",\n".join(map(_link, scene.chain.links, _bodies(scene, places)))
     axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
     around = _surroundings(scene, places)
-    headers = sorted(
-        {
-            f"parts/{header}"
-            for joint in scene.joints
-            for part in joint.parts
-            for header in part.headers(joint.name, places)
-        }
-    )
-    sensors, read, seed = "", "", places.get("seed") or number(scene.seed)
-    if scene.sensed:
-        kinds = measured_kinds(joint.sensors for joint in scene.joints)
-        headers.append("mechanics/sensors.hpp")
-        read = quantities(kinds)
-        of_joints = {joint.name: joint.sensors for joint in scene.joints}
-        sensors = suite(seed, of_joints, scene.imus, places)
-    if of_lines := lines(seed, scene.joint_names, places):
-        headers.append("parts/line.hpp")
-        sensors += of_lines
-    includes = "".join(f'#include "{header}"\n' for header in headers)
+    read, sensors = _sensors(scene, places)
+    braked = sum(joint.brake is not None for joint in scene.joints)
     parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
     return f"""\
-{includes}#include "parts/device.hpp"
-#include "mechanics/scene.hpp"
-#include "{scene.integrator.method.header()}"
-#include "{threads_header}"
+{_includes(scene, places)}
 
 {read}struct Scene {{
   static constexpr int N = {len(scene.joints)};
@@ -86,7 +54,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
 {_coupling(scene.chain)}\
   using Scheme = {scene.integrator.method.cxx_type()};
   template <class Stepper>
-  using Threads = arm::{threads}<Scene, Stepper>;
+  using Threads = arm::{kind}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
   static constexpr int exchange_depth = {scene.integrator.exchange_depth};
   static constexpr bool energy_flow = {"true" if scene.energy_flow else "false"};
@@ -96,7 +64,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
   static constexpr arm::Real supply_voltage = {number(scene.supply_voltage)};
   static constexpr arm::Vec3<arm::Real> gravity = {vector(gravity)};
 {around}\
-  static constexpr int brakes = {len(braked)};
+  static constexpr int brakes = {braked};
 {_brakes(scene)}\
   static constexpr int parameters = {len(scene.varied)};
   static constexpr arm::Parameter parameter[parameters + 1] = {{
@@ -115,6 +83,63 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
 
 #include "{boundary}"
 """
+
+
+def _places(scene: Scene) -> dict[str, str]:
+    """Return what stands for the numbers that are data of a machine, by name."""
+    places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
+    braked = [joint for joint in scene.joints if joint.brake]
+    closed = {f"joints.{one.name}.brake.closed": f"p[{len(places) + k}]"
+              for k, one in enumerate(braked)}  # fmt: skip
+    places |= closed
+    put_faults(scene.faults, places)
+    return places
+
+
+def _bodies(scene: Scene, places: Mapping[str, str]) -> list[str]:
+    """Return the bodies of the links, the one that carries the payload with it."""
+    bodies = [_link_body(geometry, places) for geometry in scene.chain.links]
+    if (load := scene.load) is not None and "payload.mass" in places:
+        bare, per_kg = _body(load.bare), _body(load.per_kg)
+        bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
+    return bodies
+
+
+def _includes(scene: Scene, places: Mapping[str, str]) -> str:
+    """Return the headers of the parts, of the scheme and of the threads."""
+    headers = sorted(
+        {
+            f"parts/{header}"
+            for joint in scene.joints
+            for part in joint.parts
+            for header in part.headers(joint.name, places)
+        }
+    )
+    if scene.sensed:
+        headers.append("mechanics/sensors.hpp")
+    if _lines(scene, places):
+        headers.append("parts/line.hpp")
+    threads = {1: "one_thread", 2: "two_threads"}[scene.threads]
+    headers += ["parts/device.hpp", "mechanics/scene.hpp", scene.integrator.method.header()]
+    return "\n".join(f'#include "{one}"' for one in (*headers, f"schemes/{threads}.hpp"))
+
+
+def _sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:
+    """Return the quantities that sensors read, and the sensors and lines."""
+    read, sensors = "", ""
+    if scene.sensed:
+        read = quantities(measured_kinds(joint.sensors for joint in scene.joints))
+        of_joints = {joint.name: joint.sensors for joint in scene.joints}
+        sensors = suite(_seed(scene, places), of_joints, scene.imus, places)
+    return read, sensors + _lines(scene, places)
+
+
+def _lines(scene: Scene, places: Mapping[str, str]) -> str:
+    return lines(_seed(scene, places), scene.joint_names, places)
+
+
+def _seed(scene: Scene, places: Mapping[str, str]) -> str:
+    return places.get("seed") or number(scene.seed)
 
 
 def _surroundings(scene: Scene, places: Mapping[str, str]) -> str:
