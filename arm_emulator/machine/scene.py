@@ -218,13 +218,7 @@ def _build(root: Section, file: Path) -> Scene:
         return read_chain(robot, urdf_file.name, where, locked=locked, tool=tool, payload=load)
 
     chain = read(payload_body)
-    bare = tuple(link.body for link in chain.links)
-    if payload_body is not None:
-        # Bodies are linear in the payload: two with one payload, less one with two, have none.
-        twice = (link.body for link in read(payload_body.scaled(2.0)).links)
-        bare = tuple(
-            one.scaled(2.0) + two.scaled(-1.0) for one, two in zip(bare, twice, strict=True)
-        )
+    twice = None if payload_body is None else read(payload_body.scaled(2.0))
     if lock_joints(robot, locked, urdf_file.name) or root.has("couplings"):
         urdf = ET.tostring(robot, encoding="unicode")
     limits = limits_of(robot)
@@ -240,21 +234,13 @@ def _build(root: Section, file: Path) -> Scene:
         raise root.refusal(*unfit)
     cores = _cores(root)
     imus = _imus(root, chain)
-    possible = could_vary(joints, chain, imus)
-    if payload_body is not None:
-        possible.append(Varied(MASS.named("payload.mass"), payload_body.mass))
-    if root.has("seed") or "seed" in root.entries("varied"):
-        seed = replace(numbers_of(Scene)["seed"], whole=False)  # one is as good as another
-        possible.append(Varied(seed, numbers["seed"]))
-    by_name = {one.name: one for one in possible}
-    rule = "name numbers of this scene that can be varied"
-    varied = choose(root.entries("varied"), by_name, where, "varied", rule)
-    faults_by_name: dict[str, SceneFault] = {}
+    mass = None if payload_body is None else payload_body.mass
+    varied = _varied(root, could_vary(joints, chain, imus), mass, numbers["seed"])
+    possible: dict[str, SceneFault] = {}
     if root.has("faults"):
-        mass = None if payload_body is None else payload_body.mass
-        faults_by_name = possible_faults(joints, chain, imus, mass, gravity)
+        possible = possible_faults(joints, chain, imus, mass, gravity)
     rule = "name faults that this scene can have"
-    faults = choose(root.entries("faults"), faults_by_name, where, "faults", rule)
+    faults = choose(root.entries("faults"), possible, where, "faults", rule)
     varied += tuple(one.varied for one in faults)
     changed = {change.number for one in faults for change in one.changes}
     changed |= {one.name for one in varied}
@@ -262,11 +248,7 @@ def _build(root: Section, file: Path) -> Scene:
     if payload is not None and "payload.mass" in changed:
         load = load_of(*(read(read_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
     if load is not None:
-        carrier = f"links.{chain.links[load.link].link}."
-        for number in sorted(changed):
-            if number.startswith(carrier):
-                rule = "not name both payload.mass and numbers of the link that carries it"
-                raise Refusal(where, "varied", rule, number)
+        _check_carrier(chain.links[load.link].link, changed, where)
     external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
     assumed = _links_named(root, "assumed", robot)
     for key in BESIDE:
@@ -281,7 +263,7 @@ def _build(root: Section, file: Path) -> Scene:
         gravity=gravity,
         joints=joints,
         chain=chain,
-        bare=bare,
+        bare=_bare(chain, twice),
         integrator=integrator,
         external_wrench=external_wrench,
         energy_flow=energy_flow,
@@ -289,11 +271,55 @@ def _build(root: Section, file: Path) -> Scene:
         varied=varied,
         load=load,
         faults=faults,
-        possible_faults=tuple(faults_by_name.values()),
+        possible_faults=tuple(possible.values()),
         imus=imus,
         assumed=assumed,
         **numbers,
     )
+
+
+def _bare(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
+    """Return the bodies of the links without the payload.
+
+    Args:
+        chain: with one payload.
+        twice: with two; None: there is none.
+    """
+    if twice is None:
+        return tuple(link.body for link in chain.links)
+    # Bodies are linear in the payload: two with one payload, less one with two, have none.
+    pairs = zip(chain.links, twice.links, strict=True)
+    return tuple(one.body.scaled(2.0) + two.body.scaled(-1.0) for one, two in pairs)
+
+
+def _varied(
+    root: Section, of_parts: list[Varied], mass: float | None, seed: float
+) -> tuple[Varied, ...]:
+    """Return the numbers that the scene lists as varied.
+
+    Args:
+        root: the file.
+        of_parts: numbers of joints, links and units that could be.
+        mass: of the payload [kg]; None: there is none.
+        seed: of the scene.
+    """
+    possible = [*of_parts]
+    if mass is not None:
+        possible.append(Varied(MASS.named("payload.mass"), mass))
+    if root.has("seed") or "seed" in root.entries("varied"):
+        known = replace(numbers_of(Scene)["seed"], whole=False)  # one is as good as another
+        possible.append(Varied(known, seed))
+    by_name = {one.name: one for one in possible}
+    rule = "name numbers of this scene that can be varied"
+    return choose(root.entries("varied"), by_name, root.where, "varied", rule)
+
+
+def _check_carrier(link: str, changed: set[str], where: str) -> None:
+    """Refuse to change both the payload and the link that carries it."""
+    for name in sorted(changed):
+        if name.startswith(f"links.{link}."):
+            rule = "not name both payload.mass and numbers of the link that carries it"
+            raise Refusal(where, "varied", rule, name)
 
 
 def _couple(section: Section | None, robot: ET.Element) -> None:
