@@ -283,7 +283,7 @@ def _bare(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
 
     Args:
         chain: with one payload.
-        twice: with two; None: there is none.
+        twice: with two; None: the scene has no payload.
     """
     if twice is None:
         return tuple(link.body for link in chain.links)
@@ -300,7 +300,7 @@ def _varied(
     Args:
         root: the file.
         of_parts: numbers of joints, links and units that could be.
-        mass: of the payload [kg]; None: there is none.
+        mass: of the payload [kg]; None: the scene has no payload.
         seed: of the scene.
     """
     possible = [*of_parts]
