@@ -61,15 +61,44 @@ def blueprint(
         limited: those that are shown with their limits once more, which take much of a plot's room.
         targets: whether the tool's target, and the deviation from it, are shown beside its path.
     """
+    import rerun.blueprint as rrb
+
+    left: rrb.Container | rrb.View = _arm(robot, root, links)
+    if tool is not None:
+        deviation = [_plot("Target minus tool [m]", DEVIATION)] if targets else []
+        beside = rrb.Horizontal(_tool(root, tool), *deviation)
+        left = rrb.Vertical(left, beside, row_shares=[2, 1])
+    signals = rrb.Vertical(
+        rrb.Tabs(
+            _plot("Joint angle [rad]", "signals/q"),
+            _plot("Measured by encoders [rad]", "signals/q_measured"),
+            _plot("Joint speed [rad/s]", "signals/v"),
+            *(
+                _plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
+                for name, unit in further.items()
+            ),
+            *map(_within, limited),
+        ),
+        _plot("Motor current [A]", "signals/current", legend=False),
+        _plot("Motor command", "signals/applied", legend=False),
+        _plot("Gear torque [N m]", "signals/gear_torque", legend=False),
+        rrb.TextLogView(name="Events", origin=f"/{EVENTS}"),
+        row_shares=[3, 2, 2, 2, 1],  # room for seven names
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, signals, column_shares=[5, 4]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_views=False,
+    )
+
+
+def _arm(robot: str, root: str, links: NDArray[np.float64]) -> rrb.Spatial3DView:
+    """Return the view of the whole arm."""
     import rerun as rr
     import rerun.blueprint as rrb
 
-    behind = rrb.VisibleTimeRanges(
-        timeline=TIMELINE,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    here = rrb.SpatialInformation(target_frame=root, axes=rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     low, high = links.min(axis=0), links.max(axis=0)
     middle = (low + high) / 2.0
     # The eye's opening is about 55 degrees; the factor leaves room for the thickness of the links
@@ -79,7 +108,7 @@ def blueprint(
         shape.from_fields(fill_mode=rr.components.FillMode.Solid)
         for shape in (rr.Cylinders3D, rr.Boxes3D, rr.Ellipsoids3D, rr.Capsules3D)
     ]
-    arm = rrb.Spatial3DView(
+    return rrb.Spatial3DView(
         name="Arm",
         origin="/",
         contents=[
@@ -89,62 +118,62 @@ def blueprint(
             "- /limits/**",
             "- /events",
         ],
-        spatial_information=here,
+        spatial_information=_frame(root),
         eye_controls=rrb.EyeControls3D(position=middle + distance * EYE, look_target=middle),
         defaults=solid,
-        overrides={TOOL_PATH: behind},
+        overrides={TOOL_PATH: _behind()},
     )
 
-    def plot(name: str, path: str, *, legend: bool = True) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(
-            name=name,
-            origin=f"/{path}",
-            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
-        )
 
-    def within(quantity: str) -> rrb.TimeSeriesView:
-        both = [f"+ /signals/{quantity}/**", f"+ /{LIMITS}/{quantity}/**"]
-        return rrb.TimeSeriesView(name=f"{quantity} and its limits", origin="/", contents=both)
+def _tool(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
+    """Return the view of the tool, from nearby."""
+    import rerun as rr
+    import rerun.blueprint as rrb
 
-    left: rrb.Container | rrb.View = arm
-    if tool is not None:
-        level = rr.components.Plane3D((0.0, 0.0, 1.0), float(tool[2]))
-        close = rrb.Spatial3DView(
-            name="Tool, grid 10 mm",
-            origin="/tool",
-            contents=["+ /tool/**"],
-            spatial_information=here,
-            eye_controls=rrb.EyeControls3D(position=tool + 0.08 * EYE, look_target=tool),
-            line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
-            overrides={TOOL_PATH: behind},
-        )
-        deviation = [plot("Target minus tool [m]", DEVIATION)] if targets else []
-        left = rrb.Vertical(arm, rrb.Horizontal(close, *deviation), row_shares=[2, 1])
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            left,
-            rrb.Vertical(
-                rrb.Tabs(
-                    plot("Joint angle [rad]", "signals/q"),
-                    plot("Measured by encoders [rad]", "signals/q_measured"),
-                    plot("Joint speed [rad/s]", "signals/v"),
-                    *(
-                        plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
-                        for name, unit in further.items()
-                    ),
-                    *(within(name) for name in limited),
-                ),
-                plot("Motor current [A]", "signals/current", legend=False),
-                plot("Motor command", "signals/applied", legend=False),
-                plot("Gear torque [N m]", "signals/gear_torque", legend=False),
-                rrb.TextLogView(name="Events", origin=f"/{EVENTS}"),
-                row_shares=[3, 2, 2, 2, 1],  # room for seven names
-            ),
-            column_shares=[5, 4],
-        ),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
-        auto_views=False,
+    level = rr.components.Plane3D((0.0, 0.0, 1.0), float(tool[2]))
+    return rrb.Spatial3DView(
+        name="Tool, grid 10 mm",
+        origin="/tool",
+        contents=["+ /tool/**"],
+        spatial_information=_frame(root),
+        eye_controls=rrb.EyeControls3D(position=tool + 0.08 * EYE, look_target=tool),
+        line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
+        overrides={TOOL_PATH: _behind()},
     )
+
+
+def _frame(root: str) -> rrb.SpatialInformation:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    return rrb.SpatialInformation(target_frame=root, axes=rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+
+
+def _behind() -> rrb.VisibleTimeRanges:
+    """Return the part of the tool's path that stays visible."""
+    import rerun.blueprint as rrb
+
+    return rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+
+
+def _plot(name: str, path: str, *, legend: bool = True) -> rrb.TimeSeriesView:
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(
+        name=name,
+        origin=f"/{path}",
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+    )
+
+
+def _within(quantity: str) -> rrb.TimeSeriesView:
+    """Return the plot of a quantity with its limits."""
+    import rerun.blueprint as rrb
+
+    both = [f"+ /signals/{quantity}/**", f"+ /{LIMITS}/{quantity}/**"]
+    return rrb.TimeSeriesView(name=f"{quantity} and its limits", origin="/", contents=both)
