@@ -52,6 +52,8 @@ class ArmScene:
             )
         except ValueError as error:  # a mesh that this machine has not
             self._shapes, self.missing = pin.GeometryModel(), str(error).strip()
+        if not self._shapes.ngeoms and not self.missing:
+            self.missing = "the robot description has none"
         self._places = pin.GeometryData(self._shapes)
         self._tool = self._model.getFrameId(scene.tool)
         joints = [self._model.joints[self._model.getJointId(one)] for one in self._shafts.joints]
@@ -59,7 +61,7 @@ class ArmScene:
         self._handles = [self._added(k, one) for k, one in enumerate(self._shapes.geometryObjects)]
         self._frame = server.scene.add_frame(f"{name}/tool", axes_length=0.1, axes_radius=0.003)
         self.show(scene.start)
-        places = [place.translation for place in self._places.oMg]
+        places = [place.translation for place in (*self._places.oMg, *self._data.oMi)]
         self.size = 0.3 + float(np.linalg.norm(places, axis=1).max(initial=0.5))
 
     def show(self, q: Array) -> None:
