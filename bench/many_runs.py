@@ -18,7 +18,8 @@ import numpy as np
 import yaml
 
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
-from arm_emulator.campaign.executor import Crew, LocalPool, run_campaign, seconds_per_run
+from arm_emulator.campaign.crew import Crew
+from arm_emulator.campaign.executor import LocalPool, run_campaign, seconds_per_run
 from arm_emulator.campaign.results import MEASURE, ROBUSTNESS, Results, digest_of
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.scene import load_scene

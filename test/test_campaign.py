@@ -358,6 +358,10 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     assert facts["shares"][1]["hits"] == np.count_nonzero(columns["robustness.never"] < 0) > 0
     report = (tmp_path / "two" / "report.html").read_text()
     assert "faults.push.force.2" in report and report.count("data:image/png") == 3
+    for name, unit in (("near", "rad"), ("never", "rad/s")):
+        margins = columns[f"robustness.{name}"]
+        assert f"margin of {name} [{unit}]" in report, "a column has one unit"
+        assert f"{columns['index'][np.argmin(margins)]}<td" in report.partition("Worst runs")[2]
     with pytest.raises(Refusal, match="have results of this campaign"):
         Results(tmp_path / "two", load_campaign(written(tmp_path, changed(TABLE, "seed", 1))))
 

@@ -19,7 +19,7 @@ from scipy import optimize, special, stats
 from arm_emulator import Refusal, load_scene
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.case import case_at, case_with, drawn_case
-from arm_emulator.campaign.executor import Crew
+from arm_emulator.campaign.crew import Crew
 from arm_emulator.campaign.intervals import of_repetitions
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.results import Results, digest_of

@@ -12,7 +12,7 @@ from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
-from arm_emulator.campaign.executor import Crew
+from arm_emulator.campaign.crew import Crew
 from arm_emulator.campaign.forking import ForkingRun
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results

@@ -9,10 +9,9 @@ import multiprocessing as mp
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,29 +20,13 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import drawn_case
+from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
 from arm_emulator.campaign.intervals import clopper_pearson
 from arm_emulator.campaign.lanes import WIDTH
 from arm_emulator.campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.worker import Done, end_with, simulate, simulator_of
 
-CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
-LARGEST_CHUNK = 100_000  # runs
-MOST_BREAKS = 3  # of pools that end without a finished chunk
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
-
-
-class Pool(Protocol):
-    """Processes that work, here or elsewhere."""
-
-    @property
-    def breaks(self) -> tuple[type[BaseException], ...]:
-        """Exceptions of work whose process was killed; another pool can go on."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
-        """Submit a call."""
-
-    def end(self) -> None:
-        """Let the workers write finished runs, and end."""
 
 
 class LocalPool(cf.ProcessPoolExecutor):
@@ -104,68 +87,6 @@ class DaskPool:
         self._client.close()
 
 
-@dataclass
-class Progress:
-    """Progress of a campaign.
-
-    Attributes:
-        count: of runs in all.
-        before: runs that were done when it began.
-        done: runs since then.
-        failures: of each requirement, and of any last, in all of these.
-        began: when it began, by `time.monotonic`.
-    """
-
-    count: int
-    before: int
-    done: int = 0
-    failures: list[int] = field(default_factory=list)
-    began: float = field(default_factory=time.monotonic)
-
-    def add(self, found: Done) -> None:
-        """Count the result of a chunk."""
-        self.done += found.runs
-        pairs = zip(self.failures, found.failures, strict=True)
-        self.failures = [before + more for before, more in pairs]
-
-    def late(self, seconds: float) -> bool:
-        """Whether so much wall time has passed."""
-        return time.monotonic() - self.began >= seconds
-
-    @property
-    def rate(self) -> float:
-        """Runs per second of wall time."""
-        return self.done / max(1e-9, time.monotonic() - self.began)
-
-    @property
-    def left(self) -> float:
-        """Seconds that the rest will take; NaN: not known yet."""
-        rest = self.count - self.before - self.done
-        return rest / self.rate if self.done else math.nan
-
-
-@dataclass(frozen=True)
-class Crew:
-    """Processes that simulate, and who is informed of it.
-
-    Attributes:
-        make_pool: makes processes; called again after one of them was killed.
-        workers: their number.
-        seconds: of a run, measured beforehand.
-        report: is called after each chunk.
-    """
-
-    make_pool: Callable[[], Pool]
-    workers: int
-    seconds: float
-    report: Callable[[Progress], None]
-
-    @property
-    def largest(self) -> int:
-        """Runs of a chunk, at most."""
-        return max(1, min(LARGEST_CHUNK, round(CHUNK / self.seconds)))
-
-
 def run_campaign(campaign: Campaign, results: Results, crew: Crew) -> None:
     """Simulate what is missing, to the end or until the campaign may stop.
 
@@ -186,33 +107,15 @@ def _complete(
     campaign: Campaign, results: Results, crew: Crew, progress: Progress, count: int
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
-    size, breaks = crew.largest, 0
-    while missing := results.missing(count):
+
+    def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
         left = sum(end - first for first, end in missing)
-        size = max(1, min(size, math.ceil(left / (2 * crew.workers))))
+        size = max(1, min(crew.largest >> killed, math.ceil(left / (2 * crew.workers))))
         size -= size % WIDTH if size > WIDTH else 0  # lanes are full
-        before, pool = progress.done, crew.make_pool()
-        try:
-            _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
-        except pool.breaks:
-            breaks = breaks + 1 if progress.done == before else 0
-            size = max(1, size // 2)
-        finally:
-            pool.end()
-        check_breaks(campaign, breaks, missing[0][0])
-        if progress.late(campaign.stop.seconds):
-            return
+        _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
 
-
-def check_breaks(campaign: Campaign, breaks: int, first: int) -> None:
-    """Refuse to go on with workers that end again and again.
-
-    Raises:
-        Refusal: see above.
-    """
-    if breaks >= MOST_BREAKS:
-        where = f"{campaign.where}, runs from {first} on"
-        raise Refusal(where, "workers", "not end by themselves", f"ended {breaks} times")
+    with Work(campaign, crew, progress) as all_of_it:
+        all_of_it.complete(lambda _: results.missing(count), work)
 
 
 def _work(

@@ -29,7 +29,9 @@ from arm_emulator.runs.servo_fleet import ServoFleet
 
 Array = NDArray[np.float64]
 WIDTH = 64  # runs at a time
-ROOM = 512  # samples in a piece: whole blocks of the judges, which the processor's cache holds
+# Samples in a piece: blocks of the judges, which the processor's cache holds. Rows of a power of
+# two would all begin in the same set of that cache.
+ROOM = 504
 
 
 class _Run(NamedTuple):

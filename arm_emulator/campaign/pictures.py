@@ -186,7 +186,9 @@ def _cloud(axis: Axes, x: Array, y: Array) -> None:
     axis.margins(0.03)
 
 
-def coordinates(columns: Columns, varying: Sequence[str], failed: Array, least: Array) -> Figure:
+def coordinates(
+    columns: Columns, varying: Sequence[str], failed: Array, ranks: NDArray[np.int64]
+) -> Figure:
     """Draw runs as lines over all varied numbers, failed and others in turns.
 
     So neither kind hides the other, however many there are of each.
@@ -195,13 +197,13 @@ def coordinates(columns: Columns, varying: Sequence[str], failed: Array, least: 
         columns: of the results.
         varying: numbers that vary; the first `MOST_AXES` are drawn.
         failed: whether each run failed (K,).
-        least: its least margin, by which lines are chosen (K,).
+        ranks: its place among the worst, by which lines are chosen (K,).
     """
     from matplotlib.collections import LineCollection
 
     names = [*varying[:MOST_AXES]]
     figure, (axis,) = _figure(10.2, 3.6, 1, 1)
-    order = np.argsort(-least, kind="stable")
+    order = np.argsort(-ranks, kind="stable")
     bad = order[failed[order]][-MOST_LINES:]
     good = order[~failed[order]]
     good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES)).astype(int)]

@@ -67,7 +67,7 @@ def write_report(
     """
     varying = [one.name for one in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
-    least = _least(columns, list(names))
+    ranks = _ranks(columns, list(names))
     drawn: dict[str, bytes] = {}
     units = column_units(campaign)
     if names and summary.count:
@@ -76,7 +76,7 @@ def write_report(
         drawn["influences"] = pictures.png(pictures.influences(columns, varying, names, units))
     if len(varying) > 1 and summary.count:
         order = _by_influence(columns, varying, list(names))
-        lines = pictures.coordinates(columns, order, columns[FAILED], least)
+        lines = pictures.coordinates(columns, order, columns[FAILED], ranks)
         drawn["coordinates"] = pictures.png(lines)
     for one in findings:
         if one.bars and one.rows:
@@ -84,16 +84,20 @@ def write_report(
     for name, content in drawn.items():
         write_whole(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
-    text = "\n".join(_page(campaign, results, summary, columns, least, drawn, findings))
+    text = "\n".join(_page(campaign, results, summary, columns, ranks, drawn, findings))
     write_whole(file, text)
     return file
 
 
-def _least(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.float64]:
-    """Return the least margin of each run."""
+def _ranks(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.int64]:
+    """Return the place of each run among the worst, by the requirement that it meets worst.
+
+    Margins of different requirements have different units, so that only places compare.
+    """
     if not names:
-        return np.where(columns[FAILED], -np.inf, np.inf)
-    return np.asarray(np.min([columns[name] for name in names], axis=0))
+        return np.where(columns[FAILED], 0, 1)
+    orders = [np.argsort(columns[name], kind="stable") for name in names]
+    return np.asarray(np.min([np.argsort(order) for order in orders], axis=0))
 
 
 def _by_influence(
@@ -112,7 +116,7 @@ def _page(
     results: Results,
     summary: Summary,
     columns: pictures.Columns,
-    least: NDArray[np.float64],
+    ranks: NDArray[np.int64],
     drawn: dict[str, bytes],
     findings: Sequence[Finding],
 ) -> Iterable[str]:
@@ -131,7 +135,7 @@ def _page(
     for one in findings:
         yield from _finding(one)
     if summary.count:
-        yield from _of_runs(campaign, results, summary, columns, least, drawn)
+        yield from _of_runs(campaign, results, summary, columns, ranks, drawn)
     yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
     yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
 
@@ -157,7 +161,7 @@ def _of_runs(
     results: Results,
     summary: Summary,
     columns: pictures.Columns,
-    least: NDArray[np.float64],
+    ranks: NDArray[np.int64],
     drawn: dict[str, bytes],
 ) -> Iterable[str]:
     yield from _requirements(campaign, summary)
@@ -171,7 +175,7 @@ def _of_runs(
         data = base64.b64encode(content).decode()
         yield f"<h2>{titles[picture]}</h2><img alt='{titles[picture]}' "
         yield f"src='data:image/png;base64,{data}'>"
-    yield from _worst(campaign, results, columns, least)
+    yield from _worst(campaign, columns, ranks)
     if campaign.search is None:
         yield from _quantiles(summary)
 
@@ -230,27 +234,28 @@ def _bar(one: Share, scale: float) -> str:
 
 
 def _worst(
-    campaign: Campaign,
-    results: Results,
-    columns: pictures.Columns,
-    least: NDArray[np.float64],
+    campaign: Campaign, columns: pictures.Columns, ranks: NDArray[np.int64]
 ) -> Iterable[str]:
     varying = [one.name for one in campaign.variation.numbers]
-    shown = _by_influence(columns, varying, [f"{ROBUSTNESS}{n}" for n in campaign.requirements])[:5]
+    margins = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
+    shown = _by_influence(columns, varying, list(margins))[:5]
+    units = column_units(campaign)
     command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
-    yield "<h2>Worst runs</h2><p>This line prints the row of any run and records its motion:"
+    yield "<h2>Worst runs</h2><p>The least margins of each requirement, in turns. This line prints "
+    yield "the row of any run and records its motion:"
     yield f"<br><code>{html.escape(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
-    yield "<th class=n>least margin<th>of"
-    yield "".join(f"<th class=n>{html.escape(name)}" for name in shown)
+    heads = {name: f"margin of {short}" for name, short in margins.items()}
+    for name, head in (heads | {name: name for name in shown}).items():
+        unit = f" [{units[name]}]" if units[name] else ""
+        yield f"<th class=n>{html.escape(head + unit)}"
     yield "<th>drive it again</tr>"
-    names = list(campaign.requirements)
-    for at in np.argsort(least, kind="stable")[:WORST]:
+    for at in np.argsort(ranks, kind="stable")[:WORST]:
         index = int(columns[INDEX][at])
-        margins = [columns[f"{ROBUSTNESS}{name}"][at] for name in names]
-        of = html.escape(names[int(np.argmin(margins))]) if names else ""
-        bad = " bad" if columns[FAILED][at] else ""
-        yield f"<tr><td class=n>{index}<td class='n{bad}'>{least[at]:.4g}<td>{of}"
+        yield f"<tr><td class='n{' bad' if columns[FAILED][at] else ''}'>{index}"
+        for name in margins:
+            margin = columns[name][at]
+            yield f"<td class='n{'' if margin >= 0.0 else ' bad'}'>{margin:.4g}"
         yield "".join(f"<td class=n>{columns[name][at]:.4g}" for name in shown)
         line = f"{command} {index} --rerun run_{index}.rrd"
         yield f"<td><code>{html.escape(line)}</code></tr>"

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import case_at
-from arm_emulator.campaign.executor import Crew, Pool, Progress, check_breaks, failures_in
+from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
+from arm_emulator.campaign.executor import failures_in
 from arm_emulator.campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.worker import Done, simulate
@@ -49,9 +51,14 @@ class Searcher:
         self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
         self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
         self._varying = [one.name for one in campaign.variation.numbers]
-        self._pool: Pool | None = None
         self._next = 0
-        self._read()
+        columns = self._read()
+        failures, count = (
+            failures_in(campaign, columns, 2**62),
+            self._method.runs(len(self._varying)),
+        )
+        self._progress = Progress(count, len(self._known), failures=failures)
+        self._work = Work(campaign, crew, self._progress)
 
     def run(self) -> list[Finding]:
         """Search to the end; return what was found, which is written beside the results, too.
@@ -76,38 +83,32 @@ class Searcher:
         except StopIteration as end:
             found: list[Finding] = end.value
         finally:
-            self._end_pool()
+            self._work.end()
         write_findings(self._results, found)
         return found
 
-    def _read(self) -> None:
-        """Take the runs that are done from the results."""
+    def _read(self) -> dict[str, NDArray[Any]]:
+        """Take the runs that are done from the results, and return their columns."""
         columns = self._results.columns()
         self._known = {int(index): place for place, index in enumerate(columns[INDEX])}
         self._values = np.column_stack([columns[name] for name in self._varying])
         self._of_known = np.column_stack([columns[name] for name in self._outputs])
-        failures = failures_in(self._campaign, columns, 2**62)
-        count = self._method.runs(len(self._varying))
-        self._progress = Progress(count, len(self._known), failures=failures)
+        return columns
 
     def _batch(self, points: Array) -> Array:
         """Return the outputs of the runs at some points (K, M)."""
         first, self._next = self._next, self._next + len(points)
         outputs = np.full((len(points), len(self._outputs)), math.nan)
-        missing = self._fill(first, points, outputs)
-        breaks = 0
-        while missing:
-            before = self._progress.done
-            pool = self._pool = self._pool or self._crew.make_pool()
-            try:
-                self._simulate(pool, first, points, missing, outputs)
-                break
-            except pool.breaks:
-                breaks = breaks + 1 if self._progress.done == before else 0
-                self._end_pool()
+
+        def missing(killed: int) -> list[tuple[int, int]]:
+            if killed:
                 self._read()
-                missing = self._fill(first, points, outputs)
-                check_breaks(self._campaign, breaks, first)
+            return self._fill(first, points, outputs)
+
+        def work(pool: Pool, left: Sequence[tuple[int, int]], _: int) -> None:
+            self._simulate(pool, first, points, left, outputs)
+
+        self._work.complete(missing, work)
         return outputs
 
     def _fill(self, first: int, points: Array, outputs: Array) -> list[tuple[int, int]]:
@@ -129,7 +130,12 @@ class Searcher:
         return gaps
 
     def _simulate(
-        self, pool: Pool, first: int, points: Array, missing: list[tuple[int, int]], outputs: Array
+        self,
+        pool: Pool,
+        first: int,
+        points: Array,
+        missing: Sequence[tuple[int, int]],
+        outputs: Array,
     ) -> None:
         """Simulate what is missing of a batch."""
         campaign, folder = self._campaign, str(self._results.folder.absolute())
@@ -147,8 +153,3 @@ class Searcher:
             outputs[at : at + done.runs] = done.outputs
             self._progress.add(done)
             self._crew.report(self._progress)
-
-    def _end_pool(self) -> None:
-        if self._pool is not None:
-            self._pool.end()
-            self._pool = None

@@ -5,12 +5,13 @@ from __future__ import annotations
 import concurrent.futures as cf
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign.campaign_file import Campaign
-from arm_emulator.campaign.executor import Crew, Progress, check_breaks
+from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
 from arm_emulator.campaign.forking import ForkingRun
 from arm_emulator.campaign.results import Results
 from arm_emulator.campaign.search.method import Finding
@@ -67,19 +68,18 @@ class Splitter:
 
     def _complete(self, numbers: list[int]) -> None:
         """Have the repetitions done that are not."""
-        breaks = 0
-        while missing := [one for one in numbers if not _file(self._folder, one).exists()]:
-            pool, before = self._crew.make_pool(), self._progress.done
-            try:
-                of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
-                for one in cf.as_completed([pool.submit(split, *of_all, k) for k in missing]):
-                    self._progress.add(one.result())
-                    self._crew.report(self._progress)
-            except pool.breaks:
-                breaks = breaks + 1 if self._progress.done == before else 0
-            finally:
-                pool.end()
-            check_breaks(self._campaign, breaks, missing[0])
+        of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
+
+        def missing(_: int) -> list[int]:
+            return [one for one in numbers if not _file(self._folder, one).exists()]
+
+        def work(pool: Pool, left: Sequence[int], _: int) -> None:
+            for one in cf.as_completed([pool.submit(split, *of_all, k) for k in left]):
+                self._progress.add(one.result())
+                self._crew.report(self._progress)
+
+        with Work(self._campaign, self._crew, self._progress) as repetitions:
+            repetitions.complete(missing, work)
 
 
 def split(file: str, key: bytes, folder: str, number: int) -> Done:

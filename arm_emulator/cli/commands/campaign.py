@@ -18,15 +18,8 @@ from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case
-from arm_emulator.campaign.executor import (
-    Crew,
-    DaskPool,
-    LocalPool,
-    Pool,
-    Progress,
-    run_campaign,
-    seconds_per_run,
-)
+from arm_emulator.campaign.crew import Crew, Pool, Progress
+from arm_emulator.campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results, column_units, digest_of
