@@ -53,7 +53,7 @@ def work_of(kills, done_before_each):
     return found, ended
 
 
-def test_what_is_left_is_done_by_another_pool():
+def test_another_pool_does_what_is_left():
     found, ended = work_of(5, 2)
     assert [len(one) for one in found] == [12, 10, 8, 6, 4, 2]
     assert ended == [1] * 5 + [0], "a pool that was not killed is there for more work"
