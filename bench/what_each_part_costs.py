@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
+from arm_emulator.machine.parts.known import GEARS, gear_of
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from bench.closed_loop import DemoMotion
 from bench.measure import Task, compile_all, interleaved, progress, side_by_side, stepping
 from bench.motion import Array
@@ -18,7 +21,12 @@ DT = 1e-4  # s, fine enough that the differences below are those of the machines
 STEPS = 20_000  # in one measurement
 TIMED = ("paper", "rosenbrock")
 
-RIGID = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
+RIGID: dict[str, Any] = {
+    f"joints.*.gear.{key}": None
+    for kind in GEARS
+    for key in kind.numbers()
+    if key not in gear_of(ratio=1.0).numbers()
+}
 OUT: dict[str, dict[str, Any]] = {
     "inductance": {"joints.*.motor.inductance": None},
     "gear elasticity": RIGID,
@@ -50,12 +58,7 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure the three scenes."""
     names = ("three_axis",) if quick else ("three_axis", "ur5", "panda")
     variants = {name: _variants(name) for name in names}
-    compile_all(
-        _scene(name, scheme, overrides)
-        for name in names
-        for scheme in TIMED
-        for overrides in (*variants[name].values(), *_timed(name).values())
-    )
+    compile_all(timed_scenes(names))
     fulls = side_by_side("full machines", _full, names)
     cases = [(full, part) for full in fulls for part in variants[full.name]]
     errors = side_by_side("without a part", _errors, cases)
@@ -70,6 +73,14 @@ def run(quick: bool) -> dict[str, Any]:
         }
         for full in fulls
     }
+
+
+def timed_scenes(names: Sequence[str]) -> Iterator[Scene]:
+    """Yield the scenes whose steps are timed."""
+    for name in names:
+        for overrides in (*_variants(name).values(), *_timed(name).values()):
+            for scheme in TIMED:
+                yield _scene(name, scheme, overrides)
 
 
 def _variants(name: str) -> dict[str, dict[str, Any]]:
@@ -97,7 +108,10 @@ def _timed(name: str) -> dict[str, dict[str, Any]]:
 
 
 def _scene(name: str, scheme: str, overrides: dict[str, Any], dt: float = DT) -> Scene:
-    return load_scene(name, {**overrides, "integrator.scheme": scheme, "integrator.dt": dt})
+    own = {"integrator.scheme": scheme, "integrator.dt": dt}
+    if scheme not in LOCATING_SCHEMES:
+        own["integrator.events"] = "step"
+    return load_scene(name, {**overrides, **own})
 
 
 @dataclass(frozen=True)
