@@ -23,12 +23,16 @@ if TYPE_CHECKING:
     from arm_emulator.identification.fit_numbers import FittedNumbers as FittedNumbers
     from arm_emulator.identification.fit_numbers import Sought as Sought
     from arm_emulator.identification.fit_numbers import fit_numbers as fit_numbers
+    from arm_emulator.machine.change import NumberChange as NumberChange
+    from arm_emulator.machine.change import PowerChange as PowerChange
+    from arm_emulator.machine.change import WrenchChange as WrenchChange
     from arm_emulator.machine.diverged import Diverged as Diverged
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
     from arm_emulator.machine.fleet_control import FleetControl as FleetControl
     from arm_emulator.machine.fleet_frame import FleetFrame as FleetFrame
     from arm_emulator.machine.fleet_state import FleetState as FleetState
+    from arm_emulator.machine.fleet_way import FleetWay as FleetWay
     from arm_emulator.machine.measured import Measured as Measured
     from arm_emulator.machine.plant import Plant as Plant
     from arm_emulator.machine.plant_state import PlantState as PlantState
@@ -58,14 +62,17 @@ _MODULES = {
     "FleetControl": "machine.fleet_control",
     "FleetFrame": "machine.fleet_frame",
     "FleetState": "machine.fleet_state",
+    "FleetWay": "machine.fleet_way",
     "JacobianController": "motion.jacobian",
     "Kinematics": "motion.kinematics",
     "LinearMachine": "analysis.linearised",
     "Measured": "machine.measured",
+    "NumberChange": "machine.change",
     "OfflineRun": "runs.offline",
     "Plant": "machine.plant",
     "PlantState": "machine.plant_state",
     "Pose": "motion.pose",
+    "PowerChange": "machine.change",
     "Recording": "runs.recording",
     "Refusal": "base.refusal",
     "Scene": "machine.scene",
@@ -75,6 +82,7 @@ _MODULES = {
     "Sought": "identification.fit_numbers",
     "Timeline": "runs.timeline",
     "Session": "machine.session",
+    "WrenchChange": "machine.change",
     "fit_numbers": "identification.fit_numbers",
     "linearise": "analysis.linearised",
     "load_gains": "runs.gains",
