@@ -1,6 +1,6 @@
 """Ways without a machine: do references keep their limits, and how much time do they take?
 
-    python -m bench.ways [ROBOT ...] [--count 10000] [--arms 20]
+    python -m bench.ways [ROBOT ...] [--count 10000] [--arms 20] [--period 0.01]
 
 Random tool targets of random arms, from rest and in mid-motion. Held against the limits at random
 times, not those at which the planner looked; against the shortest time by toppra (speeds,
@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("robots", nargs="*", help="names, or parts of them")
     parser.add_argument("--count", type=int, default=10_000, help="of ways in all")
     parser.add_argument("--arms", type=int, default=20, help="at most")
+    parser.add_argument("--period", type=float, default=0.01, help="of the motion [s]")
     arguments = parser.parse_args()
     logging.getLogger("toppra").setLevel(logging.ERROR)
     chosen = {
@@ -73,7 +74,8 @@ def main() -> None:
         if not arguments.robots or any(one in name for one in arguments.robots)
     }
     rng, seen = np.random.default_rng(0), Seen()
-    laws = [law for law in map(law_of, chosen.values()) if law is not None]
+    found = (law_of(robot, arguments.period) for robot in chosen.values())
+    laws = [law for law in found if law is not None]
     laws = [
         laws[i] for i in np.linspace(0, len(laws) - 1, min(arguments.arms, len(laws)), dtype=int)
     ]
@@ -87,13 +89,13 @@ def main() -> None:
     sys.exit(seen.violations > 0 or seen.past > 1e-6)
 
 
-def law_of(robot: Path | str) -> WayController | None:
+def law_of(robot: Path | str, period: float) -> WayController | None:
     """Return the law for an arm as its description is; None: it cannot be taken as it is."""
     urdf = OWN[robot]() if isinstance(robot, str) else robot.read_text(encoding="utf-8")
     try:
         names = moving_joints(urdf)[:9]
         tool = Kinematics(urdf, names, last_link(urdf, names)).tool
-        config = MotionConfig(tool=tool, period=0.01)
+        config = MotionConfig(tool=tool, period=period)
         return WayController(Kinematics(urdf, names, tool), config)
     except (Refusal, ValueError):
         return None
