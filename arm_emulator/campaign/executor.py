@@ -55,11 +55,15 @@ class LocalPool(cf.ProcessPoolExecutor):
 class DaskPool:
     """The workers of a Dask cluster, which must see the same files.
 
+    Args:
+        address: of the scheduler.
+        patience: for so long it may not answer [s].
+
     Raises:
         Refusal: Dask is not installed, or no scheduler answers.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, patience: float) -> None:
         need_wheel("campaign", "distributed", "distributed")
         from distributed import Client
         from distributed.comm.core import CommClosedError
@@ -70,7 +74,7 @@ class DaskPool:
             cf.CancelledError, CommClosedError, KilledWorker
         )  # fmt: skip
         try:
-            self._client = Client(address, timeout=10)
+            self._client = Client(address, timeout=patience)
         except (OSError, ValueError) as error:
             rule = "be the address of a Dask scheduler"
             raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import os
 import time
@@ -138,9 +139,11 @@ def _simulate(
     one: Campaign, results: Results, dask: str | None, workers: int, seconds: float
 ) -> tuple[bool, list[Finding]]:
     """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
+    # One that was killed may take its time to be there again.
+    patience = itertools.chain([10.0], itertools.repeat(60.0))
 
     def pool() -> Pool:
-        return DaskPool(dask) if dask else LocalPool(workers)
+        return DaskPool(dask, next(patience)) if dask else LocalPool(workers)
 
     with _shown() as report:
         crew = Crew(pool, workers, seconds, report)
