@@ -17,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
@@ -26,6 +25,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.network_guest import NetworkGuest
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import OfflineRun
@@ -79,15 +79,7 @@ class User:
         self.joint_names = JOINTS
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self.node = rclpy.create_node(
-            "user",
-            context=self._context,
-            namespace=namespace,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        self.node = NetworkGuest("user", namespace, self._context)
         self._raw_states: list[bytes] = []
         self.tick = -1  # newest tick recorded, -1 for none
         self.machine = 0  # the emulator whose states are recorded, 0 for any
@@ -120,28 +112,30 @@ class User:
         self._answered: set[str] = set()  # services that have answered once
 
     def close(self) -> None:
-        self._executor.shutdown()
+        self.node.executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
     def add(self, node: Node) -> None:
         """Spin a node of the test's, too."""
-        self._executor.add_node(node)
+        self.node.executor.add_node(node)
 
     def spin(self, seconds: float = 0.02) -> None:
-        self._executor.spin_once(timeout_sec=seconds)
+        self.node.executor.spin_once(timeout_sec=seconds)
 
     def wait(self, what: str, condition: Callable[[], Any], patience: float = PATIENCE) -> Any:
         """Spin until the condition holds and return its value."""
-        deadline = time.monotonic() + patience
-        while True:
+        value = None
+
+        def holds() -> bool:
+            nonlocal value
             value = condition()
-            if value:
-                return value
-            assert time.monotonic() < deadline, (
-                f"waited {patience:g} s for {what}; status {self.status}; stated {self.words}"
-            )
-            self.spin()
+            return bool(value)
+
+        assert self.node.spin_until(holds, patience), (
+            f"waited {patience:g} s for {what}; status {self.status}; stated {self.words}"
+        )
+        return value
 
     def call(self, name: str, request: Any = None) -> Any:
         """Call a service of the nodes and return its answer, see `calls`."""
