@@ -54,14 +54,14 @@ def exit_code(number: int, code: int | None) -> int:
 
 
 class CtrlC:
-    """Lets Ctrl-C and SIGTERM interrupt a `with` block until `leave_to_rclpy`, and nothing else.
+    """Lets Ctrl-C and SIGTERM interrupt code from a `with` block on, until `leave_to_rclpy`.
 
     rclpy shuts its context down on a signal and passes it on to Python, which raises
     KeyboardInterrupt wherever it is by then: on a busy machine even during the shutdown.
     Create it before ``rclpy.init``, in the main thread.
 
     The block ends on a signal, with KeyboardInterrupt or the exception that a library makes of it.
-    A signal before the block ends the process at once; one after it is only noted.
+    A signal before the block ends the process at once.
 
     Args:
         code: the exit code of a signal before the block, or in the midst of an import, see
@@ -114,7 +114,6 @@ class CtrlC:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> bool:
-        CtrlC._breaks_off = False
         return bool(CtrlC.signal) and not isinstance(error, SystemExit)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:

@@ -228,6 +228,17 @@ def _init() -> None:
         raise Refusal("command line", "the ROS arguments", "be well-formed", got) from None
 
 
+def _spin(node: ManagedNode) -> None:
+    """Let a node work until a signal ends it."""
+    while not CtrlC.signal:
+        CtrlC.leave_to_rclpy()
+        try:
+            LeanExecutor(node).spin()
+        except StartAnew:
+            CtrlC.break_off_again()
+            node.start_anew()
+
+
 def run_node(create: Callable[[], ManagedNode]) -> None:
     """Run one node until it is stopped; exit code 2 and one line if its set-up is refused."""
     node: ManagedNode | None = None
@@ -235,15 +246,14 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
     end_with_parent()
     try:
         with ctrl_c, until_shut_down():
-            _init()
-            node = create()
-            while not ctrl_c.signal:
-                ctrl_c.leave_to_rclpy()
-                try:
-                    LeanExecutor(node).spin()
-                except StartAnew:
-                    ctrl_c.break_off_again()
-                    node.start_anew()
+            try:
+                _init()
+                node = create()
+                _spin(node)
+            finally:
+                # Another Ctrl-C, from the terminal beside the launcher's, must not break off the
+                # ending.
+                CtrlC.leave_to_rclpy()
     except (Refusal, ParameterException) as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)
@@ -253,8 +263,6 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
         print(Refusal("node", "memory", "suffice", repr(error)), file=sys.stderr)
         sys.exit(2)
     finally:
-        # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.
-        ctrl_c.leave_to_rclpy()
         code = 0 if sys.exc_info()[0] is None else 1
         if node is not None:
             try:
