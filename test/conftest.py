@@ -10,6 +10,10 @@ import pytest
 # other work mostly wait for each other, spinning.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# In a job that a script has started with `&` it is ignored, by all children as well.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # So that their bare assertions state what was compared, too.
 pytest.register_assert_rewrite(
     "doors",
