@@ -12,6 +12,7 @@ import pytest
 from arm_emulator import load_scene
 from arm_emulator.page.arm_scene import ArmScene
 
+pytest.importorskip("trimesh", reason="see requirements-peers.txt")
 SCENE = load_scene("three_axis")
 VISUAL = re.compile(r"<visual>.*?</visual>", re.S)
 UNREADABLE = '<visual><geometry><mesh filename="file:///no/such.stl"/></geometry></visual>'
