@@ -53,10 +53,8 @@ class Searcher:
         self._varying = [one.name for one in campaign.variation.numbers]
         self._next = 0
         columns = self._read()
-        failures, count = (
-            failures_in(campaign, columns, 2**62),
-            self._method.runs(len(self._varying)),
-        )
+        failures = failures_in(campaign, columns, 2**62)
+        count = self._method.runs(len(self._varying))
         self._progress = Progress(count, len(self._known), failures=failures)
         self._work = Work(campaign, crew, self._progress)
 
