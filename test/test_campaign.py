@@ -289,6 +289,16 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
         ("faults/push/kind", "wench", "payload, power_cut, wrench"),
         ("faults/push/link", "hand", "be one that moves"),
         ("faults/cut/at", None, "faults.cut.at must be"),
+        (
+            "faults/cut",
+            {"kind": "number", "at": 0.1, "name": "payload.mess", "value": 1},
+            "faults.cut.name must name a number that can vary",
+        ),
+        (
+            "faults/cut",
+            {"kind": "number", "at": 0.1, "name": "joints.*.friction.coulomb", "value": 1},
+            "faults.cut: name must be one number, not a pattern",
+        ),
         ("faults/cut/latsing", 1, "key faults.cut.latsing must be known"),
         ("requirements/near", "always q.hip < 1", "name signals of the run"),
         ("requirements/near", 3, "requirements.near must be a text"),

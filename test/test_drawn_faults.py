@@ -22,6 +22,7 @@ FAULTS: dict[str, dict[str, Any]] = {
                    "lasting": 0.01},
     "slip": {"kind": "machine", "fault": "elbow.encoder_slips", "at": 0.1, "magnitude": 0.1},
     "drop": {"kind": "payload", "at": 0.1, "mass": 0.5},
+    "stiff": {"kind": "number", "at": 0.1, "name": "joints.elbow.friction.viscous", "value": 4.0},
     "dark": {"kind": "power_cut", "at": 0.1, "lasting": 0.05},
 }  # fmt: skip
 SENT = {
@@ -82,6 +83,7 @@ def test_drawn_faults_are_those_of_a_file_with_their_numbers(
         ("faults.push.again.impulse.0", 1e12),
         ("faults.slip.magnitude", 1e8),  # beyond what this scene's fault takes
         ("faults.drop.mass", -0.1),
+        ("faults.stiff.value", -0.1),
     ],
 )
 def test_a_draw_is_refused_as_a_file_is(

@@ -13,12 +13,17 @@ from scipy import stats
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.crew import Crew
-from arm_emulator.campaign.forking import ForkingRun
+from arm_emulator.campaign.forking import ForkingRun, forked_case
+from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results
-from arm_emulator.campaign.search.splitting import Splitting
-from arm_emulator.campaign.splitter import Splitter
+from arm_emulator.campaign.search.splitting import Origin, Splitting
+from arm_emulator.campaign.shrinking import shrink
+from arm_emulator.campaign.shrunk_files import write_shrunk
+from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.splitter import Splitter, failures_in
 from arm_emulator.campaign.summary import summary_of
+from arm_emulator.cli.searched import case_of
 
 DRIFTS = {
     "scene": "three_axis",
@@ -38,6 +43,8 @@ DRIFTS = {
     },
     "search": {"method": "splitting", "of": "counts", "per_level": 20, "repetitions": 4},
 }  # fmt: skip
+EDGES = {**DRIFTS["faults"]["edges"], "magnitude": 0.015}
+RARE = DRIFTS | {"faults": {**DRIFTS["faults"], "edges": EDGES}}
 
 
 def read(folder, data=DRIFTS):
@@ -61,6 +68,10 @@ class Walk:
 
     def begin(self, index, seed):
         self.go_on((0, 0.0, self.bound), seed)
+
+    @property
+    def now(self):
+        return self.t
 
     def go_on(self, state, seed):
         (self.t, self.x, self.least), self.rng = state, np.random.default_rng(seed)
@@ -152,6 +163,49 @@ def test_a_level_is_reached_at_its_tick(tmp_path):
     assert len(found) == 1 and found.pop()[0]
 
 
+@pytest.mark.parametrize("change", [{}, MOVES], ids=["targets", "moves"])
+def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, change):
+    """Bits of the machine where it fails, and its margin over the whole run, alone and in lanes."""
+    own = {"faults.push.at": "uniform(0.01, 0.03)", "seed": "uniform(0, 1000)"}
+    one = read(tmp_path, DRIFTS | change | {"vary": own})
+    forks, seeds = ForkingRun(one), (5, 7, 2**31 + 9)
+    forks.begin(3, seeds[0])
+    origin = Origin(3, ((0, seeds[0]),))
+    for level, seed in zip((0.003, 0.002), seeds[1:], strict=True):
+        assert forks.reach(level)[0]
+        forks.go_on(forks.fork(), seed)
+        origin = Origin(3, (*origin.seeds, (forks.now, seed)))
+    assert forks.reach(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
+    alone, case = Simulator(one), forked_case(one, origin)
+    for done in alone.drive(case, 1):
+        if done == forks.now:
+            assert bits(alone) == bits(forks)
+    whole = forks.reach(-math.inf)[1]
+    assert alone.run(case).robustness["counts"] == pytest.approx(whole, abs=1e-15)
+    (found,) = runs_of(one).runs([case])
+    assert found.robustness[0, 0] == pytest.approx(whole, abs=1e-12)
+
+
+def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
+    one, into = read(tmp_path, RARE), tmp_path / "results"
+    results = Results(into, one)
+    found = Splitter(one, results, Crew(Here, 1, 1.0, lambda _: None)).run()
+    assert found[2].title == "Failures" and len(found[2].rows) == 10
+    first, *_ = failures_in(results)
+    assert found[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
+    count = len(failures_in(results))
+    simulator = Simulator(one)
+    for k in range(0, count, max(1, count // 5)):
+        assert simulator.run(case_of(one, into, k, "--replay")).robustness["counts"] < 0.0
+    with pytest.raises(Refusal, match=f"be a failure of the search, got {count}"):
+        case_of(one, into, count, "--replay")
+    k = next(k for k, one in enumerate(failures_in(results)) if len(one.seeds) > 1)
+    shrunk = shrink(one, case_of(one, into, k, "--shrink"))
+    files = write_shrunk(one, shrunk, tmp_path / "shrunk")
+    again = Simulator(load_campaign(files.campaign)).run(0)
+    assert again.robustness == {"counts": pytest.approx(shrunk.margin, abs=1e-15)}
+
+
 class Here:
     """A pool in this process."""
 
@@ -167,8 +221,7 @@ class Here:
 
 
 def test_a_search_goes_on_and_has_the_same_end(tmp_path):
-    rare = {**DRIFTS["faults"], "edges": {**DRIFTS["faults"]["edges"], "magnitude": 0.015}}
-    one = read(tmp_path, DRIFTS | {"faults": rare})
+    one = read(tmp_path, RARE)
     results = Results(tmp_path / "results", one)
     first = Splitter(one, results, Crew(Here, 1, 1.0, lambda _: None)).run()
     for name in ("pilot", "0003"):  # as if it had been interrupted

@@ -310,10 +310,11 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, M
     overrides: dict[str, Any] = {} if given is None else {
         key: given.value(key) for key in given.keys()
     }  # fmt: skip
-    wanted = list(held.get("varied") or [])
-    for kind in _kinds(root):
+    wanted, of_faults = list(held.get("varied") or []), dict[str, Section]()
+    for kind, section in _kinds(root):
         overrides = kind.needs({**held, **overrides}) | overrides
-        wanted += kind.varied
+        of_faults |= dict.fromkeys(kind.sets(section), section)
+    wanted += of_faults
     scene = load_scene(file, overrides)
     if scene.sensed:
         wanted.append("seed")
@@ -327,15 +328,17 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, M
         if no.quantity != "varied":
             raise
         rule = "name a number that can vary"
+        if no.got in of_faults:
+            raise of_faults[no.got].refusal("name", rule, no.got, no.valid) from None
         valid = f"{no.valid}, or numbers of {', '.join(f'{one}.' for one in DRAWN)}"
         raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
 
 
-def _kinds(root: Section) -> list[type[Fault]]:
-    section = root.section("faults")
-    return [] if section is None else [
-        _kind(section.required_section(name)) for name in section.keys()
-    ]  # fmt: skip
+def _kinds(root: Section) -> list[tuple[type[Fault], Section]]:
+    """Return the kind of each fault, and its section."""
+    faults = root.section("faults")
+    sections = [] if faults is None else [faults.required_section(name) for name in faults.keys()]
+    return [(_kind(section), section) for section in sections]
 
 
 def _kind(section: Section) -> type[Fault]:

@@ -24,12 +24,10 @@ class Fault:
 
     Attributes:
         kind: its name in files.
-        varied: numbers of the scene that it sets, which must be data of the machine.
         vectors: bounds of its attributes that are vectors.
     """
 
     kind: ClassVar[str] = ""
-    varied: ClassVar[tuple[str, ...]] = ()
     vectors: ClassVar[Mapping[str, Number]] = {}
 
     at: float = number("s", at_least=0.0, text="when it begins")
@@ -48,6 +46,11 @@ class Fault:
     def others(cls, section: Section) -> dict[str, Any]:
         """Return what a section states beside numbers."""
         return {}
+
+    @classmethod
+    def sets(cls, section: Section) -> Sequence[str]:
+        """Return the numbers of the scene that it sets, which become data of the machine."""
+        return ()
 
     @classmethod
     def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,10 @@ from arm_emulator.base.formula import (
 )
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
-from arm_emulator.campaign.case import drawn_case
+from arm_emulator.campaign.case import Case, drawn_case
 from arm_emulator.campaign.program import Program, Rows
 from arm_emulator.campaign.scenario import ticks_of
-from arm_emulator.campaign.search.splitting import Splitting
+from arm_emulator.campaign.search.splitting import Origin, Splitting
 from arm_emulator.campaign.signals import Sampler, units_of_signals
 from arm_emulator.campaign.simulator import ROOM, Simulator
 from arm_emulator.machine.change import Change
@@ -105,8 +105,13 @@ class ForkingRun(Simulator):
         self._scenario, self._last = state.rest[:2]
         self._events, self._least = list(state.events), state.least
 
+    @property
+    def now(self) -> int:
+        """The present tick."""
+        return self.session.tick
+
     def _reseed(self, seed: int) -> None:
-        self.session.set_varied("seed", float(seed % LARGEST_SEED))
+        self.session.set_varied("seed", _taken(seed))
 
     def fork(self) -> Fork:
         """Return the run as it is now."""
@@ -176,6 +181,19 @@ class ForkingRun(Simulator):
     @property
     def _longest(self) -> int:
         return min(super()._longest, self._at_most)
+
+
+def forked_case(campaign: Campaign, origin: Origin) -> Case:
+    """Return a run that was forked as one that needs no fork: its noise changes on the way."""
+    case = drawn_case(campaign.variation, origin.index)
+    first, *later = ((tick, _taken(seed)) for tick, seed in origin.seeds)
+    own = {"seed": first[1]} if "seed" in case.values else {}
+    return replace(case, values={**case.values, **own}, seed=first[1], reseeds=tuple(later))
+
+
+def _taken(seed: int) -> float:
+    """Return a seed as machines take it."""
+    return float(seed % LARGEST_SEED)
 
 
 def _margin_of(campaign: Campaign) -> tuple[Window, Expression]:

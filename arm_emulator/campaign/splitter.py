@@ -15,12 +15,13 @@ from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
 from arm_emulator.campaign.forking import ForkingRun
 from arm_emulator.campaign.results import Results
 from arm_emulator.campaign.search.method import Finding
-from arm_emulator.campaign.search.splitting import Repetition, Splitting
+from arm_emulator.campaign.search.splitting import Origin, Repetition, Splitting
 from arm_emulator.campaign.searcher import write_findings
 from arm_emulator.campaign.worker import Done, campaign_of
 
 FOLDER = "splitting"
 PILOT = 0
+LISTED = 10  # failures
 
 
 class Splitter:
@@ -58,13 +59,29 @@ class Splitter:
         if pilot["leads"]:
             numbers = range(1, 1 + int(self._method.repetitions))
             self._complete(list(numbers))
-            for number in numbers:
-                found.append(Repetition(**json.loads(_file(self._folder, number).read_text())))
+            found = [_read(_file(self._folder, number)) for number in numbers]
         findings = [self._method.finding(self._method.of, pilot["levels"], found)]
         if found:
             findings.append(self._method.of_levels(pilot["levels"], found))
+            findings.append(self._of_failures(failures_in(self._results)))
         write_findings(self._results, findings)
         return findings
+
+    def _of_failures(self, failures: Sequence[Origin]) -> Finding:
+        """Return the first failures, by the numbers that the command line takes."""
+        period = self._campaign.scene.servo_period
+        rows = []
+        for k, one in enumerate(failures[:LISTED]):
+            forks = [tick * period for tick, _ in one.seeds[1:]]
+            rows.append((k, one.index, len(forks), max(forks, default=0.0)))
+        about = (
+            f"{len(failures)} runs failed, numbers 0 to {len(failures) - 1} of `--replay` and "
+            "`--shrink`. The first ones:"
+            if failures
+            else "No run failed."
+        )
+        head = "failure", "values of run", "forks", "last fork [s]"
+        return Finding("Failures", about, head, tuple(rows))
 
     def _complete(self, numbers: list[int]) -> None:
         """Have the repetitions done that are not."""
@@ -80,6 +97,12 @@ class Splitter:
 
         with Work(self._campaign, self._crew, self._progress) as repetitions:
             repetitions.complete(missing, work)
+
+
+def failures_in(results: Results) -> list[Origin]:
+    """Return the failures of all repetitions that are done, in their order."""
+    files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
+    return [one for file in files for one in _read(file).failures]
 
 
 def split(file: str, key: bytes, folder: str, number: int) -> Done:
@@ -99,6 +122,11 @@ def split(file: str, key: bytes, folder: str, number: int) -> Done:
     write_whole(_file(Path(folder), number), json.dumps(content))
     nothing = (0,) * (len(campaign.requirements) + 1)
     return Done(runs, nothing, time.process_time() - began, True)
+
+
+def _read(file: Path) -> Repetition:
+    data = json.loads(file.read_text())
+    return Repetition(**data | {"failures": [Origin(**one) for one in data["failures"]]})
 
 
 def _file(folder: Path, number: int) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,13 @@ from arm_emulator.base.kept import Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, case_with, drawn_case
+from arm_emulator.campaign.forking import forked_case
 from arm_emulator.campaign.results import ABOUT, INDEX, Results
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.shrinking import shrink
 from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.splitter import failures_in
 from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
@@ -38,7 +40,14 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     if not (into / ABOUT).is_file():
         rule = "have the search's runs, from which one is taken"
         raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
-    columns = Results(into, one).columns()
+    results = Results(into, one)
+    if one.search.forks:
+        failures = failures_in(results)
+        if index >= len(failures):
+            valid = f"0 to {len(failures) - 1}" if failures else None
+            raise Refusal("campaign", option, "be a failure of the search", index, valid)
+        return replace(forked_case(one, failures[index]), index=index)
+    columns = results.columns()
     places = np.flatnonzero(columns[INDEX] == index)
     if not len(places):
         count = len(columns[INDEX])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from arm_emulator.base.number import number
+from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.scene import Scene
@@ -17,9 +18,12 @@ class Payload(Fault):
     """The tool takes up or drops mass; its speed stays."""
 
     kind: ClassVar[str] = "payload"
-    varied: ClassVar[tuple[str, ...]] = ("payload.mass",)
-
     mass: float = number("kg", at_least=0.0, text="of the payload from then on")
+
+    @classmethod
+    def sets(cls, section: Section) -> Sequence[str]:
+        """Return the payload's mass."""
+        return ("payload.mass",)
 
     @classmethod
     def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:

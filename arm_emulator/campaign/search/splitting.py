@@ -34,6 +34,10 @@ State = TypeVar("State")
 class Process(Protocol[State]):
     """A random process whose margin never rises, and which can be forked."""
 
+    @property
+    def now(self) -> int:
+        """The present tick."""
+
     def begin(self, index: int, seed: int) -> None:
         """Begin a run."""
 
@@ -51,6 +55,19 @@ class Process(Protocol[State]):
 
 
 @dataclass(frozen=True)
+class Origin:
+    """From what a run follows.
+
+    Attributes:
+        index: of the run that was forked first.
+        seeds: ticks from which on its noise is that of a seed, ascending from 0, and the seeds.
+    """
+
+    index: int
+    seeds: Sequence[Sequence[int]]
+
+
+@dataclass(frozen=True)
 class Repetition:
     """An estimate of the probability, and the runs and parts of runs that it took.
 
@@ -59,11 +76,13 @@ class Repetition:
         runs: runs, and forks of runs.
         shares: of the runs at each level that reach the next, the failure last; it ends where none
             does.
+        failures: the runs that failed.
     """
 
     probability: float
     runs: int
-    shares: Sequence[float] = ()
+    shares: Sequence[float]
+    failures: Sequence[Origin]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,9 +139,9 @@ class Splitting(ByLevels):
             reached = []
             for k in range(N):  # the same runs once more, to the level
                 if lowest[k] <= level:
-                    _set(process, starts, k, seeds)
+                    origin = _set(process, starts, k, seeds)
                     process.reach(level)
-                    reached.append(process.fork())
+                    reached.append((process.fork(), origin))
             starts = _chosen(reached, N, rng)
 
     def repetition(
@@ -138,19 +157,22 @@ class Splitting(ByLevels):
         """
         rng, N = np.random.default_rng([seed, number]), int(self.per_level)
         first, shares, runs, starts = number * N, list[float](), 0, list[Any]()
+        failures: list[Origin] = []
         for level in (*levels, 0.0):
             seeds, reached = _seeds(rng, N), list[Any]()
             for k in range(N):
-                _set(process, starts, k, seeds, first)
+                origin = _set(process, starts, k, seeds, first)
                 runs += 1
                 if process.reach(level)[0]:
-                    reached.append(None if level == 0.0 else process.fork())
+                    reached.append((None if level == 0.0 else process.fork(), origin))
             shares.append(len(reached) / N)
             if not reached:
                 break
-            if level != 0.0:
+            if level == 0.0:
+                failures = [origin for _, origin in reached]
+            else:
                 starts = _chosen(reached, N, rng)
-        return Repetition(math.prod(shares), runs, shares)
+        return Repetition(math.prod(shares), runs, shares, failures)
 
     def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
         """Return what repetitions have found."""
@@ -185,13 +207,19 @@ def _seeds(rng: np.random.Generator, count: int) -> list[int]:
 
 
 def _set(
-    process: Process[Any], starts: Sequence[Any], k: int, seeds: Sequence[int], first: int = 0
-) -> None:
-    """Begin a run, or continue from one of the starts."""
-    if starts:
-        process.go_on(starts[k], seeds[k])
-    else:
+    process: Process[Any],
+    starts: Sequence[tuple[Any, Origin]],
+    k: int,
+    seeds: Sequence[int],
+    first: int = 0,
+) -> Origin:
+    """Begin a run, or continue from one of the starts; return from what it follows."""
+    if not starts:
         process.begin(first + k, seeds[k])
+        return Origin(first + k, ((0, seeds[k]),))
+    state, before = starts[k]
+    process.go_on(state, seeds[k])
+    return Origin(before.index, (*before.seeds, (process.now, seeds[k])))
 
 
 def _chosen(states: Sequence[State], count: int, rng: np.random.Generator) -> list[State]:
