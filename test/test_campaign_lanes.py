@@ -13,7 +13,6 @@ from test_campaign import MOVES, TABLE, changed, written
 from arm_emulator import ExternalWrench, Fleet, Refusal, ServoFleet, load_gains
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, drawn_case
-from arm_emulator.campaign.fault import changes_of
 from arm_emulator.campaign.lanes import WIDTH, RunsInLanes, runs_of
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.simulator import Simulator
@@ -169,16 +168,6 @@ def test_the_motion_controller_leads_runs_one_by_one(tmp_path: Path) -> None:
     assert isinstance(runs, Simulator)
     (found,) = runs.runs(cases_of(campaign, [3]))
     assert found.robustness[0, 0] == runs.run(3).robustness["near"]
-
-
-def test_numbers_come_back_to_what_they_were(tmp_path: Path) -> None:
-    faults = DRAWN["faults over each other"]["faults"]
-    campaign = campaign_of(tmp_path, {"faults": faults, "vary": {"payload.mass": "uniform(0, 3)"}})
-    there = campaign.nominal[1].values()
-    found = changes_of(there, campaign.scene, {"payload.mass": 1.5})
-    masses = [(t, one.value) for t, one in found if isinstance(one, NumberChange)]
-    assert masses == [(20, 0.2), (50, 2.0), (70, 0.2), (120, 1.5)]
-    assert [t for t, _ in found] == sorted(t for t, _ in found)
 
 
 # ----------------------------------------------------------------------------- the fleet by itself

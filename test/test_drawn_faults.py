@@ -12,8 +12,11 @@ import yaml
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
+from arm_emulator.campaign.fault import Fault, changes_of
 from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.varying_numbers import leaves
+from arm_emulator.machine.change import Change, NumberChange, WrenchChange
+from arm_emulator.machine.external_wrench import ExternalWrench
 
 FAULTS: dict[str, dict[str, Any]] = {
     "push": {"kind": "wrench", "at": 0.1, "lasting": 0.05, "link": "tool", "force": [1, 2, 3],
@@ -101,3 +104,43 @@ def test_numbers_of_faults_have_units(campaign: Campaign) -> None:
     expected = {"push.force.2": "N", "push.moment.0": "N m", "push.point.1": "m", "push.at": "s",
                 "push.again.impulse.0": "N s", "drop.mass": "kg", "slip.magnitude": ""}  # fmt: skip
     assert {name: units[name] for name in expected} == expected
+
+
+SOUND: dict[str, Any] = {"payload.mass": 1.5, "faults.elbow.encoder_slips": 0.0, "power": True}
+ENDS = 40  # ticks, after which all faults have ended
+
+
+def set_by(change: Change) -> tuple[str, Any]:
+    if isinstance(change, NumberChange):
+        return change.name, change.value
+    if isinstance(change, WrenchChange):
+        return change.link, change.wrench
+    return "power", change.on
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_newest_fault_that_lasts_holds(campaign: Campaign, seed: int) -> None:
+    """Faults that set the same, over each other in any way, against a look at every tick."""
+    rng = np.random.default_rng(seed)
+    period, known = campaign.scene.servo_period, list(campaign.nominal[1].values())
+    faults: list[tuple[Fault, int, int]] = []
+    for _ in range(int(rng.integers(2, 7))):
+        begins, ticks = int(rng.integers(0, 20)), int(rng.integers(1, 20))
+        times = {"at": begins * period, "lasting": ticks * period}
+        number = {"mass": "mass", "machine": "magnitude"}
+        one = known[int(rng.integers(len(known)))]
+        size = number.get("mass" if one.kind == "payload" else one.kind)
+        more = {} if size is None else {size: float(rng.uniform(0.1, 2.0))}
+        drawn = one.with_numbers([((key,), value) for key, value in {**times, **more}.items()])
+        assert drawn is not None
+        faults.append((drawn, begins, begins + ticks))
+    found = changes_of([one for one, *_ in faults], campaign.scene, {"payload.mass": 1.5})
+    assert [tick for tick, _ in found] == sorted(tick for tick, _ in found)
+    now = dict(SOUND)
+    for tick in range(ENDS):
+        now |= dict(set_by(change) for at, change in found if at == tick)
+        expected = dict(SOUND) | {name: ExternalWrench() for name in now if name not in SOUND}
+        for one, begins, ends in sorted(faults, key=lambda fault: fault[1]):
+            if begins <= tick < ends:
+                expected |= [set_by(one.begins(campaign.scene))]
+        assert now == expected, f"tick {tick}"

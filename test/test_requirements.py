@@ -78,9 +78,9 @@ def drawn_interval(rng, horizon):
     return f"[{begin * PERIOD:.2f}, {end * PERIOD:.2f}]", begin, end
 
 
-def fed(text, rows, cuts):
+def fed(text, rows, cuts, longest=None):
     count = len(rows["a"])
-    one = Judged(parse_formula(text, "test", "formula"), count)
+    one = Judged(parse_formula(text, "test", "formula"), longest or count, room=count)
     for _ in range(2):  # the second trace begins anew
         for first, last in zip([0, *cuts], [*cuts, count], strict=True):
             one.feed({name: row[first:last] for name, row in rows.items()})
@@ -91,10 +91,10 @@ def fed(text, rows, cuts):
 class Judged:
     """A formula alone in its program."""
 
-    def __init__(self, formula, longest, quantity="formula"):
+    def __init__(self, formula, longest, quantity="formula", room=None):
         self.rows = Rows([], PERIOD)
         one = Robustness(judges(), formula, self.rows.of, PERIOD, longest, "c.yaml", quantity)
-        self.program = Program(self.rows, [[one]], [], [], longest)
+        self.program = Program(self.rows, [[one]], [], [], room or longest)
         self.program.begin()
 
     def feed(self, signals):
@@ -107,10 +107,10 @@ class Judged:
         return value
 
 
-def drawn_case(seed):
+def drawn_case(seed, horizon=None):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 14))
-    text, brute = drawn_formula(rng, int(rng.integers(0, 4)), 1 + count // 2)
+    text, brute = drawn_formula(rng, int(rng.integers(0, 4)), horizon or 1 + count // 2)
     rows = {name: rng.integers(-12, 13, count) / 4.0 + rng.normal(0, 1e-3) for name in NAMES}
     cuts = sorted(rng.integers(0, count + 1, int(rng.integers(0, 4))).tolist())
     return text, brute, rows, cuts
@@ -126,6 +126,14 @@ def test_random_formulas_equal_brute_force(part):
         assert fed(text, rows, cuts) == expected, (part, k, text)
         finite += math.isfinite(expected)
     assert finite > 15
+
+
+@pytest.mark.parametrize("horizon", [None, 20, 10**11])
+def test_traces_of_unknown_length_end_within_or_before_any_window(horizon):
+    # Where the length of runs is drawn, no window can be cut to it beforehand.
+    for k in range(1000 if FULL else 60):
+        text, brute, rows, cuts = drawn_case([7, k], horizon)
+        assert fed(text, rows, cuts, longest=2**40) == brute(rows, 0), (k, text)
 
 
 def test_rtamt_agrees():

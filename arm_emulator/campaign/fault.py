@@ -108,28 +108,36 @@ def changes_of(
 ) -> list[tuple[int, Change]]:
     """Return what faults set in a machine, with the ticks before which that happens, ascending.
 
+    Of faults that set the same (a number, the wrench on a link, the power), the newest holds; when
+    it ends, the newest of those that still last holds again.
+
     Args:
         faults: of a run.
         scene: the machine.
         values: of its varied numbers, where they are not those of the scene.
     """
     period = scene.servo_period
-    found: list[tuple[int, Change]] = []
-    before: dict[int, float | None] = {}  # of numbers, by the place of the change that ends it
+    sound = {one.name: one.value for one in scene.varied} | dict(values)
+    begun: list[tuple[int, Fault, bool]] = []
+    ended: list[tuple[int, Fault, bool]] = []
     for fault in faults:
         begins = ticks_of(fault.at, period)
-        found.append((begins, fault.begins(scene)))
-        found.append((begins + max(1, ticks_of(fault.lasting, period)), fault.ends()))
-    order = sorted(range(len(found)), key=lambda place: found[place][0])
-    now = {one.name: one.value for one in scene.varied} | dict(values)
-    for place in order:
-        tick, change = found[place]
-        if not isinstance(change, NumberChange):
-            continue
-        if place % 2 == 0:
-            before[place + 1] = now[change.name]
-        elif change.value is None:
-            change = replace(change, value=before[place])
-            found[place] = tick, change
-        now[change.name] = change.value  # type: ignore[assignment]
-    return [found[place] for place in order]
+        begun.append((begins, fault, True))
+        ended.append((begins + max(1, ticks_of(fault.lasting, period)), fault, False))
+    lasting: dict[str, list[tuple[Fault, Change]]] = {}
+    found: list[tuple[int, Change]] = []
+    for tick, fault, begins_now in sorted(ended + begun, key=lambda one: one[0]):
+        change = fault.begins(scene)
+        same = lasting.setdefault(change.what, [])
+        if begins_now:
+            same.append((fault, change))
+        else:
+            place = next(place for place, one in enumerate(same) if one[0] is fault)
+            del same[place]
+            if place < len(same):
+                continue  # a newer one holds
+            change = same[-1][1] if same else fault.ends()
+            if isinstance(change, NumberChange) and change.value is None:
+                change = replace(change, value=sound[change.name])
+        found.append((tick, change))
+    return found

@@ -147,7 +147,7 @@ class Judges:
         self._of_formulas = [names.index(name) for name in formulas]
         self._of_checked = [names.index(name) for name in self._checked]
         longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, scene.servo_period))
-        if campaign.draws_sections:
+        if any(one.name == "scenario.seconds" for one in campaign.variation.numbers):
             longest = 2**40
         period = scene.servo_period
         requirements = [

@@ -25,6 +25,7 @@ typedef struct node {
   /* The window of always, eventually and until that ends: the newest block of `width` samples, the
    * part of it that has not come yet holding what the block before makes up from there on. */
   segment* block;
+  int64_t room; /* of the block so far: a window may be longer than any trace */
   int64_t width;
   int64_t taken;  /* samples of its children */
   segment newest; /* of the samples of the block that have come, or of all without an end */
@@ -127,14 +128,7 @@ robustness* robustness_new(const robustness_node* nodes, int32_t count) {
     if (kind == ROBUSTNESS_AND || kind == ROBUSTNESS_OR || kind == ROBUSTNESS_UNTIL) {
       ask(&all->nodes[one->what.right], one);
     }
-    if (is_window(one) && has_end(one)) {
-      one->width = one->what.end - one->what.begin + 1;
-      one->block = calloc((size_t)one->width, sizeof(segment));
-      if (!one->block) {
-        robustness_delete(all);
-        return NULL;
-      }
-    }
+    if (is_window(one) && has_end(one)) one->width = one->what.end - one->what.begin + 1;
   }
   begin_anew(all);
   return all;
@@ -182,6 +176,19 @@ static int feed_pointwise(node* one, stream* left, stream* right) {
   take(left, count);
   if (right) take(right, count);
   grow(&one->out, count);
+  return 0;
+}
+
+/* Have room for further samples in the window's block. */
+static int make_room_in_block(node* one, int64_t more) {
+  int64_t room = one->taken + more;
+  if (room > one->width) room = one->width;
+  if (room <= one->room) return 0;
+  room = room < one->width / 2 ? 2 * room : one->width;
+  segment* block = realloc(one->block, (size_t)room * sizeof(segment));
+  if (!block) return -1;
+  one->block = block;
+  one->room = room;
   return 0;
 }
 
@@ -244,6 +251,7 @@ static int feed_window(node* one, stream* left, stream* right) {
   const double* b = right ? right->values + right->begin : a;
   const int32_t kind = one->what.kind;
   if (has_end(one)) {
+    if (make_room_in_block(one, count)) return -1;
     for (int64_t i = 0; i < count; ++i) {
       const segment sample = {a[i], b[i]};
       move(one, sample);
@@ -280,6 +288,18 @@ static int end_forever(node* one, stream* left, stream* right, int64_t wanted) {
   return 0;
 }
 
+/* The same of a window that was never full: its block has all samples, none of which went out. */
+static int end_short(node* one, int64_t wanted) {
+  segment later = nothing(one->what.kind);
+  double* out = end_of(&one->out);
+  for (int64_t i = (one->taken > wanted ? one->taken : wanted) - 1; i >= 0; --i) {
+    if (i < one->taken) later = joined(one->what.kind, one->block[i], later);
+    if (i < wanted) out[i] = value_of(one->what.kind, later);
+  }
+  grow(&one->out, wanted);
+  return 0;
+}
+
 /* Complete the values of a window at the times that the trace has. */
 static int end_window(robustness* all, node* one, stream* left, stream* right) {
   int64_t last = all->samples - 1;
@@ -288,6 +308,7 @@ static int end_window(robustness* all, node* one, stream* left, stream* right) {
   if (wanted <= one->out.made) return 0;
   if (!has_end(one)) return end_forever(one, left, right, wanted);
   if (make_room(&one->out, wanted - one->out.made)) return -1;
+  if (one->taken < one->width) return end_short(one, wanted);
   while (one->out.made < wanted) move(one, nothing(one->what.kind));
   return 0;
 }

@@ -14,11 +14,16 @@ class NumberChange:
 
     Attributes:
         name: of the number.
-        value: of it; None: the one that it had before its newest change.
+        value: of it; None: the one that it has in a sound machine.
     """
 
     name: str
     value: float | None
+
+    @property
+    def what(self) -> str:
+        """Its number: of changes of the same, the newest holds."""
+        return self.name
 
     def make(self, session: Session) -> None:
         """Set it in a machine."""
@@ -33,6 +38,11 @@ class WrenchChange:
     link: str
     wrench: ExternalWrench
 
+    @property
+    def what(self) -> str:
+        """The wrench on its link: of changes of the same, the newest holds."""
+        return f"wrench on {self.link}"
+
     def make(self, session: Session) -> None:
         """Set it in a machine."""
         session.set_external_wrench(self.link, self.wrench)
@@ -43,6 +53,11 @@ class PowerChange:
     """The drives get power, or lose it."""
 
     on: bool
+
+    @property
+    def what(self) -> str:
+        """The power: of changes of the same, the newest holds."""
+        return "power"
 
     def make(self, session: Session) -> None:
         """Set it in a machine."""
