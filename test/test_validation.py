@@ -12,10 +12,15 @@ import pytest
 from draws import some
 
 from arm_emulator import Refusal, Scene, load_scene
+from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.wind_up import wind_up
 from arm_emulator.validation import manutec_r3
 from arm_emulator.validation.figure import Figure
+from arm_emulator.validation.kuka_closed_loop import closed_loop
 from arm_emulator.validation.kuka_kr300 import (
+    LEAST_OF_LARGE,
+    LOW_PASS,
+    MOVES,
     SHIPPED,
     compare,
     known,
@@ -99,6 +104,20 @@ def test_free_runs_and_our_servo_are_nearer_than_null_models(path: Path) -> None
             for end in (-1e9, 1e9)
         ]
         assert any(ends), one.title
+
+
+def test_our_servo_follows_the_first_motion_of_a_run() -> None:
+    """Large axes need the measured torque, all are nearer to the command than the real ones."""
+    scene = load_scene("kuka_kr300")
+    whole = load(SHIPPED[0], scene)
+    rows = slice(0, round(5.0 / whole.period))  # all axes move in it
+    parts = {name: value[rows] for name, value in vars(whole).items() if hasattr(value, "shape")}
+    run = dataclasses.replace(whole, **parts)
+    data = filtered(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1)
+    found = closed_loop(run, data, LOW_PASS)
+    assert found is not None
+    assert found.explained[:3].min() > LEAST_OF_LARGE, found.explained
+    assert (found.lag < found.measured_lag).all()
 
 
 def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:

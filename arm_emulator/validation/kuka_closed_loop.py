@@ -68,8 +68,8 @@ def closed_loop(run: MeasuredRun, data: Filtered, frequency: float) -> ClosedLoo
         drives.aim(Target(command(t), speed(t)))
         if tick % every == 0:
             rows.append(np.array([session.state.theta_m * ratio, torque_constant * current]))
-        command = drives.command(session.powered).tolist()
-        session.offer(tick, list(scene.joint_names), command)
+        applied = drives.command(session.powered).tolist()
+        session.offer(tick, list(scene.joint_names), applied)
         session.advance()
         if session.fault is not None:
             raise session.fault
