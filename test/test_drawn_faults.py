@@ -106,7 +106,6 @@ def test_numbers_of_faults_have_units(campaign: Campaign) -> None:
     assert {name: units[name] for name in expected} == expected
 
 
-SOUND: dict[str, Any] = {"payload.mass": 1.5, "faults.elbow.encoder_slips": 0.0, "power": True}
 ENDS = 40  # ticks, after which all faults have ended
 
 
@@ -127,19 +126,20 @@ def test_the_newest_fault_that_lasts_holds(campaign: Campaign, seed: int) -> Non
     for _ in range(int(rng.integers(2, 7))):
         begins, ticks = int(rng.integers(0, 20)), int(rng.integers(1, 20))
         times = {"at": begins * period, "lasting": ticks * period}
-        number = {"mass": "mass", "machine": "magnitude"}
         one = known[int(rng.integers(len(known)))]
-        size = number.get("mass" if one.kind == "payload" else one.kind)
+        size = {"payload": "mass", "machine": "magnitude", "number": "value"}.get(one.kind)
         more = {} if size is None else {size: float(rng.uniform(0.1, 2.0))}
         drawn = one.with_numbers([((key,), value) for key, value in {**times, **more}.items()])
         assert drawn is not None
         faults.append((drawn, begins, begins + ticks))
     found = changes_of([one for one, *_ in faults], campaign.scene, {"payload.mass": 1.5})
     assert [tick for tick, _ in found] == sorted(tick for tick, _ in found)
-    now = dict(SOUND)
+    sound: dict[str, Any] = {one.name: one.value for one in campaign.scene.varied}
+    sound |= {"payload.mass": 1.5, "power": True}
+    now = dict(sound)
     for tick in range(ENDS):
         now |= dict(set_by(change) for at, change in found if at == tick)
-        expected = dict(SOUND) | {name: ExternalWrench() for name in now if name not in SOUND}
+        expected = sound | {link: ExternalWrench() for link in now if link not in sound}
         for one, begins, ends in sorted(faults, key=lambda fault: fault[1]):
             if begins <= tick < ends:
                 expected |= [set_by(one.begins(campaign.scene))]
