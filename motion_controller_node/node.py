@@ -15,7 +15,7 @@ if __name__ == "__main__":  # before slow imports
     end_at_once(0)
 
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
-from arm_emulator.base.bound import BRAKE_CLOSED, POSITION, VELOCITY
+from arm_emulator.base.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.follow_goal import tolerances_of
@@ -287,7 +288,8 @@ class MotionControllerNode(ManagedNode):
             if now % self._period_ns != 0:
                 return
             q = self._order.arrange(message.name, message.position, POSITION)
-            v = self._speeds(message)
+            v = self._optional(message, message.velocity, VELOCITY)
+            tau = self._loads(message)
         except Refusal as reason:
             self._diagnostics.refuse("joint_states", reason)
             return
@@ -301,7 +303,7 @@ class MotionControllerNode(ManagedNode):
             self._unanswered = message
             return
         self._now_ns = now
-        instruction = self._instructor.instruct(controller, now, q, v, movable)
+        instruction = self._instructor.instruct(controller, now, q, v, movable, tau)
         self._report()
         self._report_status()
         self._jogs.publish()
@@ -319,13 +321,21 @@ class MotionControllerNode(ManagedNode):
             names = list(controller.kinematics.joint_names)
             self._action.feed_back(message.header.stamp, names, instruction, q, v)
 
-    def _speeds(self, message: JointState) -> FloatArray | None:
-        """Return measured speeds; None if they are missing or not sound: they are optional."""
+    def _loads(self, message: JointState) -> FloatArray | None:
+        """Return the loads of the motors; None of other servos: some have amperes as `effort`."""
+        if not self._servo_reports:
+            return None
+        return self._optional(message, message.effort, EFFORT)
+
+    def _optional(
+        self, message: JointState, given: Sequence[float], bound: Number
+    ) -> FloatArray | None:
+        """Return measured speeds or loads; None if they are missing or not sound."""
         try:
-            if message.velocity:
-                return self._order.arrange(message.name, message.velocity, VELOCITY)
+            if given:
+                return self._order.arrange(message.name, given, bound)
         except Refusal:
-            self._diagnostics.count("joint_states without sound speeds")
+            self._diagnostics.count(f"joint_states without a sound {bound.name}")
         return None
 
     def _report_status(self) -> None:

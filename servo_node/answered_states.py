@@ -50,7 +50,7 @@ class AnsweredStates:
 
     Attributes:
         at: ``answered_states *``: where the servo is, for both.
-        movable, q, v: what C publishes of the joints, (N,) each.
+        movable, q, v, tau: what C publishes of the joints, (N,) each.
         takes, outgoing: see `HotPath`.
 
     Args:
@@ -72,7 +72,8 @@ class AnsweredStates:
     ) -> None:
         law, servo, N = servo_law(), drives.servo, len(config.joint_names)
         self._names = list(config.joint_names)
-        self.movable, self.q, self.v = np.zeros(N, np.int64), np.zeros(N), np.zeros(N)
+        self.movable = np.zeros(N, np.int64)
+        self.q, self.v, self.tau = np.zeros((3, N))
         self._brake = np.zeros(N, np.int64)
         self._kept: dict[str, list[object]] = {}  # what the patterns of C need
         self._layouts: dict[str, FixedLayout | None] = {}
@@ -92,6 +93,7 @@ class AnsweredStates:
             movable=self.movable,
             q_measured=self.q,
             v_measured=self.v,
+            tau_measured=self.tau,
             period=round(config.period * 1e9),
             motion_ticks=motion_ticks,
             report_ticks=report_ticks,

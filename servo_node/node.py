@@ -151,8 +151,8 @@ class ServoNode(ManagedNode):
         )
         self._joint_state = Outgoing(
             create(JointState, "joint_states", STATE_PUB_QOS),
-            JointState(name=names, position=zeros, velocity=zeros),
-            further=[("position", hot.q), ("velocity", hot.v)],
+            JointState(name=names, position=zeros, velocity=zeros, effort=zeros),
+            further=[("position", hot.q), ("velocity", hot.v), ("effort", hot.tau)],
         )
         refuse, subscribe = self._diagnostics.refuse, self.create_subscription
         states = Taking("motor_states", MotorState, self._on_state, refuse)
@@ -368,6 +368,7 @@ class ServoNode(ManagedNode):
         set_stamp(joints.message.header.stamp, time_ns)
         joints.message.position[:] = drives.servo.q_measured
         joints.message.velocity[:] = drives.servo.v_measured
+        joints.message.effort[:] = drives.servo.tau_measured
         self._joint_state.publish()
 
     def _report_again(self) -> None:

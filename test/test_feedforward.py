@@ -147,6 +147,78 @@ def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
                 assert 0.0 < np.abs(wound).max() < 0.02
 
 
+class Weighed:
+    """A link on an elastic gear, of which motion control knows other numbers.
+
+    Its motor gives the true weight, less what friction holds of it.
+    """
+
+    STIFFNESS, MASS, COM = 2e3, 5.0, 0.4  # N m/rad, kg, m
+
+    def __init__(self, heavier: float, softer: float, dry: float = 0.0, held: float = 0.0) -> None:
+        self.assumed = softer * self.STIFFNESS
+        drive = DriveNumbers(stiffness=self.assumed, coulomb=dry)
+        config = MotionConfig(
+            tool="joint_link", period=0.01, feedforward="full", drives={"joint": drive}
+        )
+        urdf = one_link_urdf(self.MASS * heavier, self.COM, 0.05 * heavier)
+        self.feedforward = Feedforward(Kinematics(urdf, ["joint"], "joint_link"), config)
+        self.held = held
+
+    def weight(self, q: float) -> float:
+        return -self.MASS * 9.81 * self.COM * math.cos(q)
+
+    def period(self, q: float, v: float = 0.0, can: bool = True) -> tuple[float, float]:
+        """Return by how much the motor is sent ahead, and the torque that is announced."""
+        tau = np.array([self.weight(q) - self.held])
+        self.feedforward.observe(tau, np.array([can]))
+        one = self.feedforward.complete(Instruction(np.array([q]), np.array([v])))
+        assert one.tau is not None
+        return float(one.q[0] - q), float(one.tau[0])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
+    """Links, gear and friction wrong by 30 %, alone and mixed: what is left is the gear's."""
+    rng = np.random.default_rng(seed)
+    heavier, softer, of_dry = rng.choice([0.7, 1.0, 1.3], 3)
+    dry, q = rng.choice([0.0, 1.0]), rng.uniform(-1.0, 1.0)
+    arm = Weighed(heavier, softer, of_dry * dry, dry * rng.uniform(-1.0, 1.0))
+    weight, first = arm.weight(q), arm.period(q)
+    assert first[0] == pytest.approx(heavier * weight / arm.assumed, rel=1e-9)
+    rest = [first, *(arm.period(q) for _ in range(400))]
+    assert all(tau == first[1] for _, tau in rest), "integrals hold what was not announced"
+    wound = np.array([wind_up for wind_up, _ in rest])
+    steps = np.abs(np.diff(wound))
+    assert steps.max() <= 0.04 * abs(wound[-1] - wound[0]), "in 0.3 s, a period has 10 ms"
+    # Friction may hold either way, known as 1.5 times what is assumed; 10 urad nobody sees. A
+    # weight of that size is no evidence: what it leaves is of second order. exp(-4 / 0.3) is left.
+    unsure = 1.5 * of_dry * dry + 1e-5 * arm.assumed
+    surplus = (1.0 - heavier) * weight - arm.held
+    if abs(surplus) < unsure:
+        assert wound[-1] == wound[0], "the prediction may be right"
+    off = abs(wound[-1] * arm.assumed - weight)
+    assert off <= abs(arm.held) + unsure + abs(surplus) * (unsure / (heavier * weight)) ** 2 + 1e-4
+
+
+def test_the_load_at_rest_multiplies_torques_in_motion_without_a_jump() -> None:
+    """Announced torques go on from the rest's by the observed factor; brakes end what was held."""
+    arm, q = Weighed(1.3, 1.0), 0.5
+    at_rest = [arm.period(q) for _ in range(400)][-1][1]
+    assert at_rest == pytest.approx(1.3 * arm.weight(0.5), rel=1e-12)
+    way = []
+    for k in range(40):
+        v = 0.4 * math.sin(math.pi * (k + 0.5) / 40) ** 2
+        way.append(arm.period(q, v)[1])
+        q += 0.01 * v
+    end = [arm.period(q)[1] for _ in range(4)][-1]
+    change = arm.weight(q) - arm.weight(0.5)
+    # 10 urad of the gear are 0.02 N m of 17.
+    assert end - at_rest == pytest.approx(change, rel=2e-3)
+    assert np.abs(np.diff([at_rest, *way, end])).max() < 1.0, "5 N m are held"
+    assert arm.period(q, can=False)[1] == pytest.approx(arm.weight(q), rel=2e-3)
+
+
 @pytest.mark.parametrize(
     ("known", "bound"),
     [

@@ -60,19 +60,32 @@ class ElasticArm:
     ) -> None:
         self._links = links
         stiffness = column(drives, "stiffness")
-        self._softness = 1.0 / stiffness  # 0: rigid
+        self.softness = 1.0 / stiffness
+        """Wind-up per small torque (N,) [rad/(N m)]; 0: rigid."""
         self._cubic = column(drives, "cubic_stiffness") * np.isfinite(stiffness)
         self._damping = column(drives, "damping") * np.isfinite(stiffness)
         self._of_link = column(drives, "viscous"), column(drives, "coulomb")
         self._of_rotor = column(drives, "rotor_viscous"), column(drives, "rotor_coulomb")
         limit = np.where(np.isfinite(velocity_limit), velocity_limit, _UNKNOWN_LIMIT)
         self._smooth = SMOOTH * limit
+        self.dry = self._of_link[1] + self._of_rotor[1]
+        """Dry friction of links and rotors (N,) [N m]."""
 
-    def at(self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray) -> Drive:
-        """Return the motors' motion for a motion of the links, (N,) each [rad, s]."""
+    def at(
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        a: FloatArray,
+        jerk: FloatArray,
+        factor: FloatArray | float = 1.0,
+    ) -> Drive:
+        """Return the motors' motion for a motion of the links, (N,) each [rad, s].
+
+        `factor` multiplies the torques that the links need by their description (N,).
+        """
         torque, rate = self._links.rates(q, v, a, jerk)
         friction, slope = self._friction(self._of_link, v)
-        torque, rate = torque + friction, rate + slope * a
+        torque, rate = factor * torque + friction, factor * rate + slope * a
         softness = self._slope(self.wind_up(torque))
         wound = self.wind_up(torque - self._damping * rate * softness)
         return Drive(q + wound, v + rate * self._slope(wound), torque, rate)
@@ -93,8 +106,8 @@ class ElasticArm:
 
     def wind_up(self, torque: FloatArray) -> FloatArray:
         """Return the wind-up of the gears under torques at rest, (N,) [rad]."""
-        linear = torque * self._softness
-        cubic = self._cubic * self._softness
+        linear = torque * self.softness
+        cubic = self._cubic * self.softness
         bent = cubic > 0.0
         if not bent.any():
             return linear
@@ -104,7 +117,7 @@ class ElasticArm:
 
     def _slope(self, wound: FloatArray) -> FloatArray:
         """Return wind-up per torque at a wind-up (N,) [rad/(N m)]."""
-        return self._softness / (1.0 + 3.0 * self._cubic * self._softness * wound**2)
+        return self.softness / (1.0 + 3.0 * self._cubic * self.softness * wound**2)
 
     def _friction(
         self, law: tuple[FloatArray, FloatArray], v: FloatArray

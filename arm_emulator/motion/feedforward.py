@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.drive_numbers import DriveNumbers
@@ -14,6 +15,7 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.rest_load import RestLoad
 
 _TIMES = 4  # each reduces the error to about a thousandth
 _APART = 1e-9  # rad or m: rounding of angles that go on from one period to the next
@@ -24,7 +26,7 @@ class Feedforward:
 
     With `full` these are the angles and speeds of the motors at which the links move as they shall
     (`ElasticArm`). What is measured, the motors' angles, is not where the links are then: `links`
-    takes the wind-up off.
+    takes the wind-up off. How heavy the links are is observed at rest (`RestLoad`).
 
     Attributes:
         gives: none, speed, torque (and speed), full.
@@ -56,12 +58,17 @@ class Feedforward:
         if self.gives == "full":
             drives = [config.drives.get(name, DriveNumbers()) for name in names]
             self._arm = ElasticArm(self._torques, drives, kinematics.velocity_limit)
+            self._load = RestLoad(self._arm.dry, self._arm.softness, self._period)
+            self._factor = self._load.factor
+            self._held: FloatArray = np.zeros(len(names))  # by the servo's integrals, N m, negative
+            self._at_rest: FloatArray | None = None  # announced there, N m
 
     def links(self, q: FloatArray) -> FloatArray:
         """Return the links' angles for measured motors at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
             for _ in range(_TIMES):  # the weight is that at the links' true angles
-                self.wound = self._arm.wind_up(self._arm.weight(q - self.wound))
+                weight = self._arm.weight(q - self.wound)
+                self.wound = self._arm.wind_up(self._load.factor * weight)
         return q - self.wound
 
     def standing(self, q: FloatArray) -> FloatArray:
@@ -73,6 +80,23 @@ class Feedforward:
     def forget(self) -> None:
         """Reset for the next motion."""
         self._before = None
+
+    def observe(self, tau: FloatArray | None, movable: npt.NDArray[np.bool_] | None) -> None:
+        """Take what the motors give, at the links (N,) [N m], and which joints can move (N,).
+
+        None: not measured; all can.
+        """
+        if self._arm is None:
+            return
+        if movable is not None and not movable.all():
+            self._held, self._at_rest = np.where(movable, self._held, 0.0), None  # as the integrals
+            tau = None
+        before = self._before
+        sound = tau is not None and bool(np.isfinite(tau).all())
+        if tau is not None and sound and before is not None and before.rests:
+            self._load.rests(tau, self._arm.weight(before.q_end))
+        else:
+            self._load.moves()
 
     def complete(self, instruction: Instruction) -> Instruction:
         """Return the servo's targets for this motion period."""
@@ -95,12 +119,33 @@ class Feedforward:
         jerk = _jerk(now, before, period)
         q_end = q + mean * period
         v_end = now.v + now.a * period + 0.5 * jerk * period**2
-        begins = arm.at(now.q, now.v, now.a, jerk) if before is None else before.ends
-        ends = arm.at(q_end, v_end, now.a + jerk * period, jerk)
-        self._before = _Period(now, mean, q_end, ends)
+        rests = not any(one.any() for one in (mean, now.v, now.a, jerk))
+        if rests or before is None:
+            self._factor = self._load.factor
+        factor = self._factor
+        begins = arm.at(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
+        ends = arm.at(q_end, v_end, now.a + jerk * period, jerk, factor)
+        self._before = _Period(now, mean, q_end, ends, rests)
         self.wound = begins.theta - q
-        tau = arm.over(begins, ends, period) if instruction.tau is None else instruction.tau
+        tau = self._announced(arm, begins, ends) if instruction.tau is None else instruction.tau
         return Instruction(begins.theta, (ends.theta - begins.theta) / period, tau, now)
+
+    def _announced(self, arm: ElasticArm, begins: Drive, ends: Drive) -> FloatArray:
+        """Return the torques of the present period (N,).
+
+        At rest they stay as they are while the factor follows: the servo's integrals hold the rest
+        of the weight, and torques that change without a motion would be wrong evidence to it.
+        """
+        tau = arm.over(begins, ends, self._period) + self._held
+        if self._before is None or not self._before.rests:
+            self._at_rest = None
+            return tau
+        weight = arm.over(ends, ends, self._period)
+        if self._at_rest is None:
+            self._at_rest = weight + self._held
+            return tau
+        self._held = self._at_rest - weight
+        return self._at_rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +158,8 @@ class _Period:
     q_end: FloatArray
     ends: Drive
     """Motion of the motors at its end."""
+    rests: bool
+    """Whether the links rest in it and after it."""
 
 
 def _estimated(q: FloatArray, mean: FloatArray, before: _Period | None, period: float) -> Reference:

@@ -209,6 +209,7 @@ class Instructor:
         q: FloatArray,
         v: FloatArray | None = None,
         movable: Flags | None = None,
+        tau: FloatArray | None = None,
     ) -> Instruction:
         """Return the joint targets at a logical time [ns].
 
@@ -218,6 +219,7 @@ class Instructor:
             q: joint angles measured at the motors (N,) [rad].
             v: measured joint speeds (N,) [rad/s]; None: not measured.
             movable: which joints can move (N,): with power, and an open brake; None: all.
+            tau: torques that the motors give, at the links (N,) [N m]; None: not measured.
 
         Raises:
             Refusal: q is not finite or too large; nothing has changed then.
@@ -226,6 +228,7 @@ class Instructor:
         laws = self._laws_of(controller)
         if movable is not None and not movable.all():
             laws.feedforward.forget()  # the measured positions hold, whatever was commanded
+        laws.feedforward.observe(tau, movable)
         measured, q = q, laws.feedforward.links(q)
         try:
             self._wait(laws, time_ns, q, movable)

@@ -148,8 +148,9 @@ class OfflineRun(Uncopied, Closed):
         self._step.measure(self._loop, session.tick)
         q = drives.servo.q_measured[self._to_motion]
         v = drives.servo.v_measured[self._to_motion]
+        tau = drives.servo.tau_measured[self._to_motion]
         can = drives.movable(session.powered)[self._to_motion]
-        target = self._target(self.instructor.instruct(self.controller, now, q, v, can))
+        target = self._target(self.instructor.instruct(self.controller, now, q, v, can, tau))
         self.aimed = target.q
         drives.aim(target)
 

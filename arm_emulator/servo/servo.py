@@ -71,6 +71,7 @@ class Servo(Turns):
         self._counts = config.counts.named("counts")
         self._theta_measured, self._omega = self.state["theta_measured"], self.state["omega"]
         self._is_known, self._ratio = self.state["known"], self._joint["ratio"]
+        self._load, self._motor_turns = self.state["load"], self._joint["motor_turns"]
         # Fixed arrays for the law's inputs and outputs: finding an array's address costs time.
         self._whole = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
@@ -145,6 +146,13 @@ class Servo(Turns):
     def v_measured(self) -> FloatArray:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
         return self._known(self._omega)
+
+    @property
+    @in_turn
+    def tau_measured(self) -> FloatArray:
+        """Loads of the motors by the observer, at the links, (N,) [N m]; NaN before any count."""
+        load: FloatArray = self._load * self._motor_turns
+        return load if self._is_known[0] else load * np.nan
 
     def _known(self, of_motors: FloatArray) -> FloatArray:
         return of_motors * (self._ratio if self._is_known[0] else np.nan)

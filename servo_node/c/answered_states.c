@@ -32,6 +32,7 @@ static void report(answered_states* own, int64_t time) {
     own->movable[j] = on && !state->braked && !state->stood;
     own->q_measured[j] = state->theta_measured * arm->joint[j].ratio;
     own->v_measured[j] = state->omega * arm->joint[j].ratio;
+    own->tau_measured[j] = state->load * arm->joint[j].motor_turns;
   }
   own->publish(own->servo_state, time, 0, NULL);
   own->publish(own->joint_state, time, 0, NULL);

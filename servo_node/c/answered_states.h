@@ -44,7 +44,7 @@ typedef struct answered_states {
   servo_bounds most;
   /* Places of what came, and of what is published, an entry per joint. */
   int64_t *counts, *brake, *movable;
-  double *current, *applied, *q, *v, *tau, *volts, *q_measured, *v_measured;
+  double *current, *applied, *q, *v, *tau, *volts, *q_measured, *v_measured, *tau_measured;
   ros_message *motor_command, *servo_state, *joint_state;
   int64_t period;       /* ns */
   int64_t motion_ticks; /* servo periods from one joint target to the next; 0: at any time */

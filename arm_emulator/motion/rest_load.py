@@ -1,0 +1,64 @@
+"""Load of the gears at rest, from the torques that the motors give there.
+
+The weight that a robot description predicts may be wrong, and then so is the gears' wind-up; at
+rest, motors give the weight that there really is. The factor between both multiplies what the
+links load their gears with. It follows slowly while the reference rests, and stays as it is in
+motion, so that it never makes a target jump.
+
+Friction holds a part of the weight at rest, of either sign: what it leaves uncertain counts as
+predicted right, and a weight of that size is no evidence. A factor within 0.5 to 2 cannot wind up a
+gear against an obstacle for ever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+LEAST, MOST = 0.5, 2.0
+_SETTLED = 0.1  # s at rest before the motors' torques count: links swing after a motion
+_FOLLOWS = 0.3  # s, in which the factor follows
+_FINE = 1e-5  # rad: a wind-up that nobody sees
+# Known friction is known within this factor; more of it holds a joint that stands.
+_FRICTION = 1.5
+
+
+class RestLoad:
+    """Factor of the torques that links load their gears with, joint by joint.
+
+    Attributes:
+        factor: (N,), 1 at first.
+
+    Args:
+        dry: dry friction of the joints, links and rotors (N,) [N m].
+        softness: wind-up per torque (N,) [rad/(N m)]; 0: rigid.
+        period: motion period [s].
+    """
+
+    def __init__(self, dry: FloatArray, softness: FloatArray, period: float) -> None:
+        self.factor: FloatArray = np.ones(len(dry))
+        with np.errstate(divide="ignore"):
+            self._uncertain: FloatArray = _FRICTION * dry + _FINE / softness
+        self._period = period
+        self._rested = 0.0  # s
+
+    def moves(self) -> None:
+        """Take note that the joints do not rest, or cannot move."""
+        self._rested = 0.0
+
+    def rests(self, tau: FloatArray, weight: FloatArray) -> None:
+        """Follow the load in a motion period of rest.
+
+        Args:
+            tau: torques that the motors give, at the links (N,) [N m].
+            weight: predicted torques (N,) [N m].
+        """
+        self._rested += self._period
+        if self._rested < _SETTLED:
+            return
+        surplus, uncertain = tau - weight, self._uncertain
+        surplus = surplus - np.clip(surplus, -uncertain, uncertain)
+        wanted = np.clip(1.0 + surplus * weight / (weight**2 + uncertain**2), LEAST, MOST)
+        self.factor = self.factor + min(1.0, self._period / _FOLLOWS) * (wanted - self.factor)
