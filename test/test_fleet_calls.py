@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import FULL, some
 
 from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.outputs import KNOWN
@@ -168,16 +168,17 @@ def test_commands_by_names_of_joints(scene: Scene) -> None:
     assert one.save() == other.save()
 
 
-@pytest.mark.parametrize("keys", some([{"integrator.events": "located"}, {"threads": 2}], 0))
-def test_exchanges_without_lanes(keys: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.skipif(not FULL, reason="two threads are compiled for it: make test-in-full")
+def test_exchanges_without_lanes(tmp_path: Path) -> None:
     file, _ = machine(tmp_path, 23)
-    scene = load_scene(file, {"integrator.scheme": "extrapolated", "integrator.dt": 2e-4, **keys})
+    more = {"integrator.scheme": "extrapolated", "integrator.dt": 2e-4, "threads": 2}
+    scene = load_scene(file, more)
     rows = np.random.default_rng(3).uniform(-9.0, 9.0, (10, 3, len(scene.joints)))
     fleet, plants = Fleet(scene, 3), [Plant(scene) for _ in range(3)]
+    assert fleet.lanes == 1
     for row in rows:
         fleet.exchange(row)
         for plant, own in zip(plants, row, strict=True):
             plant.exchange(own)
-    assert [arm.save() for arm in fleet] == [plant.save() for plant in plants] or all(
-        np.array_equal(arm.state.q, plant.state.q) for arm, plant in zip(fleet, plants, strict=True)
-    )
+    # Between the name of the library, which differs, and the sum over all.
+    assert [arm.save()[8:-8] for arm in fleet] == [plant.save()[8:-8] for plant in plants]
