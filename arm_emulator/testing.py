@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.count import check_count
+from arm_emulator.base.given import array_of, as_kind
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array
@@ -51,6 +53,11 @@ def drive(plant: Plant, law: Law, ticks: int) -> Array:
         Refusal: commands are refused.
         Diverged: see `Plant.exchange`.
     """
+    where = "testing.drive"
+    as_kind(plant, Plant, where, "plant", "be a Plant")
+    if not callable(law):
+        raise Refusal(where, "law", "be a function of tick and measurement", law)
+    ticks = check_count(where, "ticks", ticks)
     q = np.zeros((ticks, len(plant.scene.joints)))
     for tick in range(ticks):
         plant.exchange(np.asarray(law(tick, plant.measured)), tick)
@@ -178,7 +185,10 @@ def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) ->
         Refusal: shapes differ, or there are fewer rows.
         AssertionError: names the joint, its error and the time.
     """
-    where, rows, wanted = "testing.assert_settles", np.asarray(q), np.asarray(target)
+    where, rows, wanted = "testing.assert_settles", array_of(q), array_of(target)
+    if rows is None or wanted is None:
+        raise Refusal(where, "q and target", "be numbers", q if rows is None else target)
+    within = Number("within", at_least=0.0).take(where, within)
     if rows.ndim != 2 or wanted.shape != rows.shape[1:]:
         rule = "have shapes (K, N) and (N,)"
         raise Refusal(where, "q and target", rule, f"{rows.shape} and {wanted.shape}")

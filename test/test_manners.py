@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+import copy
 import random
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator import ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
+from arm_emulator import (
+    ExternalWrench,
+    Fleet,
+    FleetWay,
+    JacobianController,
+    Kinematics,
+    OfflineRun,
+    Plant,
+    Pose,
+    Recording,
+    Refusal,
+    Scene,
+    Servo,
+    ServoFleet,
+    Session,
+    Timeline,
+    load_gains,
+    load_scene,
+    sensitivities,
+    testing,
+)
+from arm_emulator.motion.way_controller import WayController
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]
@@ -217,6 +241,76 @@ def test_a_fleet_refuses_what_it_cannot_take(
 
 
 KINDS = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u4", "u8", "g")
+
+
+def test_what_works_on_machines_refuses_what_it_cannot_take(scene: Scene, tmp_path: Path) -> None:
+    """Servos, sessions, recordings, kinematics: every argument of another kind."""
+    gains, other = load_gains("three_axis"), load_gains("ur5")
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    turned = replace(gains.servo, joints=gains.servo.joints[::-1])
+    ours = [turned, replace(gains.servo, joints=gains.servo.joints[:1]), other.servo]
+    whole, pose = [[0.5], [True], ["0"], 0, None, [[0]], [2**60]], Pose([0.3, 0.1, 0.2], np.eye(3))
+    fleet, session = Fleet(scene, 2), Session(scene, "lockstep", "first_answer")
+    servos, jacobian = ServoFleet(fleet, gains.servo), JacobianController(kinematics)
+    record, timeline = (
+        Recording(Plant(scene)),
+        Timeline(OfflineRun(scene, gains.servo, gains.motion)),
+    )
+    way, plant, objects = WayController(kinematics, gains.motion), Plant(scene), NO_OBJECTS
+    way.begin([0.0, 0.5, 0.8])
+    values = {"q": [0.1]}
+    calls: list[tuple[Callable[[Any], Any], list[Any]]] = [
+        (Servo(gains.servo).retune, [*objects, *ours]),
+        (lambda x: servos.retune(1, x), [*objects, *ours]),
+        (lambda x: servos.aim_at(x, np.zeros((2, 3)), [0, 1, 2]), whole),
+        (lambda x: servos.aim_at([0, 0], np.zeros((2, 3)), x), whole),
+        (lambda x: FleetWay(x, 2), objects), (lambda x: FleetWay(scene, x), NO_COUNTS),
+        (lambda x: session.offer(0, x, ROW), NO_NAMES), (session.return_to, objects),
+        (lambda x: session.set_state(x, values), [*objects, "elbow", ["elbow"] * 2]),
+        (lambda x: session.set_state(["elbow"], x), [*objects, {"elbow": [1.0]}, {"q": 1.0}]),
+        (session.advance_under, [np.zeros((3, 3)), np.zeros((2, 3))]),
+        (lambda x: plant.exchange(ROW, came=x), NO_FLAGS),
+        (lambda x: plant.equations(ROW, slides=x), NO_FLAGS),
+        (lambda x: plant.put("here", x), [*objects[:-3], {"elbow": ROW}]),
+        (lambda x: plant.set_parameter(x, 1.0), [np.zeros(3), np.array(["a", "b"])]),
+        (lambda x: plant.set_external_wrench("tool", ExternalWrench(axes=x)), objects),
+        (lambda x: kinematics.tool_error(ROW, x), objects),
+        (lambda x: kinematics.axes(x, ROW), NO_NAMES),
+        (lambda x: jacobian.update([0.0, 0.5, 0.8], x), objects), (jacobian.retune, objects),
+        (lambda x: way.update([0.0, 0.5, 0.8], x), objects), (way.retune, objects),
+        (lambda x: way.begin([0.0, 0.5, 0.8], x), NO_ROWS[1:]),
+        (record.write, [*objects[:2], *objects[3:], "", tmp_path / "run.xyz"]),
+        (lambda x: Recording(plant, names=x), [None, 5, "q", [5], [None], [np.zeros(3)]]),
+        (record.__getitem__, [None, 5, "energy", np.zeros(3)]),
+        (lambda x: timeline.find(x, 3), objects), (lambda x: timeline.change("x", x), objects),
+        (lambda x: testing.drive(plant, x, 3), objects),
+        (lambda x: testing.drive(plant, lambda *_: ROW, x), NO_COUNTS),
+        (lambda x: testing.assert_settles([ROW], ROW, x, 1), NO_NUMBERS),
+        (lambda x: testing.assert_settles([ROW], x, 1.0, 1), NO_ROWS[:4]),
+        (lambda x: sensitivities(scene, [ROW], x), [None, 5, [None]]),
+    ]  # fmt: skip
+    before = plant.save(), plant.commanded.tolist(), session.save(), fleet.save()
+    for place, (call, wrong) in enumerate(calls):
+        for one in wrong:
+            with pytest.raises(Refusal) as refused:
+                call(one)
+                pytest.fail(f"call {place} took {one!r}")
+            assert "\n" not in str(refused.value)
+    assert before == (plant.save(), plant.commanded.tolist(), session.save(), fleet.save())
+    assert kinematics.tool_error(ROW, pose).shape == (3,), "what is right is taken"
+    record.write(str(tmp_path / "run.csv"))
+    assert (tmp_path / "run.csv").is_file()
+
+
+def test_commands_that_are_refused_are_not_those_of_the_machine(scene: Scene) -> None:
+    plant, refused = Plant(scene), Plant(scene)
+    for one in (plant, refused):
+        one.exchange(ROW, 7)
+    for row in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
+        with pytest.raises(Refusal):
+            refused.exchange(np.array(row), 8)
+    assert np.array_equal(refused.commanded, plant.commanded)
+    assert np.array_equal(copy.copy(refused).commanded, plant.commanded)
 
 
 @pytest.mark.parametrize("seed", some(range(6), 2))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -185,6 +185,8 @@ def sensitivities(
         Refusal: an unknown name, a wrong shape, not finite, or the motion diverged.
     """
     names = (by,) if isinstance(by, str) else by
+    if not isinstance(names, Iterable):
+        raise Refusal(WHERE, "by", "be names of numbers", by)
     return SensitiveMachine(scene_of(scene, WHERE), names).run(commands, steps, q, v)
 
 

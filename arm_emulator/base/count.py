@@ -5,8 +5,11 @@ from __future__ import annotations
 import operator
 
 import numpy as np
+from numpy.typing import NDArray
 
+from arm_emulator.base.given import array_of
 from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
 
 LARGEST = 2**63 - 1  # the core's integer
 
@@ -29,3 +32,17 @@ def check_count(
         most = None if largest == LARGEST else largest
         raise Number(quantity, at_least=least, at_most=most, whole=True).refusal(where, value)
     return count
+
+
+def whole_numbers(where: str, quantity: str, values: object) -> NDArray[np.int64]:
+    """Return a row of whole numbers (K,).
+
+    Raises:
+        Refusal: they are something else.
+    """
+    array = array_of(values)
+    if array is None or array.ndim != 1 or not np.all(np.abs(array) < 2.0**53):
+        raise Refusal(where, quantity, "be a row of whole numbers", values)
+    if not np.array_equal(array, np.rint(array)):
+        raise Refusal(where, quantity, "be whole numbers", values)
+    return array.astype(np.int64)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +15,7 @@ from arm_emulator.base.refusal import Refusal
 FloatArray = npt.NDArray[np.float64]
 
 _FLAGS = (bool, np.bool_)
+Kind = TypeVar("Kind")
 
 
 def array_of(values: object) -> FloatArray | None:
@@ -40,6 +43,17 @@ def as_flag(value: object, where: str, quantity: str) -> bool:
     if not isinstance(value, _FLAGS):
         raise Refusal(where, quantity, "be True or False", repr(value))
     return bool(value)
+
+
+def as_kind(value: object, kind: type[Kind], where: str, quantity: str, rule: str) -> Kind:
+    """Return `value`, which is of a kind.
+
+    Raises:
+        Refusal: it is not; with the rule.
+    """
+    if not isinstance(value, kind):
+        raise Refusal(where, quantity, rule, value)
+    return value
 
 
 def _holds_flag(values: object) -> bool:

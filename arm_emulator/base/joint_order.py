@@ -38,6 +38,8 @@ class JointOrder:
             Refusal: the names differ from the receiver's, the number of values is wrong, or a
                 value is not finite or too large.
         """
+        if isinstance(names, str | bytes) or not isinstance(names, Sequence):
+            raise Refusal(self.topic, "joint names", "be a list of names", names)
         array = np.array(bound.numbers(self.topic, values))
         if array.shape != (len(names),):
             rule = f"have one value per joint name ({len(names)})"

@@ -219,6 +219,9 @@ class CoreMachine(Turns):
             Refusal: as setting `state`.
         """
         rows = {}
+        if not isinstance(given, Mapping) or not given.keys() <= self.bounds.keys():
+            rule, valid = "be values by names of quantities", ", ".join(self.bounds)
+            raise Refusal(where, "given", rule, given, valid)
         for name, values in given.items():
             rows[name] = self.bounds[name].row(where, values, self._N)
         if self.core.arm_set_truth(self.machine, truth_at(**rows)) == REFUSED:

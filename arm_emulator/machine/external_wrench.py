@@ -56,7 +56,7 @@ def on_moving_link(
         raise Refusal(scene.where, "external_wrench", "be true", "false or absent")
     if not isinstance(wrench, ExternalWrench):
         raise Refusal(where, "wrench", "be an ExternalWrench", wrench)
-    if wrench.axes not in AXES:
+    if not isinstance(wrench.axes, str) or wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
     place, frame = _frame_of(scene, where, link)
     if not arms:

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from arm_emulator.base.count import check_count
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.change import Change, NumberChange, WrenchChange
 from arm_emulator.machine.core_calls import ARM, FLEET
+from arm_emulator.machine.core_machines import LARGEST_FLEET
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import varied_number
@@ -36,6 +39,8 @@ class FleetWay:
     def __init__(
         self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
     ) -> None:
+        scene = as_kind(scene, Scene, "FleetWay", "scene", "be a Scene")
+        count = check_count("FleetWay", "count", count, 1, LARGEST_FLEET)
         self.of = scene, count
         self._places = {one.name: place for place, one in enumerate(scene.varied)}
         self.struct = FLEET.new("arm_fleet_way")

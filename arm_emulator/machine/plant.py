@@ -86,6 +86,7 @@ class Plant(CoreMachine):
         self._held_pointer = pointer(self._held)
         self._commands = commands_of(scene)
         self._further = np.zeros((len(further_inputs(scene)), N))
+        self._has_further = len(self._further) > 0
         places = {"joint": self._commands, "further": self._further}
         self.command = ARM.new("arm_command", tick=-1, **places)
         self._place = MeasuredPlace(scene)
@@ -194,16 +195,22 @@ class Plant(CoreMachine):
         row = self._as_command(command, where)
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
+        if came is not False:
+            came = as_flag(came, where, "came")
         if further:
             check_inputs(where, self.scene, further)
         rows = {name: self._as_further(where, name, given) for name, given in further.items()}
         others = further_rows(where, self.scene, rows)
         with self.turn:
+            before = self._commands.tobytes(), self._further.tobytes()  # quicker than copies
             self._commands["value"] = row
-            self._further[:] = 0.0 if others is None else others
+            if self._has_further:
+                self._further[:] = 0.0 if others is None else others
             self.command.tick, self.command.came = tick, came
             result = self.core.arm_exchange(self.machine, self.command, self.measurement)
             if result == REFUSED:
+                for rows, bits in zip((self._commands, self._further), before, strict=True):
+                    rows[:] = np.frombuffer(bits, rows.dtype).reshape(rows.shape)
                 raise self._refusal(where, "a number")
             if result == DIVERGED:
                 raise self._diverged(self._measured["applied"])
@@ -419,6 +426,7 @@ class Plant(CoreMachine):
         """
         where, N = "Plant.equations", self._N
         u = np.array(self._as_command(command, where))  # to be put within its bounds
+        slides = as_flag(slides, where, "slides")
         size = N * (self.core.arm_linear_drives(self.machine, False, NULL) + 2)
         at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)

@@ -236,7 +236,12 @@ class Session(Turns):
         """Go on from the tick at which `save` of this session has returned this.
 
         Unlike `restore`, it takes ticks and commands back, too: as if what followed had not been.
+
+        Raises:
+            Refusal: it is something else; nothing has changed.
         """
+        if not isinstance(saved, dict) or not {"machine", "answers", *_PLACE} <= saved.keys():
+            raise Refusal("Session.return_to", "saved", "be what `save` has returned", type(saved))
         with self.between_ticks():
             self.plant.restore(saved["machine"])
             self._take_machine()
@@ -397,11 +402,14 @@ class Session(Turns):
                 `measured.applied` reports it: faults of their lines then leave them.
         """
         self._check_open()
+        rows, most = np.atleast_2d(command), 1 + len(self._answers.inputs)
+        if len(rows) > most:
+            rule = f"be a row for the command, and at most {most - 1} for further inputs"
+            raise Refusal("Session.advance_under", "command", rule, np.shape(command))
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
             return
         try:
-            rows = np.atleast_2d(command)
             further = dict(zip(self._answers.inputs, rows[1:], strict=False))
             self.plant.exchange(rows[0], answered, came=came, **further)
         except Diverged as fault:

@@ -59,7 +59,7 @@ def varied_number(varied: Sequence[Varied], name: object, where: str) -> Varied:
         Refusal: the scene does not list it as varied.
     """
     for one in varied:
-        if one.name == name:
+        if isinstance(name, str) and one.name == name:
             return one
     known = ", ".join(one.name for one in varied)
     valid = known or "none, see `varied` and `faults` in docs/reference/scene.md"

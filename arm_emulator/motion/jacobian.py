@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.closed import Closed
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.instruction import Instruction
@@ -96,7 +97,12 @@ class JacobianController(Closed):
         self.begin(now.q)
 
     def retune(self, config: MotionConfig) -> None:
-        """Continue with other parameters."""
+        """Continue with other parameters.
+
+        Raises:
+            Refusal: they are none.
+        """
+        as_kind(config, MotionConfig, "JacobianController.retune", "config", "be a MotionConfig")
         self.weight = config.weight
         self.step_limit = config.step_limit
         self.singular_below = config.singular_below

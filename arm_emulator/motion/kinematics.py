@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
 from arm_emulator.base.closed import Closed
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
@@ -146,9 +147,16 @@ class Kinematics(Closed, Lasting):
         return placement.rotation.copy(), placement.translation.copy()
 
     def axes(self, link: str, q: npt.ArrayLike) -> FloatArray:
-        """Return the orientation R_WL of a link, or of the tool, at q, (3, 3)."""
+        """Return the orientation R_WL of a link, or of the tool, at q, (3, 3).
+
+        Raises:
+            Refusal: no such link; or see `vector`.
+        """
+        link = as_kind(link, str, "Kinematics.axes", "link", "be the name of a link")
         if link == self.tool:
             return self.forward(q)[0]
+        if not self.model.existFrame(LINK + link, pin.FrameType.BODY):
+            raise Refusal("Kinematics.axes", "link", "be of the robot", link)
         number = self.model.getFrameId(LINK + link, pin.FrameType.BODY)
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
         axes: FloatArray = self._data.oMf[number].rotation.copy()
@@ -181,7 +189,7 @@ class Kinematics(Closed, Lasting):
         return self.shafts.columns(rows)
 
     def _tool_error(self, R_WT: FloatArray, p_WT: FloatArray, target: Pose) -> FloatArray:
-        error = target.p_WT - p_WT
+        error = as_kind(target, Pose, "Kinematics", "target", "be a Pose").p_WT - p_WT
         if self.rows == POSITION_ROWS:
             return error
         both: FloatArray = np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])

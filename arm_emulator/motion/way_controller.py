@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import ruckig
 
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.configuration_search import ConfigurationSearch
@@ -105,7 +106,12 @@ class WayController:
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
 
     def retune(self, config: MotionConfig) -> None:
-        """Continue with other limits, from the next way on."""
+        """Continue with other limits, from the next way on.
+
+        Raises:
+            Refusal: they are none.
+        """
+        as_kind(config, MotionConfig, "WayController.retune", "config", "be a MotionConfig")
         self._limit(config)
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
@@ -120,7 +126,7 @@ class WayController:
         """
         here = Reference.at_rest(self.kinematics.vector(q).copy())
         if v is not None:
-            here = replace(here, v=np.asarray(v, dtype=np.float64))
+            here = replace(here, v=self.kinematics.vector(v).copy())
         self.begin_moving(here)
 
     def begin_moving(self, now: Reference) -> None:
@@ -172,6 +178,7 @@ class WayController:
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
+        as_kind(target, Pose, "WayController.update", "target", "be a Pose")
         notices = self._find_reference(q)
         now = self.coming
         if target is not self._target and not _same(target, self._target):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +56,10 @@ class Recording(Uncopied, Closed):
     ) -> None:
         if not isinstance(plant, Plant):
             raise Refusal("Recording", "plant", "be a Plant", plant)
-        if isinstance(names, str):
+        if isinstance(names, str) or not isinstance(names, Iterable):
             raise Refusal("Recording", "names", "be several, as in a tuple", names)
         for name in names:
-            if name not in (*TRUTH, *MEASURED):
+            if not isinstance(name, str) or name not in (*TRUTH, *MEASURED):
                 valid = ", ".join((*TRUTH, *MEASURED))
                 raise Refusal("Recording", "name", "be a quantity", name, valid)
         self._file = None if file is None else Path(file)
@@ -123,7 +123,7 @@ class Recording(Uncopied, Closed):
         Raises:
             Refusal: it was not.
         """
-        if name not in self._names:
+        if not isinstance(name, str) or name not in self._names:
             raise Refusal("Recording", "name", "be recorded", name, ", ".join(self._names))
         return values_of(self._rows, name, self._plant.scene).copy()
 
@@ -142,12 +142,15 @@ class Recording(Uncopied, Closed):
         """Return the columns as a table of Arrow, with units (pyarrow must be installed)."""
         return arrow_table(self._columns, self._rows)
 
-    def write(self, file: Path) -> None:
+    def write(self, file: str | Path) -> None:
         """Write the columns to a file, by its suffix; one that exists is replaced.
 
         Raises:
             Refusal: another suffix, or a file that cannot be written.
         """
+        if not isinstance(file, str | Path) or not Path(file).name:
+            raise Refusal("Recording", "file", "be a file", file)
+        file = Path(file)
         part = file.with_name(f".{file.stem}.part{file.suffix}")
         part.unlink(missing_ok=True)
         if file.suffix == RERUN:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
-from arm_emulator.base.count import check_count
+from arm_emulator.base.count import check_count, whole_numbers
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
@@ -27,7 +27,7 @@ from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.drives import Drives
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig, check_joints, load_servo_config
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds
 
@@ -87,6 +87,7 @@ class ServoFleet(FleetControl):
         if len({one.joint_names for one in read}) > 1:
             raise Refusal("ServoFleet", "config", "have the joints in one order", "several")
         self._scene, self._N = scene, len(scene.joints)
+        self._joint_names = read[0].joint_names
         self._period, self._hold_after = scene.servo_period, min(one.hold_after for one in read)
         self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
         drives = [Drives(one) for one in read]
@@ -180,7 +181,8 @@ class ServoFleet(FleetControl):
                 nothing has changed.
         """
         where = "ServoFleet.aim_at"
-        periods, places = np.array(since, np.int64), np.array(first, np.int64)
+        periods = whole_numbers(where, "since", since)
+        places = whole_numbers(where, "first", first)
         rows = POSITION.named("q").numbers(where, q)
         POSITION.named("q").check(where, rows)
         shape = len(periods), self._N
@@ -210,9 +212,12 @@ class ServoFleet(FleetControl):
         """Change gains and limits of an arm's servo; what was observed and the integrals stay.
 
         Raises:
-            Refusal: no such arm, or numbers that cannot be computed with; nothing has changed.
+            Refusal: no such arm, other joints or another order of them, or numbers that cannot be
+                computed with; nothing has changed.
         """
-        arm = check_count("ServoFleet.retune", "arm", arm, 0, self._count - 1)
+        where = "ServoFleet.retune"
+        arm = check_count(where, "arm", arm, 0, self._count - 1)
+        check_joints(where, config, self._joint_names)
         rows = servo_numbers(config.joints, config.period, config.supply_voltage)
         given = SERVOS.pointer("servo_joint", rows)
         self._calls.servo_fleet_retune(self.struct, arm, given)

@@ -151,10 +151,12 @@ class Timeline(Uncopied, Closed, Generic[R]):
             last: the last tick to look at; there the timeline is if it does not hold before.
 
         Raises:
-            Refusal: a last tick that is past.
+            Refusal: a last tick that is past, or `holds` is no function.
             Exception: see `advance`.
         """
         check_count("Timeline.find", "last", last, self.tick)
+        if not callable(holds):
+            raise Refusal("Timeline.find", "holds", "be a function of the run", holds)
         self._enter()
         while self.tick < last:
             self.advance(1)

@@ -14,7 +14,12 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, pointer
-from arm_emulator.servo.servo_config import JointServo, ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import (
+    JointServo,
+    ServoConfig,
+    check_joints,
+    load_servo_config,
+)
 from arm_emulator.servo.servo_law import SERVO, Rows, servo_law
 from arm_emulator.servo.servo_numbers import servo_numbers
 
@@ -123,9 +128,10 @@ class Servo(Turns):
         """Go on with other gains and limits; what was observed and the integrals stay.
 
         Raises:
-            Refusal: as the constructor. Nothing has changed then.
+            Refusal: as the constructor, or other joints. Nothing has changed then.
         """
         now = self.config
+        check_joints("Servo.retune", config, now.joint_names)
         if (now.period, now.supply_voltage) != (config.period, config.supply_voltage):
             self._joint[:] = self._numbers_of(config)
         else:  # most often a few joints of many are other ones

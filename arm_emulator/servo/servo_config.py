@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from arm_emulator.base.bound import encoder_counts
 from arm_emulator.base.config_files import find_config
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from arm_emulator.base.refusal import Refusal
@@ -274,6 +275,14 @@ def load_servo_config(path: str | Path) -> ServoConfig:
     """
     path = find_config(str(path), ".yaml", "servo")
     return ServoConfig.from_mapping(ros_parameters(path, "servo"), path.name)
+
+
+def check_joints(where: str, config: object, joint_names: Sequence[str]) -> None:
+    """Refuse a config for other joints, or for them in another order."""
+    known = as_kind(config, ServoConfig, where, "config", "be a ServoConfig").joint_names
+    if known != tuple(joint_names):
+        got, valid = ", ".join(known), ", ".join(joint_names)
+        raise Refusal(where, "config", "have the servo's joints in its order", got, valid)
 
 
 def _dotted(mapping: object, where: str, path: str = "") -> dict[str, Any]:
