@@ -20,10 +20,12 @@ from scipy import stats
 
 from arm_emulator.base.kept import Kept
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import Section
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.distributions import parse_distribution
 from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
+from arm_emulator.campaign.judges import Checked
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.results import Results, digest_of, schema_of, write_part
@@ -243,6 +245,27 @@ def test_measures_and_functions_of_python_see_the_whole_trace(tmp_path):
     margin = 0.5 - one.measures["error"]
     assert one.robustness == {"python": margin + 5001, "formula": margin}
     assert one.measures["t"] == 5.0
+
+
+def test_a_function_that_returns_no_margin_is_named(tmp_path):
+    wrong = ["None", "'abc'", "True", "[1.0]", "10**400", "1j", "1 / 0", "t['no']", "exit(3)"]
+    (tmp_path / "checks.py").write_text(
+        "def right(t):\n    return t['t'][0]\n"
+        + "".join(f"def f{k}(t):\n    return {text}\n" for k, text in enumerate(wrong))
+    )
+    trace = [np.ones((2, 3)), np.ones((2, 1))]
+
+    def judged(name):
+        data = {"p": {"python": f"checks.py:{name}", "signals": ["q.elbow"]}}
+        section = Section(data, "c.yaml").required_section("p")
+        return Checked(section, ["q.elbow"], tmp_path).judge(trace)
+
+    assert judged("right") == 1.0
+    for k, text in enumerate(wrong):
+        reason = rf"c.yaml: p.python must return a margin.*got .*({2 * k + 4}\)|.)$"
+        with pytest.raises(Refusal, match=reason):
+            judged(f"f{k}")
+            pytest.fail(f"took {text}")
 
 
 def test_a_run_that_diverges_fails_everything(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.bound_formula import bound_to, meant_by
 from arm_emulator.base.formula import Expression, Formula, Signal, parse_expression, parse_formula
+from arm_emulator.base.given import array_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.campaign_file import Campaign
@@ -70,7 +72,6 @@ class Checked:
     """
 
     def __init__(self, section: Section, known: list[str], folder: Path) -> None:
-        self._where = section.where
         file, _, name = section.text("python").partition(":")
         wanted = [str(one) for one in section.entries("signals")]
         self.names: list[str] = []
@@ -87,12 +88,25 @@ class Checked:
         if not name or not (folder / file).is_file():
             rule = "be FILE:FUNCTION, a file beside the campaign's"
             raise section.refusal("python", rule, section.text("python"))
-        self._function = _function(folder / file, name, section)
+        self._function, self._section = _function(folder / file, name, section), section
 
     def judge(self, trace: Sequence[Array]) -> float:
-        """Return the function's result for pieces (names, n) of a run."""
+        """Return the function's result for pieces (names, n) of a run.
+
+        Raises:
+            Refusal: the function raises something, or returns no number.
+        """
         whole = np.concatenate(trace, axis=1)
-        return float(self._function(dict(zip(self.names, whole, strict=True))))
+        try:
+            margin = self._function(dict(zip(self.names, whole, strict=True)))
+        except (Exception, SystemExit) as error:
+            line = traceback.extract_tb(error.__traceback__)[-1]
+            got = f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"
+            raise self._section.refusal("python", "return a margin", got) from None
+        number = array_of(margin)
+        if number is None or number.ndim:
+            raise self._section.refusal("python", "return a margin, one number", margin)
+        return float(number)
 
 
 def _function(file: Path, name: str, section: Section) -> Callable[[Signals], Any]:

@@ -209,8 +209,9 @@ class Plant(CoreMachine):
             self.command.tick, self.command.came = tick, came
             result = self.core.arm_exchange(self.machine, self.command, self.measurement)
             if result == REFUSED:
-                for rows, bits in zip((self._commands, self._further), before, strict=True):
-                    rows[:] = np.frombuffer(bits, rows.dtype).reshape(rows.shape)
+                commands, inputs = before
+                self._commands[:] = np.frombuffer(commands, self._commands.dtype)
+                self._further[:] = np.frombuffer(inputs).reshape(self._further.shape)
                 raise self._refusal(where, "a number")
             if result == DIVERGED:
                 raise self._diverged(self._measured["applied"])
