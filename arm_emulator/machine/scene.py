@@ -242,8 +242,8 @@ def _build(root: Section, file: Path) -> Scene:
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
     varied += tuple(one.varied for one in faults)
-    changed = {change.number for one in faults for change in one.changes}
-    changed |= {one.name for one in varied}
+    changed = {change.number: one.name for one in faults for change in one.changes}
+    changed |= {one.name: one.name for one in varied}
     load = None
     if payload is not None and "payload.mass" in changed:
         load = load_of(*(read(read_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
@@ -314,12 +314,19 @@ def _varied(
     return choose(root.entries("varied"), by_name, root.where, "varied", rule)
 
 
-def _check_carrier(link: str, changed: set[str], where: str) -> None:
-    """Refuse to change both the payload and the link that carries it."""
-    for name in sorted(changed):
-        if name.startswith(f"links.{link}."):
-            rule = "not name both payload.mass and numbers of the link that carries it"
-            raise Refusal(where, "varied", rule, name)
+def _check_carrier(link: str, changed: Mapping[str, str], where: str) -> None:
+    """Refuse to change both the payload and the link that carries it.
+
+    Args:
+        link: that carries the payload.
+        changed: numbers, and by what: a varied number's name, or a fault's.
+        where: the file, for refusals.
+    """
+    of_link = [by for number, by in sorted(changed.items()) if number.startswith(f"links.{link}.")]
+    if of_link:
+        rule = "not change both payload.mass and numbers of the link that carries it"
+        got = f"{changed['payload.mass']} and {of_link[0]}"
+        raise Refusal(where, "varied and faults", rule, got)
 
 
 def _couple(section: Section | None, robot: ET.Element) -> None:
