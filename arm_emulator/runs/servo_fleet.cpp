@@ -5,6 +5,7 @@
 
 #include <array>
 #include <cstring>
+#include <utility>
 #include <vector>
 
 #include "servo.c"
@@ -59,11 +60,11 @@ struct Targets {
   Numbers since = {};
   const double *q[L] = {}, *v[L] = {}, *tau[L] = {};
 
+  // Made of registers: numbers that are stored one by one are not soon loaded as a vector.
   Numbers of(const double* const (&rows)[L], int32_t j) const {
-    Numbers all = {};
-    for (int l = 0; l < L; ++l)
-      if (rows[l]) all[l] = rows[l][j];
-    return all;
+    return [&]<int... l>(std::integer_sequence<int, l...>) {
+      return Numbers{(rows[l] ? rows[l][j] : 0.0)...};
+    }(std::make_integer_sequence<int, L>{});
   }
 };
 
@@ -79,10 +80,25 @@ void aim_at_ticks(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_
   targets.q[l] = fleet.q + row * fleet.joints;
 }
 
-void aim(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_t tick, Targets& targets) {
+// The row that comes at a tick, -1 for none: mostly that of the arm before, without a division.
+struct Coming {
+  int64_t tick = -1, row = -1;
+
+  int64_t at(const servo_fleet& fleet, int64_t now) {
+    if (now != tick) {
+      tick = now;
+      const int64_t whole = now / fleet.periods_per_row;
+      row = now == whole * fleet.periods_per_row ? whole : -1;
+    }
+    return row;
+  }
+};
+
+void aim(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_t tick, Coming& coming,
+         Targets& targets) {
   if (fleet.since) return aim_at_ticks(fleet, arm, k, l, tick, targets);
-  if (!fleet.rows || tick % fleet.periods_per_row) return;
-  const int64_t given = tick / fleet.periods_per_row;
+  const int64_t given = fleet.rows ? coming.at(fleet, tick) : -1;
+  if (given < 0) return;
   const bool last = given >= fleet.rows;  // it stands there
   const int64_t row = last ? fleet.rows - 1 : given;
   const int64_t at = row * fleet.row_stride + k * fleet.arm_stride;
@@ -142,6 +158,7 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
   abreast::servo_turn turn = {};
   abreast::servo_past past = {};
   Targets targets;
+  Coming coming;
   for (int l = 0; l < rows->arms; ++l) {
     const int32_t k = rows->first + l;
     const int64_t tick = fleet.tick[k]++;
@@ -149,7 +166,7 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
     const servo_past before = measure_at(&arm, tick * fleet.period);
     past.learns[l] = -before.learns, past.changed[l] = before.changed;
     past.passed[l] = before.passed, past.ahead[l] = before.ahead;
-    aim(fleet, arm, k, l, tick, targets);
+    aim(fleet, arm, k, l, tick, coming, targets);
     const servo_turn one = turn_of(&arm, rows->powered[l]);
     turn.cut[l] = -one.cut, turn.follows[l] = -one.follows, turn.latches[l] = -one.latches;
     turn.ahead[l] = one.ahead, turn.period[l] = one.period;

@@ -27,7 +27,7 @@ class ControlledGroup {
     double* links = way_.links;
     for (std::int64_t period = 0; period < periods && sound; ++period) {
       if (changes_.are_due(period)) {
-        if (glides) fleet_.note(g_, given_, -1);
+        if (glides) fleet_.note(g_, rows_.value, -1);
         glides = false;
         changes_.make(period);
       }
@@ -39,7 +39,7 @@ class ControlledGroup {
       if (links) links += std::int64_t{fleet_.arms} * N;
       if (way_.look && sound) way_.look(way_.with, first_, end_ - first_);
     }
-    if (glides) fleet_.note(g_, given_, -1);
+    if (glides) fleet_.note(g_, rows_.value, -1);
     return sound;
   }
 
@@ -63,23 +63,26 @@ class ControlledGroup {
             arm_machine::counts(j, *reinterpret_cast<const X*>(angle + j * lanes));
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();
-      for (int j = 0; j < N; ++j)
-        for (int l = 0; l < end_ - first_; ++l) given_[l * N + j] = rows_.value[j * lanes + l];
-      if (!all_finite(given_)) return false;
-      glides = fleet_.glide(g_, given_, 1, links ? links + first_ * N : nullptr);
-      if (!glides) fleet_.note(g_, given_, -1);
+      if (!all_finite<X>()) return false;
+      glides = fleet_.glide(g_, rows_.value, 1, links ? links + first_ * N : nullptr);
+      if (!glides) fleet_.note(g_, rows_.value, -1);
     }
     return true;
   }
-  bool all_finite(const double* given) const {
-    bool finite = true;
-    for (int k = 0; k < N * lanes; ++k) finite &= arm::is_finite(given[k]);
-    if (finite) return true;
-    for (int k = first_; k < end_; ++k)
-      if (fleet_.machine[k]->check_finite(given + (k - first_) * N, "value")) {
+  template <class X>
+  bool all_finite() const {
+    arm::Mask<X> finite = X{} == X{};
+    for (int j = 0; j < N; ++j)
+      finite &= arm::is_finite(*reinterpret_cast<const X*>(rows_.value + j * lanes));
+    if (arm::all(finite)) return true;
+    for (int k = first_; k < end_; ++k) {
+      double given[N];
+      for (int j = 0; j < N; ++j) given[j] = rows_.value[j * lanes + k - first_];
+      if (fleet_.machine[k]->check_finite(given, "value")) {
         fleet_.refused = k;
         return false;
       }
+    }
     return true;
   }
   // A period arm by arm.
@@ -132,5 +135,4 @@ class ControlledGroup {
   const arm_fleet_way& way_;
   GroupChanges changes_;
   Rows rows_;
-  double given_[lanes * N] = {};
 };

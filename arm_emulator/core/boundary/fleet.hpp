@@ -135,10 +135,11 @@ struct arm_fleet {
     }
     return false;
   }
-  // Periods in lanes, of a group that may; the positions then go to `q` if it is not null. Whether
-  // all arms are still there after them. `note` is due before the machines are read.
+  // Periods in lanes, of a group that may, under commands in rows of lanes; the positions then go
+  // to `q` if it is not null. Whether all arms are still there after them. `note` is due before the
+  // machines are read.
   bool glide(int g, const double* given, std::int64_t periods, double* q) {
-    group[g]->follow(given, 0, periods, machine[g * lanes]->steps_per_period, q);
+    group[g]->follow(given, 0, periods, machine[g * lanes]->steps_per_period, q, lanes);
     bool still = true;
     for (int k = g * lanes; k < end_of(g); ++k) still = still && is_abreast(k);
     return still;
@@ -152,7 +153,7 @@ struct arm_fleet {
         for (int j = 0; j < N; ++j) applied[j] = group.applied(l, j);
       };
       if (if_in_lane(k, from_lane)) continue;
-      for (int j = 0; j < N; ++j) applied[j] = given[(k - g * lanes) * N + j];
+      for (int j = 0; j < N; ++j) applied[j] = given[j * lanes + k % lanes];
       machine[k]->machine.bound(applied);
     }
   }
@@ -161,8 +162,9 @@ struct arm_fleet {
             std::int64_t periods) {
     for (; periods > 0 && !may_glide(g, joint); --periods) exchange(g, joint, further, tick);
     if (periods == 0) return;
-    double given[lanes * N];
-    for (int k = g * lanes * N; k < end_of(g) * N; ++k) given[k - g * lanes * N] = joint[k].value;
+    double given[lanes * N] = {};
+    for (int k = g * lanes; k < end_of(g); ++k)
+      for (int j = 0; j < N; ++j) given[j * lanes + k % lanes] = joint[k * N + j].value;
     glide(g, given, periods, nullptr);
     note(g, given, tick);
   }

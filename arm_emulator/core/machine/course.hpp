@@ -14,10 +14,11 @@ class Course {
   static constexpr int N = S::N, width = kWidth<X>;
 
   // For each lane the first row of its commands, and where its positions after that row go, if not
-  // null. `stride`: numbers from one row to the next, of both.
+  // null. `stride`: numbers from one row to the next, of both; `apart`: from the command of a joint
+  // to that of the next. If that is `width`, those of all lanes lie side by side.
   Course(const Real* const (&given)[width], Real* const (&positions)[width], std::int64_t stride,
-         std::int64_t steps_per_row, std::int64_t left_of_this = 0)
-      : steps(steps_per_row), step_over_(stride), left_(left_of_this) {
+         std::int64_t steps_per_row, int apart = 1, std::int64_t left_of_this = 0)
+      : steps(steps_per_row), step_over_(stride), apart_(apart), left_(left_of_this) {
     for (int lane = 0; lane < width; ++lane)
       command_[lane] = given[lane], q_[lane] = positions[lane];
   }
@@ -25,7 +26,7 @@ class Course {
   // The remaining course of one lane.
   template <int single>
   Course<S, Real, single> of_lane(int lane) const {
-    return {{command_[lane]}, {q_[lane]}, step_over_, steps, left_};
+    return {{command_[lane]}, {q_[lane]}, step_over_, steps, apart_, left_};
   }
 
   // Begin the next row: `u` becomes its commands within their bounds. Returns where they differ
@@ -33,9 +34,13 @@ class Course {
   ARM_INLINE Mask<X> begin_row(const Numbers<S, X>& numbers, const State<S, X>& x, X (&u)[row]) {
     Mask<X> differ = {};
     X wanted[N];
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      for (int lane = 0; lane < width; ++lane) set_lane(wanted[j], lane, command_[lane][j]);
-    });
+    if (width > 1 && apart_ == width)
+      __builtin_memcpy(wanted, command_[0], sizeof wanted);
+    else
+      for_each<N>([&](auto j) __attribute__((always_inline)) {
+        for (int lane = 0; lane < width; ++lane)
+          set_lane(wanted[j], lane, command_[lane][j * apart_]);
+      });
     bound_commands(numbers, x, wanted);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       differ |= wanted[j] != u[j];
@@ -91,6 +96,7 @@ class Course {
   const Real* command_[width];  // of the next row
   Real* q_[width];              // for the positions after this row
   std::int64_t step_over_;
+  int apart_;
   std::int64_t left_;  // steps of this row
 };
 

@@ -43,6 +43,14 @@ class Machine {
     threads_.step(x, u);
     past = threads_.memory();
   }
+  // The same of which the end y is known, see Located::step_to; `past` is that of y.
+  ARM_APART void step_alone_to(const State<S>& y, const auto& friction, State<S>& x,
+                               const Real (&u)[Stepper::row], typename Threads::Memory& past) {
+    renew();
+    threads_.restore(past);
+    threads_.stepper().step_to(y, friction, x, u);
+    past = threads_.memory();
+  }
 
   // Schedule all threads as the calling one; false if the system does not permit it.
   bool join_schedule() { return threads_.join_schedule(); }

@@ -25,21 +25,22 @@ class SideBySide {
   SideBySide(const SideBySide&) = delete;
 
   // Take `steps` steps for each of `rows` rows of commands. A row is of many machines, `stride`
-  // numbers long; those of the machines here begin at `command`, one after the other. The positions
-  // after each row go to `q` in the same places, if it is not null; a machine at fault keeps its
-  // state. The state is in the lanes until `settle`.
+  // numbers long; those of the machines here begin at `command`, one after the other, or side by
+  // side for each joint, if its commands are `width` numbers apart. The positions after each row go
+  // to `q`, one machine after the other, if it is not null; a machine at fault keeps its state. The
+  // state is in the lanes until `settle`.
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
-              double* q) {
+              double* q, int apart = 1) {
     if (!together_) take_numbers();
     const double* commands[width];
     double* positions[width];
     std::int64_t began[width];
     for (int lane = 0; lane < width; ++lane) {
-      commands[lane] = command + (lane < used_ ? lane : 0) * N;
+      commands[lane] = command + (lane < used_ ? lane : 0) * (apart == 1 ? N : 1);
       positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
       if (q && lane < used_) began[lane] = steps_taken(lane);
     }
-    Course course(commands, positions, stride, steps);
+    Course course(commands, positions, stride, steps, apart);
     for (std::int64_t left = rows * steps; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
       const bool still = together_ && brakes_rest_;
@@ -98,22 +99,23 @@ class SideBySide {
   }
   // The same of all lanes, in rows of lanes.
   void report(double* current, double* angle, double* speed) const {
-    const auto put = [&](int j, int lane, double of_current, double of_angle, double of_speed) {
-      const int at = j * width + lane;
-      current[at] = of_current, angle[at] = of_angle, speed[at] = of_speed;
+    const auto put = [&](int at, const auto& of_current, const auto& of_angle,
+                         const auto& of_speed) {
+      __builtin_memcpy(current + at, &of_current, sizeof of_current);
+      __builtin_memcpy(angle + at, &of_angle, sizeof of_angle);
+      __builtin_memcpy(speed + at, &of_speed, sizeof of_speed);
+    };
+    const auto put_from = [&](int at, const auto& drive, const auto& here) {
+      put(at, drive.current(here), drive.motor_angle(here), drive.motor_speed(here));
     };
     if constexpr (Numbers<S, X>::drives_vary)
       for (int lane = 0; lane < width; ++lane)
         numbers_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-          const auto here = input_in_lane(drive, j, at_.x, X{}, lane);
-          put(j, lane, drive.current(here), drive.motor_angle(here), drive.motor_speed(here));
+          put_from(j * width + lane, drive, input_in_lane(drive, j, at_.x, X{}, lane));
         });
     else
       numbers_.for_each_drive([&](const auto& drive, int j) {
-        const auto here = input_of(drive, j, at_.x, X{});
-        const X i = drive.current(here), theta = drive.motor_angle(here);
-        const X omega = drive.motor_speed(here);
-        for (int lane = 0; lane < width; ++lane) put(j, lane, i[lane], theta[lane], omega[lane]);
+        put_from(j * width, drive, input_of(drive, j, at_.x, X{}));
       });
   }
   // The gears' torques on their links, of all lanes, in rows of lanes. Not of rotors that turn with
@@ -142,10 +144,7 @@ class SideBySide {
   using Whole = typename Machine::Whole;
   using Instant = typename Machine::Instant;
 
-  static void put_rows(const X* from, double* to) {
-    for (int j = 0; j < N; ++j)
-      for (int lane = 0; lane < width; ++lane) to[j * width + lane] = from[j][lane];
-  }
+  static void put_rows(const X* from, double* to) { __builtin_memcpy(to, from, N * sizeof(X)); }
 
   static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
@@ -390,7 +389,7 @@ class SideBySide<S, 1> {
   SideBySide(double, Machine* const* machines, int) : machine_(machines[0]) {}
 
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
-              double* q) {
+              double* q, int = 1) {
     for (; rows > 0; --rows, command += stride) {
       machine_->advance(command, steps);
       if (!q) continue;

@@ -23,6 +23,13 @@ class Modes {
   typename Friction::Modes friction;
   DriveModes<M> drive[N];
 
+  // The start of a trial and the newest ends.
+  using Memo = LinksMemo<S, Real, 2>;
+
+  // These of the links, and the usual ones of all drives.
+  Modes(const Numbers<S>& numbers, const typename Friction::Modes& of_links)
+      : friction(of_links), n_(&numbers) {}
+
   // Those of the settled state x (see below) with its links' part.
   Modes(const Numbers<S>& numbers, const State<S>& x, const Real* u, const Dynamics& links)
       : n_(&numbers) {
@@ -77,7 +84,7 @@ class Modes {
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
   // quantities with different units; only its sign counts.) `each` gets that of each condition; 1
   // where there is no such condition, or the lock of a joint while others already fail.
-  Real margin(const State<S>& x, const Real* u, LinksMemo<S>& memo, Real* each = nullptr) const {
+  Real margin(const State<S>& x, const Real* u, Memo& memo, Real* each = nullptr) const {
     Real least = 1.0;
     for (int k = 0; each && k < conditions; ++k) each[k] = 1.0;
     const auto at_most = [&](int k, Real margin) {
@@ -100,6 +107,11 @@ class Modes {
     for (int j = 0; j < N; ++j)
       if (friction.locked[j]) at_most(2 * N + j, coulomb.spare(j));
     return least;
+  }
+
+  // Rounding of a condition, known for locks alone; else 0.
+  Real rounding(int condition) const {
+    return condition < 2 * N ? 0.0 : kRounding * n_->Ds(condition - 2 * N);
   }
 
   // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a

@@ -15,8 +15,14 @@ inline constexpr std::int64_t kExponent = 0x7ff0000000000000;
 // that it has seen computed (clang does since version 18). This hides a number from it.
 template <class Bits>
 ARM_INLINE Bits unforeseen(Bits bits) {
-  if constexpr (std::is_arithmetic_v<Bits>)
-    asm("" : "+r"(bits));
+  if constexpr (std::is_arithmetic_v<Bits>) asm("" : "+r"(bits));
+#if defined(__AVX512F__)
+  else if constexpr (sizeof bits == kNativeLanes * sizeof(double))
+    asm("" : "+v"(bits));
+#elif defined(__SSE2__)
+  else if constexpr (sizeof bits == kNativeLanes * sizeof(double))
+    asm("" : "+x"(bits));
+#endif
   else
     asm("" : "+m"(bits));  // lanes, for which one register need not be enough
   return bits;

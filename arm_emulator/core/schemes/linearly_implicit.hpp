@@ -124,13 +124,13 @@ class LinearlyImplicit {
     given_ = {};
   }
 
-  // Set the past for a step from `start` to x that was taken otherwise.
-  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
+  // Set the past for a step from `start` to x that was taken otherwise. x calls for these modes,
+  // and the links' part there is given.
+  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row],
+                const Modes<S>& modes, const Dynamics& links) {
     if constexpr (extrapolates) {
-      Dynamics links;
-      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
       X a[N];
-      Modes<S>(n_, x, u, links).accelerations(x, u, links, a, coulomb_);
+      modes.accelerations(x, u, links, a, coulomb_);
       typename Links<S, X>::Kinematics kinematics;
       Links<S, X>::kinematics(start.q, kinematics);
       Links<S, X>::inverse_dynamics(n_, kinematics, start.v, a, past_.torque);

@@ -61,13 +61,24 @@ class Located {
     whole_.step_in(modes, y, u, links, Past::used);
     if (modes.margin(y, u, memo_) < 0.0) {
       whole_.restore(memory);
-      cut(x, y, u, modes, links);
+      cut(x, y, u, modes, links, Until::instant);
     } else {
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, h_);
       x = y;
     }
     exchange.give(x);
+  }
+  // The same of which the whole step is known: from x to y, with all drives in their usual modes
+  // and the links in these. The memory is that of y.
+  void step_to(const State<S>& y, const typename Modes<S>::Friction::Modes& friction, State<S>& x,
+               const Real (&u)[row]) {
+    const Modes<S> modes(n_, friction);
+    const Dynamics links = memo_.at(n_, x);
+    State<S> end = y;
+    if (modes.margin(end, u, memo_) < 0.0) return cut(x, end, u, modes, links, Until::rounding);
+    modes.settle(end, u);
+    x = end;
   }
 
  private:
@@ -76,8 +87,14 @@ class Located {
   static constexpr int kMostTrials = 150;
   static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
 
+  // How far an event is searched: until its time is known to an instant or, for a lock that breaks,
+  // until the torque beyond its limit is one of rounding. Lanes round otherwise than this machine,
+  // so that more trials than these would not bring both together.
+  enum class Until { instant, rounding };
+
   // A step from x to y of which not all modes hold.
-  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {
+  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links,
+           Until until) {
     const State<S> start = x;
     Real left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
@@ -89,32 +106,32 @@ class Located {
         part.step(y, u, links, nobody);
         follow_at_once(n_, y, u);
         if (meter_) meter_->part(x, y, u, modes, left);
-        x = y;
-        break;
+        left = 0.0;
+      } else {
+        bool fails = true;  // of the whole step that is known
+        if (events > 0) {
+          y = x;
+          part_.retime(left, modes);
+          part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
+          fails = modes.margin(y, u, memo_) < 0.0;
+        }
+        const Real t = fails ? first_event(x, y, u, modes, links, left, until) : left;
+        modes.settle(y, u);
+        if (meter_) meter_->part(x, y, u, modes, t);
+        left -= t;
       }
-      bool fails = true;  // of the whole step that is known
-      if (events > 0) {
-        y = x;
-        part_.retime(left, modes);
-        part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
-        fails = modes.margin(y, u, memo_) < 0.0;
-      }
-      const Real t = fails ? first_event(x, y, u, modes, links, left) : left;
-      modes.settle(y, u);
-      if (meter_) meter_->part(x, y, u, modes, t);
       x = y;
-      left -= t;
       links = memo_.at(n_, x);
       modes = Modes<S>(n_, x, u, links);
     }
-    whole_.remember(start, x, u);
+    whole_.remember(start, x, u, modes, links);
   }
 
   // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
   Real first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
-                   const Dynamics& links, Real left) {
+                   const Dynamics& links, Real left, Until until) {
     Trial last, other;
     last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
     int first = other.first_after(last);
@@ -124,7 +141,12 @@ class Located {
       const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
       // A little beyond the zero, so that the trial that meets it is one that fails.
-      if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
+      Real beyond = 0.5 * least;
+      if (until == Until::rounding && first >= 0) {
+        const Real steep = magnitude(last.each[first] - other.each[first]);
+        if (modes.rounding(first) > beyond * steep) beyond = modes.rounding(first) / steep;
+      }
+      if (first >= 0) share += last.holds() ? beyond : -beyond;
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
       const Real t = last.t + share * width;
       State<S> end = x;
@@ -137,6 +159,9 @@ class Located {
       if (now.holds() != last.holds()) before = other, other = last;
       last = now;
       first = last.holds() ? other.first_after(last) : last.first_after(other);
+      if (until == Until::rounding && first >= 0 && !last.holds() &&
+          last.each[first] >= -3.0 * modes.rounding(first))
+        break;
       // The zero lies within an instant before a trial that fails.
       if (first >= 0 && !last.holds() &&
           magnitude(last.share(other, first) * (other.t - last.t)) <= kInstant * h_)
@@ -164,7 +189,7 @@ class Located {
     Real t, margin, each[Modes<S>::conditions];
 
     void take(Real length, const Modes<S>& modes, const State<S>& end, const Real (&u)[row],
-              LinksMemo<S>& memo) {
+              typename Modes<S>::Memo& memo) {
       t = length;
       margin = modes.margin(end, u, memo, each);
     }
@@ -210,7 +235,7 @@ class Located {
   const Numbers<S>& n_;
   Method whole_;
   Part part_;  // of a step
-  LinksMemo<S> memo_;
+  typename Modes<S>::Memo memo_;
   EnergyMeter<S>* meter_ = nullptr;
 };
 

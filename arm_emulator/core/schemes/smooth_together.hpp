@@ -58,10 +58,12 @@ class SmoothTogether {
   template <class Exchange>
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
                        Exchange& exchange) {
-    const State<S, X> start = x;
-    const Memory past = method_.memory();
-    if constexpr (locates) follow(x, u);
+    State<S, X> start = x;
+    Memory past = method_.memory();
+    bool jumps = false;
+    if constexpr (locates) jumps = follow(x, u);
     Mask<X> smooth = n_.brakes_open() & is_usual(n_, x, u);
+    const Mask<X> begins = smooth;
     if (any(smooth & there_)) {
       if constexpr (locates)
         smooth &= locate(x, u, links);
@@ -71,8 +73,15 @@ class SmoothTogether {
     const Mask<X> alone = there_ & ~smooth;
     if (any(alone)) {
       Memory later = method_.memory();
-      for (int lane = 0; lane < width; ++lane)
-        if (alone[lane]) step_alone(lane, start, past, u, x, later);
+      for (int lane = 0; lane < width; ++lane) {
+        if (!alone[lane]) continue;
+        if constexpr (locates)
+          if (begins[lane] && !jumps) {
+            cut_alone(lane, start, u, x, later);
+            continue;
+          }
+        step_alone(lane, start, past, u, x, later);
+      }
       restore(later);
     }
   }
@@ -154,42 +163,70 @@ class SmoothTogether {
     return typename Drive::Modes{};
   };
 
-  void follow(State<S, X>& x, const X* u) {
+  // Whether any drive has an algebraic state; it is set.
+  bool follow(State<S, X>& x, const X* u) {
+    bool some = false;
     for (int lane = 0; lane < width; ++lane)
       n_.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
         if (!drive.follows_at_once()) return;
+        some = true;
         confirmed_ = false;
         auto at = input_in_lane(drive, j, x, u[j], lane);
         drive.follow(at);
         put_states(drive, j, lane, at, x);
       });
+    return some;
   }
 
+  using OfOne = typename Machine::Threads::Memory;
+
   // Take the step of one lane from `start` by its machine.
-  ARM_APART void step_alone(int lane, State<S, X> start, Memory past, const X (&commands)[row],
+  ARM_APART void step_alone(int lane, State<S, X>& start, Memory& past, const X (&commands)[row],
                             State<S, X>& end, Memory& later) const {
     State<S> x;
-    typename Machine::Threads::Memory memory = {};
-    double u[Machine::Stepper::row] = {};
-    for (int j = 0; j < N; ++j) u[j] = commands[j][lane];
-    copy_lane(start, past, lane, x, memory);
+    OfOne memory = {};
+    double u[Machine::Stepper::row];
+    take_lane(lane, commands, u), take_lane(lane, start, x), take_lane(lane, past, memory);
     machine_[lane]->step_alone(x, u, memory);
-    double numbers[kNumbers];
-    double *to = numbers, *from = numbers;
-    for_each_number(x, [&](double number) { *to++ = number; });
-    memory.for_each_number([&](double number) { *to++ = number; });
-    for_each_number(end, [&](X& number) { number[lane] = *from++; });
-    later.for_each_number([&](X& number) { number[lane] = *from++; });
+    put_lane(lane, x, end), put_lane(lane, memory, later);
   }
-  static void copy_lane(State<S, X>& x, Memory& past, int lane, State<S>& to_x, auto& to_past) {
-    double numbers[kNumbers];
-    double *to = numbers, *from = numbers;
-    for_each_number(x, [&](const X& number) { *to++ = number[lane]; });
-    past.for_each_number([&](const X& number) { *to++ = number[lane]; });
-    for_each_number(to_x, [&](double& number) { number = *from++; });
-    to_past.for_each_number([&](double& number) { number = *from++; });
+  // The same of one that was smooth at its start: `end` is its end without events.
+  ARM_APART void cut_alone(int lane, State<S, X>& start, const X (&commands)[row], State<S, X>& end,
+                           Memory& later) const {
+    State<S> x, y;
+    OfOne memory = {};
+    double u[Machine::Stepper::row];
+    take_lane(lane, commands, u), take_lane(lane, start, x), take_lane(lane, end, y),
+        take_lane(lane, later, memory);
+    typename Coulomb<S, Real>::Modes links;
+    for (int j = 0; j < N; ++j)
+      links.locked[j] = modes_.locked[j][lane] != 0, links.direction[j] = modes_.direction[j][lane];
+    machine_[lane]->step_alone_to(y, links, x, u, memory);
+    put_lane(lane, x, end), put_lane(lane, memory, later);
   }
-  static constexpr int kNumbers = (sizeof(State<S, X>) + sizeof(Memory)) / sizeof(X);
+
+  // Copies of a lane's numbers; what is copied is only read.
+  static void take_lane(int lane, const X (&commands)[row], double (&u)[Machine::Stepper::row]) {
+    for (double& one : u) one = 0.0;
+    for (int j = 0; j < N; ++j) u[j] = commands[j][lane];
+  }
+  static void take_lane(int lane, auto& from, auto& to) {
+    double numbers[sizeof to / sizeof(double) + 1];
+    double *next = numbers, *first = numbers;
+    for_each_number_of(from, [&](const X& number) { *next++ = number[lane]; });
+    for_each_number_of(to, [&](double& number) { number = *first++; });
+  }
+  static void put_lane(int lane, auto& from, auto& to) {
+    double numbers[sizeof from / sizeof(double) + 1];
+    double *next = numbers, *first = numbers;
+    for_each_number_of(from, [&](double number) { *next++ = number; });
+    for_each_number_of(to, [&](X& number) { number[lane] = *first++; });
+  }
+  template <class Y>
+  static void for_each_number_of(State<S, Y>& of, auto&& number) {
+    for_each_number(of, number);
+  }
+  static void for_each_number_of(auto& of, auto&& number) { of.for_each_number(number); }
 
   const Numbers<S, X>& n_;
   Method method_;
