@@ -140,9 +140,10 @@ def test_a_hit_at_full_speed_is_accounted_for(tmp_path: Path) -> None:
     assert STOPS["stiffness"] * u == pytest.approx(x.gear_torque[0] + weight, rel=1e-6), "torques"
 
 
-def test_stops_stand_at_the_limits_of_the_urdf_on_request() -> None:
+@pytest.mark.parametrize("beyond", [0.0, 0.02])
+def test_stops_stand_at_the_limits_of_the_urdf_on_request(beyond: float) -> None:
     K = {"stiffness": 1e4}
-    stops = {"joints.*.end_stops": {"at": "limits", **K}}
+    stops = {"joints.*.end_stops": {"at": "limits", **K} | ({"beyond": beyond} if beyond else {})}
     for joint in load_scene("ur5", stops).joints:
         (stop,) = joint.extras
         name = joint.name
@@ -150,7 +151,7 @@ def test_stops_stand_at_the_limits_of_the_urdf_on_request() -> None:
         limit = next(j for j in robot.findall("joint") if j.get("name") == name).find("limit")
         assert limit is not None
         assert (stop.lower, stop.upper) == (  # type: ignore[attr-defined]
-            float(limit.get("lower", "")), float(limit.get("upper", ""))
+            float(limit.get("lower", "")) - beyond, float(limit.get("upper", "")) + beyond
         ), name  # fmt: skip
     with pytest.raises(Refusal, match=r"elbow\.end_stops\.at must be absent: the URDF has no"):
         load_scene("three_axis", {"joints.elbow.end_stops": {"at": "limits", **K}})
@@ -160,6 +161,10 @@ def test_stops_stand_at_the_limits_of_the_urdf_on_request() -> None:
     for key in ("lower", "upper"):
         with pytest.raises(Refusal, match=rf"end_stops\.{key} must be absent beside"):
             load_scene("ur5", {"joints.elbow_joint.end_stops": K | {"at": "limits", key: 0.1}})
+    with pytest.raises(Refusal, match=r"end_stops\.beyond must be a number from 0 to"):
+        load_scene("ur5", {"joints.elbow_joint.end_stops": K | {"at": "limits", "beyond": -0.1}})
+    with pytest.raises(Refusal, match=r"end_stops\.beyond"):
+        load_scene("ur5", {"joints.elbow_joint.end_stops": STOPS | {"beyond": 0.1}})
 
 
 def test_every_bad_section_is_refused_in_one_line() -> None:

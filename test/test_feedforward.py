@@ -129,19 +129,27 @@ def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
     )
     kinematics = Kinematics(scene.urdf, scene.joint_names, "tool0")
     motion, T = Motion(rng, 6), config.period
-    for known in (4, 3, 0):  # all derivatives, no jerk, none
+    arm = ElasticArm(
+        LinkTorques(scene.urdf, scene.joint_names, GRAVITY),
+        list(known_drives(scene.joints).values()),
+        kinematics.velocity_limit,
+    )
+    for known in (5, 4, 3, 0):  # those at the end, too, all derivatives, no jerk, none
         feedforward = Feedforward(kinematics, config)
         end = q_before = None
         for k in range(60):
             q, q_end = motion.at(k * T)[0], motion.at((k + 1) * T)[0]
             now = Reference(*motion.at(k * T)[:known]) if known else None
+            then = Reference(*motion.at((k + 1) * T)) if known == 5 else None
             q = q if q_before is None else q_before
-            one = feedforward.complete(Instruction(q, (q_end - q) / T, None, now))
+            one = feedforward.complete(Instruction(q, (q_end - q) / T, None, now, then))
             assert one.v is not None
+            if known == 5:  # however the jerk changes within the period
+                np.testing.assert_allclose(one.q, arm.at(*motion.at(k * T)).theta, atol=1e-9)
             if end is not None:
                 np.testing.assert_allclose(one.q, end, atol=1e-12)
             end, q_before = one.q + T * one.v, q + T * ((q_end - q) / T)
-            if known == 4 and k > 2:
+            if known >= 4 and k > 2:
                 wound = one.q - q
                 np.testing.assert_allclose(feedforward.links(one.q), q, atol=1e-15)
                 assert 0.0 < np.abs(wound).max() < 0.02

@@ -22,6 +22,9 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NOT_TEXTS = ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
 
 STOP_DEPTH, STOP_DEPTH_OF_SLIDE = 0.05, 0.005  # rad, m
+# Three times what the peak torque winds up a gear by (1/170 rad): limits of a description are those
+# of software, set so that the arm does not hit its stops.
+STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE = 0.02, 0.002  # rad, m
 STOP_DAMPING = 0.2  # of critical
 
 UNITS_OF_TURN = ("N m", "rad/s", "kg m2", "rad")
@@ -38,8 +41,8 @@ _RULES = """\
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical
 #   friction     10 % of the peak torque at full speed
 #   encoder      13 bit on the motor
-#   end_stops    where the description has limits: 0.05 rad (5 mm) deep at full speed with the most
-#                inertia, damped to 20 % of critical
+#   end_stops    where the description has limits, 0.02 rad (2 mm) beyond them: 0.05 rad (5 mm)
+#                deep at full speed with the most inertia, damped to 20 % of critical
 # Replace what you know, then `arm_emulator tune {file} --write`.
 """
 
@@ -145,9 +148,10 @@ def _end_stops(inertia: float, speed: float, slide: bool) -> list[str]:
     """Return stops that an arm at full speed presses in by their depth."""
     stiffness = inertia * (speed / (STOP_DEPTH_OF_SLIDE if slide else STOP_DEPTH)) ** 2
     damping = 2.0 * STOP_DAMPING * math.sqrt(stiffness * inertia)
+    beyond = STOPS_BEYOND_OF_SLIDE if slide else STOPS_BEYOND
     values = f"stiffness: {rounded(stiffness)!r}, damping: {rounded(damping)!r}"
-    unit = "N/m, N s/m" if slide else "N m/rad, N m s/rad"
-    return [f"    end_stops: {{at: limits, {values}}}  # {unit}"]
+    unit = "m, N/m, N s/m" if slide else "rad, N m/rad, N m s/rad"
+    return [f"    end_stops: {{at: limits, beyond: {beyond!r}, {values}}}  # {unit}"]
 
 
 def servo_text(config: ServoConfig, heading: str) -> str:

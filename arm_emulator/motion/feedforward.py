@@ -118,13 +118,13 @@ class Feedforward:
         now = instruction.now or _estimated(q, mean, before, period)
         jerk = _jerk(now, before, period)
         q_end = q + mean * period
-        v_end = now.v + now.a * period + 0.5 * jerk * period**2
+        then = instruction.then or _extrapolated(now, jerk, q_end, period)
         rests = not any(one.any() for one in (mean, now.v, now.a, jerk))
         if rests or before is None:
             self._factor = self._load.factor
         factor = self._factor
         begins = arm.at(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
-        ends = arm.at(q_end, v_end, now.a + jerk * period, jerk, factor)
+        ends = arm.at(q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor)
         self._before = _Period(now, mean, q_end, ends, rests)
         self.wound = begins.theta - q
         tau = self._announced(arm, begins, ends) if instruction.tau is None else instruction.tau
@@ -166,6 +166,12 @@ def _estimated(q: FloatArray, mean: FloatArray, before: _Period | None, period: 
     """Return the motion at the beginning of a period, by the mean speeds of this and the last."""
     a = np.zeros_like(q) if before is None else (mean - before.mean) / period
     return Reference(q, mean - 0.5 * a * period, a)
+
+
+def _extrapolated(now: Reference, jerk: FloatArray, q_end: FloatArray, period: float) -> Reference:
+    """Return the motion at the end of a period in which the jerk lasts."""
+    v = now.v + now.a * period + 0.5 * jerk * period**2
+    return Reference(q_end, v, now.a + jerk * period, jerk)
 
 
 def _jerk(now: Reference, before: _Period | None, period: float) -> FloatArray:

@@ -238,7 +238,8 @@ class TrajectoryOrder:
         effort = None
         if not self.trajectory.stops:
             effort = self.trajectory.effort(self._motion.asked_ns(now_ns), self._start_ns)
-        return Instruction(now.q, (then.q - now.q) / (laws.period_ns * _SECONDS), effort, now)
+        v = (then.q - now.q) / (laws.period_ns * _SECONDS)
+        return Instruction(now.q, v, effort, now, then)
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""

@@ -211,7 +211,7 @@ class WayController:
         if not np.isfinite(v).all():
             raise ArithmeticError(f"the joint speeds are not finite at q = {q}")
         self.error = self.kinematics.tool_error(q, end)
-        return Instruction(now.q, v, None, now)
+        return Instruction(now.q, v, None, now, self.coming)
 
     @property
     def resting(self) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.number import Number, between
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
@@ -15,6 +16,14 @@ from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+_BEYOND = Number(
+    "beyond",
+    "rad",
+    default=0.0,
+    text="distance of both stops from the limits, outwards; refused without `at`",
+    **between((0.0, 1e4)),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +41,13 @@ class EndStops(Extra):
             range="`limits`",
             absent="`lower` and `upper` are given",
             text="both ends at the URDF's limits of the joint",
+        ),
+        Key(
+            _BEYOND.name,
+            unit=_BEYOND.unit,
+            range="from 0",
+            absent="0",
+            text=_BEYOND.text,
         ),
     )
 
@@ -85,7 +101,9 @@ class EndStops(Extra):
         if not section.has("at"):
             return
         section.choice("at", ("limits",), default="limits")
-        for key, value in zip(("lower", "upper"), limits or (0.0, 0.0), strict=True):
+        beyond = section.number(_BEYOND)
+        lower, upper = limits or (0.0, 0.0)
+        for key, value in ("lower", lower - beyond), ("upper", upper + beyond):
             if section.has(key):
                 raise section.refusal(key, "be absent beside `at: limits`", "both")
             section.put(key, value)
