@@ -98,10 +98,12 @@ class EndStops(Extra):
     @classmethod
     def put_limits(cls, section: Section, limits: tuple[float, float] | None) -> None:
         """Put the ends of its way where the section has `at: limits`."""
+        beyond = section.number(_BEYOND)
         if not section.has("at"):
+            if section.has(_BEYOND.name):
+                raise section.refusal(_BEYOND.name, "stand beside `at: limits`", beyond)
             return
         section.choice("at", ("limits",), default="limits")
-        beyond = section.number(_BEYOND)
         lower, upper = limits or (0.0, 0.0)
         for key, value in ("lower", lower - beyond), ("upper", upper + beyond):
             if section.has(key):
