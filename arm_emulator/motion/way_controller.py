@@ -41,7 +41,7 @@ FloatArray = npt.NDArray[np.float64]
 
 LOST = 0.2  # rad (or m per reach) between arm and reference: something else moves the arm
 # Of the description's limits; the rest is for links that swing on their gears.
-SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.8
+SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.72
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
 # Periods that this takes at least: the servo knows a change of the acceleration a period late, and
 # the links swing by what has changed meanwhile.
