@@ -69,13 +69,14 @@ def take_screenshots(
     pictures = []
     with _viewer(rrd, size, deadline) as viewer:
         line = _poll(lambda: _timeline(viewer), deadline, f"{rrd} to show a time line {TIMELINE}")
-        start, end = (line.start or 0) / SECOND, (line.end or 0) / SECOND
+        start, end = line.start or 0, line.end or 0
         for number, at in enumerate(moments):
-            moment = end if at is None else at
+            # In whole nanoseconds, as recorded: a sum of periods is off in its last bits.
+            moment = end if at is None else round(at * SECOND)
             if not start <= moment <= end:
-                rule = f"lie in the recording, {start:g} to {end:g} s"
-                raise Refusal("screenshot", "time", rule, f"{moment:g}")
-            viewer.set_time(TIMELINE, duration=moment, play_state="paused")
+                rule = f"lie in the recording, {start / SECOND:g} to {end / SECOND:g} s"
+                raise Refusal("screenshot", "time", rule, f"{moment / SECOND:g}")
+            viewer.set_time(TIMELINE, duration=moment / SECOND, play_state="paused")
             _settle(viewer, *((SETTLE, SETTLE_PICTURES) if number == 0 else (0.0, SETTLE_NEXT)))
             pictures.append(viewer.take_screenshot())
     return pictures

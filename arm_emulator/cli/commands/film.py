@@ -66,7 +66,7 @@ def film(
     period = machine.scene.servo_period
     last = machine.last * period
     until = last if end is None else end
-    if not 0.0 <= begin <= until <= last:
+    if not 0.0 <= begin <= until <= last + 0.5 * period:
         raise Refusal("film", "--begin and --end", f"be within 0 to {last:g} s", [begin, until])
     step = speed / rate
     moments = np.arange(begin, until + 1e-9, step)
