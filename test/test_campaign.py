@@ -98,28 +98,42 @@ def changed(data, path, value):
 # ------------------------------------------------------------------------------------ what varies
 
 
-@pytest.mark.parametrize(
-    ("text", "truth"),
-    [
-        ("uniform(-1, 3)", stats.uniform(-1, 4)),
-        ("loguniform(0.1, 10)", stats.loguniform(0.1, 10)),
-        ("normal(2, 0.5)", stats.norm(2, 0.5)),
-        ("lognormal(2, 0.4)", stats.lognorm(0.4, scale=2 * math.exp(-0.08))),
-        ("triangular(1, 2, 5)", stats.triang(0.25, 1, 4)),
-        ("exponential(3)", stats.expon(scale=3)),
-        ("weibull(1.5, 2)", stats.weibull_min(1.5, scale=2)),
-        ("beta(2, 3, -1, 1)", stats.beta(2, 3, -1, 2)),
-        ("truncated(normal(0, 1), -0.5, 2)", stats.truncnorm(-0.5, 2)),
-        ("truncated(exponential(1), 0.5, 1)", stats.truncexpon(0.5, 0.5)),
-        ("truncated(triangular(0, 1, 2), 0, 2)", stats.triang(0.5, 0, 2)),
-    ],
-)
+DISTRIBUTIONS = [
+    ("uniform(-1, 3)", stats.uniform(-1, 4)),
+    ("loguniform(0.1, 10)", stats.loguniform(0.1, 10)),
+    ("normal(2, 0.5)", stats.norm(2, 0.5)),
+    ("lognormal(2, 0.4)", stats.lognorm(0.4, scale=2 * math.exp(-0.08))),
+    ("triangular(1, 2, 5)", stats.triang(0.25, 1, 4)),
+    ("triangular(1, 1, 5)", stats.triang(0, 1, 4)),
+    ("triangular(1, 5, 5)", stats.triang(1, 1, 4)),
+    ("exponential(3)", stats.expon(scale=3)),
+    ("weibull(1.5, 2)", stats.weibull_min(1.5, scale=2)),
+    ("beta(2, 3, -1, 1)", stats.beta(2, 3, -1, 2)),
+    ("truncated(normal(0, 1), -0.5, 2)", stats.truncnorm(-0.5, 2)),
+    ("truncated(exponential(1), 0.5, 1)", stats.truncexpon(0.5, 0.5)),
+    ("truncated(triangular(0, 1, 2), 0, 2)", stats.triang(0.5, 0, 2)),
+]
+
+
+@pytest.mark.parametrize(("text", "truth"), DISTRIBUTIONS)
 def test_quantiles_are_those_of_scipy(text, truth):
     found = parse_distribution(text, "c", "x")
     for u in (1e-9, 0.01, 0.3, 0.5, 0.77, 0.999, 1 - 1e-9):
         assert found.at(u, math.nan) == pytest.approx(truth.ppf(u), rel=1e-9, abs=1e-9)
         if found.share is not None:
             assert found.share(truth.ppf(u)) == pytest.approx(u, abs=1e-9)
+
+
+@pytest.mark.parametrize(("text", "truth"), DISTRIBUTIONS)
+def test_a_part_of_a_distribution_has_values_of_it_alone(text, truth):
+    low, high = truth.ppf([1e-3, 0.999])
+    for first, last in ((low, high), (low - 9.0, 0.5 * (low + high)), (0.5 * (low + high), 1e3)):
+        part = parse_distribution(f"truncated({text}, {float(first)!r}, {float(last)!r})", "c", "x")
+        below, above = truth.cdf([first, last])
+        for u in (1e-9, 0.3, 0.77, 1 - 1e-9):
+            expected = truth.ppf(below + u * (above - below))
+            assert part.at(u, math.nan) == pytest.approx(expected, rel=1e-7, abs=1e-7)
+        assert part.share(-1e9) == 0.0 and part.share(1e9) == 1.0
 
 
 def test_choices_and_mixtures_have_their_shares():
@@ -302,6 +316,8 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
         ("vary/payload.mass", "uniform(1)", "uniform(low, high)"),
         ("vary/payload.mass", "normal(0, -1)", "have sigma > 0"),
         ("vary/payload.mass", "truncated(3, 0, 1)", "a distribution as argument 1"),
+        ("vary/payload.mass", "uniform(0, 1, **more)", "have the arguments of its kind"),
+        ("vary/payload.mass", f"choice({10**400})", "have numbers within +-1e+15"),
         ("vary/payload.mass", "__import__('os')", "must be a known distribution"),
         ("vary/payload.mass", "twice * uniform(0, 1)", "nominal *"),
         ("vary/payload.mass", True, "must be a distribution"),

@@ -62,6 +62,11 @@ def _below_of_normal(x: float) -> float:
     return float(special.ndtr(x))
 
 
+def _within(share: float) -> float:
+    """Return a share of the values, which is from 0 to 1 beyond their ends, too."""
+    return min(1.0, max(0.0, share))
+
+
 def _above(name: str, value: float, least: float = 0.0) -> float:
     if not value > least:
         raise _Bad(f"have {name} > {least:g}", value)
@@ -77,7 +82,7 @@ def uniform(low: float, high: float) -> Distribution:
     """Evenly between two ends."""
     _ordered(low, high)
     width = high - low
-    return Distribution("", lambda u: low + width * u, lambda x: (x - low) / width)
+    return Distribution("", lambda u: low + width * u, lambda x: _within((x - low) / width))
 
 
 def loguniform(low: float, high: float) -> Distribution:
@@ -88,7 +93,7 @@ def loguniform(low: float, high: float) -> Distribution:
     return Distribution(
         "",
         lambda u: math.exp(a + width * u),
-        lambda x: (math.log(x) - a) / width if x > 0.0 else 0.0,
+        lambda x: _within((math.log(x) - a) / width) if x > 0.0 else 0.0,
     )
 
 
@@ -129,7 +134,7 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
     def share(x: float) -> float:
         if x <= mode:
             return max(0.0, x - low) ** 2 / (width * left) if left else 0.0
-        return 1.0 - max(0.0, high - x) ** 2 / (width * right)
+        return 1.0 - (high - x) ** 2 / (width * right) if x < high else 1.0
 
     return Distribution("", quantile, share)
 
@@ -162,7 +167,7 @@ def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distributio
     return Distribution(
         "",
         lambda u: low + width * float(special.betaincinv(a, b, u)),
-        lambda x: float(special.betainc(a, b, min(1.0, max(0.0, (x - low) / width)))),
+        lambda x: float(special.betainc(a, b, _within((x - low) / width))),
     )
 
 
@@ -180,7 +185,7 @@ def truncated(of: Distribution, low: float, high: float) -> Distribution:
     def quantile(u: float) -> float:
         return min(high, max(low, of.quantile(first + width * u)))
 
-    return Distribution("", quantile, lambda x: min(1.0, max(0.0, (share(x) - first) / width)))
+    return Distribution("", quantile, lambda x: _within((share(x) - first) / width))
 
 
 def choice(*values: float) -> Distribution:
@@ -265,10 +270,9 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
 
 def _read(tree: ast.expr) -> float | Distribution:
     if isinstance(tree, ast.Constant) and type(tree.value) in (int, float):
-        value = float(tree.value)  # type: ignore[arg-type]
-        if abs(value) > LARGEST:
-            raise _Bad(f"have numbers within +-{LARGEST:g}", value)
-        return value
+        if not abs(tree.value) <= LARGEST:  # type: ignore[arg-type]
+            raise _Bad(f"have numbers within +-{LARGEST:g}", tree.value)
+        return float(tree.value)  # type: ignore[arg-type]
     if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
         inner = _read(tree.operand)
         if isinstance(inner, float):
@@ -281,8 +285,10 @@ def _read(tree: ast.expr) -> float | Distribution:
 def _called(name: str, tree: ast.Call) -> Distribution:
     if name not in KINDS:
         raise _Bad("be a known distribution", name, ", ".join(KINDS))
+    if any(one.arg is None for one in tree.keywords):
+        raise _Bad("have the arguments of its kind", ast.unparse(tree))
     of: Sequence[Any] = [_read(one) for one in tree.args]
-    named = {one.arg: _read(one.value) for one in tree.keywords if one.arg}
+    named = {str(one.arg): _read(one.value) for one in tree.keywords}
     expects = {"truncated": (0,), "mixture": tuple(range(1, len(of), 2))}.get(name, ())
     for place, one in enumerate(of):
         if isinstance(one, Distribution) != (place in expects):
