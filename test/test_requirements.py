@@ -136,6 +136,24 @@ def test_traces_of_unknown_length_end_within_or_before_any_window(horizon):
         assert fed(text, rows, cuts, longest=2**40) == brute(rows, 0), (k, text)
 
 
+def test_a_sample_that_is_no_number_decides_where_it_is_asked_for():
+    seen = 0
+    for k in range(300):
+        text, brute, rows, cuts = drawn_case([8, k])
+        count = len(rows["a"])
+        places = np.random.default_rng(k).integers(0, count, 2)
+        for name in NAMES:  # at the same times, so that the brute force needs no rule of its own
+            rows[name][places] = math.nan
+        plus = {name: np.where(np.isnan(row), 1e6, row) for name, row in rows.items()}
+        minus = {name: np.where(np.isnan(row), -1e6, row) for name, row in rows.items()}
+        found = fed(text, rows, cuts)
+        if math.isfinite(found):
+            assert brute(plus, 0) == brute(minus, 0) == found, (k, text)
+        elif math.isnan(found):
+            seen += 1
+    assert seen > 100
+
+
 def test_rtamt_agrees():
     rtamt = pytest.importorskip("rtamt", reason="rtamt is not installed: pip install rtamt")
     for k in range(10_000 if FULL else 100):

@@ -193,7 +193,7 @@ class Judges:
     def end(self, diverged: NDArray[np.bool_]) -> tuple[Array, Array]:
         """End the runs (runs,); return robustness and measures, a row for each.
 
-        They are -inf and NaN in runs that diverged.
+        They are -inf and NaN in runs that diverged; robustness that is not a number is -inf, too.
         """
         values, reduced = self._program.end()
         runs = len(diverged)
@@ -207,6 +207,7 @@ class Judges:
                 end = first + len(one.names)
                 trace = [rows[first:end] for rows in self._traces[run]]
                 robustness[run, place], first = one.judge(trace), end
+        robustness[np.isnan(robustness)] = -math.inf
         first = 0
         for place, measure in enumerate(self._measures):
             end = first + len(measure.of)

@@ -37,8 +37,9 @@ struct robustness {
   node nodes[];
 };
 
-static double least(double a, double b) { return a < b ? a : b; }
-static double most(double a, double b) { return a > b ? a : b; }
+/* What is not a number stays so: a requirement must not hold because nobody knows. */
+static double least(double a, double b) { return a < b || isnan(a) ? a : b; }
+static double most(double a, double b) { return a > b || isnan(a) ? a : b; }
 
 static int is_window(const node* one) { return one->what.kind >= ROBUSTNESS_UNTIL; }
 static int has_end(const node* one) { return one->what.end != ROBUSTNESS_FOREVER; }

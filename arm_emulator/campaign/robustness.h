@@ -2,7 +2,8 @@
  *
  * A requirement is a list of nodes, children first; the last one is its root, asked for at time 0.
  * Times are whole numbers of samples. A window that reaches past the end of the trace has what is
- * within; an empty one is +inf for always and -inf for eventually and until. */
+ * within; an empty one is +inf for always and -inf for eventually and until. A sample that is not a
+ * number makes the robustness none, if it is asked for. */
 #ifndef ROBUSTNESS_H
 #define ROBUSTNESS_H
 
