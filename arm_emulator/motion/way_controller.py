@@ -186,7 +186,7 @@ class WayController:
         self._target = target
         if self._seeking:
             self._seek(now, notices)
-        elif self._goal.settled and not self._goal.reached:
+        elif not self._goal.reached and (self._goal.settled or self._looking):
             self._look_elsewhere(now, notices)
         if not self._seeking and not self._goal.reached:
             notices.append(self._unreachable())
@@ -305,7 +305,9 @@ class WayController:
                 line = self._tool_line(now, self._target, goal.q)
         if goal.reached:
             self._set_out(now, line, notices)
-        elif goal.settled:  # another configuration may reach it, and is better taken from here
+        elif goal.settled or self._seeking == _LONGEST_SEEK:
+            # Another configuration may reach it, and is better taken from here.
+            self._seeking = 0
             self._search_begins(now)
             self._waits = math.ceil(_LONGEST_SEARCH / self.period)
         else:
@@ -389,6 +391,7 @@ class WayController:
         elif self._waits == 0 or (self._waits > 0 and self._elsewhere.over):
             self._looking, self._waits = False, 0
             self._set_out(now, BEYOND_REACH, notices)
+            self._seeking = 0 if self._goal.settled else _LONGEST_SEEK  # goes on on the way
         elif self.searching:
             notices.append("looks for another configuration")
 
