@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <map>
 
 using namespace arm_emulator_hardware;
 
@@ -96,9 +97,29 @@ int main(int count, char** words) {
     std::printf("wrong %d %d\n", taken, went_on && std::isfinite(arm.reading(0).true_position));
     arm.reset(zero);
     arm.enable(true);
+    const int slip = arm.varied("faults.elbow.encoder_slips");
+    const bool kept =
+        !arm.vary(slip, 1e9) && !arm.vary(slip, std::nan("")) && arm.vary(slip) == 0.0;
+    std::printf("bounds %d %d\n", kept, arm.vary(slip, 10.0) && arm.vary(slip) == 10.0);
+    go(arm, second, Loop::position, 0.0, "slipped");
+    arm.vary(slip, 0.0);
+    arm.reset(zero);
+    arm.enable(true);
     shake(arm, std::atoi(words[3]), static_cast<unsigned>(std::atoi(words[4])));
     std::printf("time %lld\n", static_cast<long long>(arm.time()));
-    arm.joint("no_such_joint");
+  } catch (const Refused& error) {
+    std::printf("%s\n", error.what());
+    return 0;
+  }
+  const std::map<std::string, double> wrong[] = {{{"faults.wrist", 1.0}},
+                                                 {{"faults.elbow.command_late", 99.0}}};
+  for (const auto& varied : wrong) try {
+      DrivenMachine(words[1], period, varied);
+    } catch (const Refused& error) {
+      std::printf("%s\n", error.what());
+    }
+  try {
+    DrivenMachine(words[1], period).joint("no_such_joint");
   } catch (const Refused& error) {
     std::printf("%s\n", error.what());
   }

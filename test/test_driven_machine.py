@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_campaign_machine_faults import SENT
 
 from arm_emulator import load_scene, load_servo_config
 from arm_emulator.build.compiler_command import find_compiler
@@ -32,7 +33,7 @@ READING = ("q", "v", "effort", "current", "counts", "true_q", "true_v", "true_ef
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The client with what it needs."""
     at = tmp_path_factory.mktemp("driven")
-    compile_ahead(load_scene("three_axis"), "native", at)
+    compile_ahead(load_scene("three_axis", SENT["set"]), "native", at)
     compile_units([servo_data_unit("three_axis")], "native", at)
     includes = [f"-I{one}" for one in (SOURCES, BOUNDARY, FOLDER)]
     files = [str(ROOT / "test/driven_machine.cpp"), str(SOURCES / "driven_machine.cpp")]
@@ -71,11 +72,15 @@ def test_each_loop_does_what_it_is_commanded(folder: Path, period: int) -> None:
     # The current sensor and the motor's data sheet, not the servo's own estimate, judge the effort.
     seen = readings(effort)["current"] * NUMBERS["torque_constant"] / NUMBERS["ratio"]
     assert np.allclose(seen, 10.0, rtol=0.05)
-    assert lines[6:8] == ["without power 1", "wrong 0 1"]
+    assert lines[6:9] == ["without power 1", "wrong 0 1", "bounds 1 1"]
+    # The disc slipped by 10 rad of the motor: the servo holds what it measures.
+    slipped = readings(lines[9])
+    assert np.allclose(slipped["q"], 0.0, atol=1.5 * count.max())
+    assert np.allclose(np.abs(slipped["true_q"]), [0.0, 0.0, 10.0 * NUMBERS["ratio"][2]], atol=1e-3)
 
 
 def test_switches_of_loops_drives_and_power_leave_every_reading_finite(folder: Path) -> None:
-    *_, shaken, end, last, _ = run(folder, 1_000_000)
+    *_, shaken, end, last, _, _, _ = run(folder, 1_000_000)
     assert shaken.startswith("bad 0 cut ") and int(shaken.split()[-1]) > 100
     assert all(np.all(np.isfinite(values)) for values in readings(end).values())
     assert last == "time 10000000000"
@@ -85,6 +90,10 @@ def test_refusals_are_one_line(folder: Path) -> None:
     valid = "valid: waist, shoulder, elbow"
     line = f"three_axis: joint must be one of the scene, got no_such_joint; {valid}"
     assert run(folder, 1_000_000, cycles=1)[-1] == line
+    unknown, beyond = run(folder, 1_000_000, cycles=1)[-3:-1]
+    assert "command_interface must be `power` or a number that the scene varies, got" in unknown
+    assert "valid: faults.elbow.command_late, faults.elbow.encoder_slips" in unknown
+    assert "faults.elbow.command_late must be within 0 to 16, got 99" in beyond
     (period,) = run(folder, 1_500_000)
     assert "update_rate must give a multiple of the servo period 1000000 ns, got 1500000" in period
     (absent,) = run(folder, 1_000_000, "nothing")

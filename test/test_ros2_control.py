@@ -47,6 +47,16 @@ def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
     assert [one.attrib for one in robot] == [one.attrib for one in was]
 
 
+def test_varied_numbers_are_commands_with_the_scene_s_values(tmp_path: Path) -> None:
+    changed = {"varied": ["joints.elbow.gear.*"], "faults": ["elbow.gear_breaks"]}
+    scene = load_scene("three_axis", changed)
+    robot = ET.fromstring(description(scene, f"{tmp_path}/three_axis"))
+    commands = robot.findall("ros2_control/gpio[@name='three_axis_varied']/command_interface")
+    values = {one.get("name"): float(one.findtext("param") or "nan") for one in commands}
+    assert values == {one.name: one.value for one in scene.varied}
+    assert values["faults.elbow.gear_breaks"] == 0.0 and len(values) == 3
+
+
 def test_joints_that_follow_one_other_are_mimics_and_other_couplings_are_refused(
     tmp_path: Path,
 ) -> None:

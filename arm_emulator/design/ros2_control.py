@@ -57,6 +57,11 @@ def description(scene: Scene, compiled: str) -> str:
     power = ET.SubElement(control, "gpio", name=f"{scene.name}_power")
     ET.SubElement(power, "command_interface", name="power")
     ET.SubElement(power, "state_interface", name="powered")
+    if scene.varied:
+        numbers = ET.SubElement(control, "gpio", name=f"{scene.name}_varied")
+        for number in scene.varied:
+            one = ET.SubElement(numbers, "command_interface", name=number.name)
+            ET.SubElement(one, "param", name="initial_value").text = f"{number.value!r}"
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
 

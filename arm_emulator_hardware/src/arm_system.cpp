@@ -62,9 +62,23 @@ void check_names(const std::string& where, const std::string& what,
   for (const auto& one : given) check_name(where, what, one.name, table);
 }
 
-constexpr std::array<std::pair<const char*, int>, 1> kPower = {{{"power", 0}}};
+constexpr const char* kPower = "power";
 constexpr std::array<std::pair<const char*, int>, 1> kPowered = {{{"powered", 0}}};
 constexpr std::array<std::pair<const char*, int>, 1> kParameters = {{{"scene", 0}}};
+
+// The initial value in a description. Throws Refused.
+double number_of(const std::string& where, const hardware_interface::InterfaceInfo& one) {
+  char* end = nullptr;
+  const double value = std::strtod(one.initial_value.c_str(), &end);
+  if (*end || !std::isfinite(value))
+    throw Refused(where + ": initial_value of " + one.name + " must be a number, got " +
+                  one.initial_value);
+  return value;
+}
+
+double value_of(const hardware_interface::CommandInterface::SharedPtr& one) {
+  return one->get_optional<double>().value_or(kUnset);
+}
 
 }  // namespace
 
@@ -73,11 +87,12 @@ ArmSystem::CallbackReturn ArmSystem::refuse(const std::string& why) const {
   return CallbackReturn::ERROR;
 }
 
-// The newest sound command of the joint holds; a controller may repeat the other one each cycle.
-void ArmSystem::refuse(const Command& one, double got) {
-  RCLCPP_ERROR_THROTTLE(
-      get_logger(), steady_, 1000, "%s: %s must be within +-%g, got %g; its command before holds",
-      info_.name.c_str(), one.value->get_name().c_str(), DrivenMachine::kLargest, got);
+// The newest sound command holds; a controller may repeat the other one each cycle.
+void ArmSystem::refuse(const hardware_interface::CommandInterface& one, double got,
+                       const std::string& bounds) {
+  RCLCPP_ERROR_THROTTLE(get_logger(), steady_, 1000,
+                        "%s: %s must be within %s, got %g; its command before holds",
+                        info_.name.c_str(), one.get_name().c_str(), bounds.c_str(), got);
 }
 
 ArmSystem::CallbackReturn ArmSystem::on_init(
@@ -104,10 +119,8 @@ void ArmSystem::check_interfaces() const {
     check_names(at, "command_interface", joint.command_interfaces, kCommands);
     check_names(at, "state_interface", joint.state_interfaces, kReadings);
   }
-  for (const auto& gpio : info_.gpios) {
-    check_names(where + ": " + gpio.name, "command_interface", gpio.command_interfaces, kPower);
+  for (const auto& gpio : info_.gpios)
     check_names(where + ": " + gpio.name, "state_interface", gpio.state_interfaces, kPowered);
-  }
 }
 
 // The joints' positions at the start: `initial_value` of their positions, or 0.
@@ -116,19 +129,32 @@ std::vector<double> ArmSystem::start() const {
   for (const auto& joint : info_.joints)
     for (const auto& one : joint.state_interfaces) {
       if (one.name != "position" || one.initial_value.empty()) continue;
-      char* end = nullptr;
-      const double value = std::strtod(one.initial_value.c_str(), &end);
-      if (*end || !std::isfinite(value))
-        throw Refused(info_.name + ": " + joint.name +
-                      ": initial_value of position must be a number, got " + one.initial_value);
-      q[static_cast<std::size_t>(machine_->joint(joint.name))] = value;
+      q[static_cast<std::size_t>(machine_->joint(joint.name))] =
+          number_of(info_.name + ": " + joint.name, one);
     }
   return q;
 }
 
-void ArmSystem::find_interfaces() {
+// Varied numbers at the start: `initial_value` of their commands.
+std::map<std::string, double> ArmSystem::varied() const {
+  std::map<std::string, double> all;
+  for (const auto& gpio : info_.gpios)
+    for (const auto& one : gpio.command_interfaces)
+      if (one.name != kPower && !one.initial_value.empty())
+        all[one.name] = number_of(info_.name + ": " + gpio.name, one);
+  return all;
+}
+
+void ArmSystem::forget_interfaces() {
   commands_.clear();
   readings_.clear();
+  numbers_.clear();
+  power_.reset();
+  powered_.reset();
+}
+
+void ArmSystem::find_interfaces() {
+  forget_interfaces();
   for (const auto& joint : info_.joints) {
     const int j = machine_->joint(joint.name);
     for (const auto& one : joint.command_interfaces)
@@ -139,8 +165,13 @@ void ArmSystem::find_interfaces() {
                            get_state_interface_handle(joint.name + "/" + one.name)});
   }
   for (const auto& gpio : info_.gpios) {
-    for (const auto& one : gpio.command_interfaces)
-      power_ = get_command_interface_handle(gpio.name + "/" + one.name);
+    for (const auto& one : gpio.command_interfaces) {
+      const auto handle = get_command_interface_handle(gpio.name + "/" + one.name);
+      if (one.name == kPower)
+        power_ = handle;
+      else
+        numbers_.push_back({machine_->varied(one.name), handle});
+    }
     for (const auto& one : gpio.state_interfaces)
       powered_ = get_state_interface_handle(gpio.name + "/" + one.name);
   }
@@ -152,29 +183,32 @@ ArmSystem::CallbackReturn ArmSystem::on_configure(const State&) {
     if (info_.rw_rate == 0 || period * info_.rw_rate != 1'000'000'000)
       throw Refused(info_.name + ": update_rate must give whole ns, got " +
                     std::to_string(info_.rw_rate) + " Hz");
-    machine_ = std::make_unique<DrivenMachine>(info_.hardware_parameters.at("scene"), period);
+    machine_ =
+        std::make_unique<DrivenMachine>(info_.hardware_parameters.at("scene"), period, varied());
     machine_->reset(start());
     find_interfaces();
   } catch (const Refused& why) {
     machine_.reset();
     return refuse(why.what());
   }
+  begun_ = has_passed_ = false;
   publish();
   return CallbackReturn::SUCCESS;
 }
 
 ArmSystem::CallbackReturn ArmSystem::on_cleanup(const State&) {
-  commands_.clear();
-  readings_.clear();
+  forget_interfaces();
   machine_.reset();
   return CallbackReturn::SUCCESS;
 }
 
 ArmSystem::CallbackReturn ArmSystem::on_activate(const State&) {
   for (const Command& one : commands_) (void)one.value->set_value(kUnset);
+  for (const Number& one : numbers_) (void)one.value->set_value(kUnset);
   if (power_) (void)power_->set_value(kUnset);
   machine_->power(true);
   machine_->enable(true);
+  begun_ = true;
   return CallbackReturn::SUCCESS;
 }
 
@@ -227,23 +261,40 @@ void ArmSystem::publish() {
   if (powered_) (void)powered_->set_value(machine_->powered() ? 1.0 : 0.0, true);
 }
 
-return_type ArmSystem::read(const rclcpp::Time&, const rclcpp::Duration&) {
+return_type ArmSystem::read(const rclcpp::Time& time, const rclcpp::Duration&) {
+  const bool goes_on = read_at_.get_clock_type() == time.get_clock_type() && time > read_at_;
+  read_at_ = time;
+  has_passed_ = begun_ && goes_on && !machine_->enabled();
+  if (has_passed_ && machine_->advance() == Outcome::diverged) return refuse(Outcome::diverged);
   publish();
   return return_type::OK;
 }
 
-return_type ArmSystem::write(const rclcpp::Time&, const rclcpp::Duration&) {
-  const auto value = [](const auto& handle) {
-    return handle->template get_optional<double>().value_or(kUnset);
-  };
+void ArmSystem::take_commands() {
   if (power_)
-    if (const double wanted = value(power_); std::isfinite(wanted)) machine_->power(wanted != 0.0);
+    if (const double wanted = value_of(power_); std::isfinite(wanted))
+      machine_->power(wanted != 0.0);
+  for (const Number& one : numbers_)
+    if (const double wanted = value_of(one.value); !std::isnan(wanted) &&
+                                                   wanted != machine_->vary(one.which) &&
+                                                   !machine_->vary(one.which, wanted))
+      refuse(*one.value, wanted, machine_->bounds(one.which));
   for (const Command& one : commands_) {
     if (machine_->selected(one.joint) != one.loop) continue;
-    const double wanted = value(one.value);
-    if (!std::isnan(wanted) && !machine_->command(one.joint, wanted)) refuse(one, wanted);
+    const double wanted = value_of(one.value);
+    if (!std::isnan(wanted) && !machine_->command(one.joint, wanted))
+      refuse(*one.value, wanted, within(-DrivenMachine::kLargest, DrivenMachine::kLargest));
   }
-  switch (machine_->advance()) {
+}
+
+return_type ArmSystem::write(const rclcpp::Time&, const rclcpp::Duration&) {
+  take_commands();
+  if (has_passed_) return return_type::OK;  // it became active in this cycle
+  return refuse(machine_->advance());
+}
+
+return_type ArmSystem::refuse(Outcome outcome) const {
+  switch (outcome) {
     case Outcome::advanced:
       return return_type::OK;
     case Outcome::no_power:

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <filesystem>
 #include <limits>
+#include <sstream>
 
 namespace arm_emulator_hardware {
 namespace {
@@ -42,17 +43,28 @@ std::string library_file(const std::string& scene, const std::string& part) {
 
 }  // namespace
 
-DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period)
+std::string within(double least, double most) {
+  std::ostringstream text;
+  text << least << " to " << most;
+  return text.str();
+}
+
+DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period,
+                             const std::map<std::string, double>& varied)
     : machine_library_(library_file(scene, "")), servo_library_(library_file(scene, "-servo")) {
   const std::string why = machine_library_.why() + servo_library_.why();
   if (!why.empty()) throw Refused(scene + ": scene must be loadable, got " + why);
   int (*describe)(arm_description*) = nullptr;
   int (*describe_joint)(std::int32_t, arm_joint_description*) = nullptr;
+  int (*describe_parameter)(std::int32_t, arm_parameter*) = nullptr;
   arm_machine* (*make)(const arm_options*) = nullptr;
   decltype(&servo_get_data) get_data = nullptr;
   const bool whole =
       machine_library_.find("arm_describe", describe) && machine_library_.find("arm_new", make) &&
       machine_library_.find("arm_describe_joint", describe_joint) &&
+      machine_library_.find("arm_describe_parameter", describe_parameter) &&
+      machine_library_.find("arm_get_parameter", get_parameter_) &&
+      machine_library_.find("arm_set_parameter", set_parameter_) &&
       machine_library_.find("arm_delete", delete_) &&
       machine_library_.find("arm_exchange", exchange_) &&
       machine_library_.find("arm_measure", measure_) &&
@@ -73,11 +85,12 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period)
   describe(&about);
   get_data(&data_);
   servo_period_ = data_.period;
-  if (about.version != ARM_VERSION || about.joints != data_.joints || about.servo_period <= 0.0 ||
-      about.parameters != 0)
-    throw Refused(scene + ": scene must be of this version and have no varied numbers, got " +
-                  std::to_string(about.parameters) + " varied numbers and version " +
-                  std::to_string(about.version));
+  if (about.version != ARM_VERSION || about.servo_period <= 0.0)
+    throw Refused(scene + ": scene must be of version " + std::to_string(ARM_VERSION) +
+                  " and compiled with --into, got version " + std::to_string(about.version));
+  if (about.joints != data_.joints)
+    throw Refused(scene + ": machine and servo must have the same joints, got " +
+                  std::to_string(about.joints) + " and " + std::to_string(data_.joints));
   if (period <= 0 || period % servo_period_ != 0)
     throw Refused(scene + ": update_rate must give a multiple of the servo period " +
                   std::to_string(servo_period_) + " ns, got " + std::to_string(period) + " ns");
@@ -102,9 +115,15 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period)
   servo_.state = states_.data();
   measurement_.size = sizeof measurement_;
   measurement_.joint = measured_.data();
+  for (std::int32_t k = 0; k < about.parameters; ++k) {
+    parameters_.push_back({sizeof(arm_parameter), 0, nullptr, 0.0, 0.0});
+    describe_parameter(k, &parameters_.back());
+  }
+  const std::vector<double> numbers = begin_with(varied);
   arm_options options = {};
   options.size = sizeof options;
   options.core = -1;
+  options.parameters = numbers.data();
   options.step = about.step;
   options.steps_per_period = about.steps_per_period;
   machine_ = make(&options);
@@ -127,6 +146,48 @@ int DrivenMachine::joint(const std::string& name) const {
   }
   throw Refused(std::string(data_.scene) + ": joint must be one of the scene, got " + name +
                 "; valid: " + valid);
+}
+
+int DrivenMachine::varied(const std::string& name) const {
+  std::string valid;
+  for (std::size_t k = 0; k < parameters_.size(); ++k) {
+    if (name == parameters_[k].name) return static_cast<int>(k);
+    valid += (k ? ", " : "") + std::string(parameters_[k].name);
+  }
+  throw Refused(std::string(data_.scene) + ": command_interface must be `power` or a number that " +
+                "the scene varies, got " + name + "; valid: " + (valid.empty() ? "none" : valid));
+}
+
+std::vector<double> DrivenMachine::begin_with(const std::map<std::string, double>& given) const {
+  const std::string faults = "faults.";
+  std::vector<double> numbers;
+  for (const auto& one : given) (void)varied(one.first);
+  for (const arm_parameter& one : parameters_) {
+    const std::string name = one.name;
+    const auto found = given.find(name);
+    if (found == given.end() && name.compare(0, faults.size(), faults) != 0)
+      throw Refused(std::string(data_.scene) + ": " + name + " must have an initial_value, as " +
+                    "the command_interface of a gpio, got none");
+    numbers.push_back(found == given.end() ? 0.0 : found->second);
+    if (const double value = numbers.back(); !(value >= one.least && value <= one.most))
+      throw Refused(std::string(data_.scene) + ": initial_value of " + name + " must be within " +
+                    within(one.least, one.most) + ", got " + std::to_string(value));
+  }
+  return numbers;
+}
+
+std::string DrivenMachine::bounds(int k) const {
+  return within(parameters_[at(k)].least, parameters_[at(k)].most);
+}
+
+double DrivenMachine::vary(int k) const {
+  double value = kUnknown;
+  get_parameter_(machine_, parameters_[at(k)].name, &value);
+  return value;
+}
+
+bool DrivenMachine::vary(int k, double value) {
+  return set_parameter_(machine_, parameters_[at(k)].name, value) == ARM_OK;
 }
 
 void DrivenMachine::reset(const std::vector<double>& q) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -37,11 +38,16 @@ struct JointReading {
   double true_position, true_velocity, true_effort;  // for judging, not for control
 };
 
+// Bounds as text.
+std::string within(double least, double most);
+
 class DrivenMachine {
  public:
   // Open FOLDER/NAME of `arm_emulator compile NAME --servo --into FOLDER`; `period` [ns] is that of
-  // the controllers. Throws Refused.
-  DrivenMachine(const std::string& scene, std::int64_t period);
+  // the controllers. `varied`: values of the scene's varied numbers to begin with, by name; faults
+  // that are not among them are off. Throws Refused.
+  DrivenMachine(const std::string& scene, std::int64_t period,
+                const std::map<std::string, double>& varied = {});
   ~DrivenMachine();
   DrivenMachine(const DrivenMachine&) = delete;
   DrivenMachine& operator=(const DrivenMachine&) = delete;
@@ -63,6 +69,13 @@ class DrivenMachine {
   // False: the value is not finite, or its size beyond `kLargest`; the joint's command stays.
   static constexpr double kLargest = 1e9;
   bool command(int j, double value);
+  // A varied number by its name. Throws Refused where the scene has none of that name.
+  int varied(const std::string& name) const;
+  double vary(int k) const;
+  // Set it; the motion goes on. False: the value is not within its bounds, and nothing has changed.
+  bool vary(int k, double value);
+  std::string bounds(int k) const;  // as text
+  bool enabled() const { return enabled_; }
   // Go through one period of the controllers.
   Outcome advance();
   const JointReading& reading(int j) const { return readings_[static_cast<std::size_t>(j)]; }
@@ -74,6 +87,7 @@ class DrivenMachine {
     bool given = false, moves = false, holds = false;
   };
 
+  std::vector<double> begin_with(const std::map<std::string, double>& varied) const;
   void demand_now(std::size_t j, std::int64_t k);
   Outcome exchange(std::int64_t k);
   void observe();
@@ -90,6 +104,8 @@ class DrivenMachine {
   int (*truth_)(const arm_machine*, arm_truth*) = nullptr;
   void (*temperatures_)(const arm_machine*, double*) = nullptr;
   void (*power_)(arm_machine*, int) = nullptr;
+  int (*get_parameter_)(const arm_machine*, const char*, double*) = nullptr;
+  int (*set_parameter_)(arm_machine*, const char*, double) = nullptr;
   void (*delete_)(arm_machine*) = nullptr;
   decltype(&servo_reset) servo_reset_ = nullptr;
   decltype(&servo_observe) servo_observe_ = nullptr;
@@ -100,6 +116,7 @@ class DrivenMachine {
   arm_machine* machine_ = nullptr;
   servo servo_ = {};
   arm_measurement measurement_ = {};
+  std::vector<arm_parameter> parameters_;
   std::vector<servo_state> states_;
   std::vector<std::int32_t> modes_;
   std::vector<Demand> demands_;

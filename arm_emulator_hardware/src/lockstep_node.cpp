@@ -8,6 +8,8 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
+#include <cstdio>
+#include <exception>
 #include <memory>
 #include <thread>
 
@@ -47,9 +49,7 @@ bool go(Lockstep& lockstep, double factor, const std::atomic<bool>& paused) {
   return !rclcpp::ok();
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   rclcpp::init(argc, argv);
   // A single thread: a callback of a controller ends before that of ~/pause begins.
   auto executor = std::make_shared<rclcpp::executors::SingleThreadedExecutor>();
@@ -67,24 +67,35 @@ int main(int argc, char** argv) {
   std::atomic<bool> paused = start == "paused";
   using Pause = std_srvs::srv::SetBool;
   const auto pause = manager->create_service<Pause>(
-      "~/pause", [&](Pause::Request::SharedPtr request, Pause::Response::SharedPtr response) {
+      "~/pause",
+      [&](const Pause::Request::SharedPtr& request, const Pause::Response::SharedPtr& response) {
         paused = request->data;
         response->success = true;
       });
-  executor->add_node(manager);
-  std::thread spinner([&] { executor->spin(); });
-
   bool sound = why.empty();
   if (!sound) {
     RCLCPP_ERROR(manager->get_logger(), "%s: %s", manager->get_name(), why.c_str());
   } else {
+    executor->add_node(manager);
+    std::thread spinner([&] { executor->spin(); });
     Lockstep lockstep(manager);
     while (rclcpp::ok() && !manager->is_resource_manager_initialized())
       rclcpp::sleep_for(std::chrono::milliseconds(10));
     sound = go(lockstep, factor, paused);
+    rclcpp::shutdown();  // ends the spinner even before it begins, which `cancel` does not
+    spinner.join();
   }
-  executor->cancel();
-  spinner.join();
   rclcpp::shutdown();
   return sound ? 0 : 2;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return run(argc, argv);
+  } catch (const std::exception& error) {  // of ROS: a file of parameters that it does not take
+    std::fprintf(stderr, "lockstep_node: %s\n", error.what());
+    return 2;
+  }
 }

@@ -4,12 +4,14 @@
 #include <chrono>
 #include <cmath>
 #include <cstdint>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <future>
 #include <iterator>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -17,6 +19,25 @@
 #include "controller_manager_msgs/srv/switch_controller.hpp"
 #include "lockstep.hpp"
 #include "rclcpp/rclcpp.hpp"
+
+// The number that a word is; throws where it is none.
+inline double number(const char* word) {
+  char* end = nullptr;
+  const double value = std::strtod(word, &end);
+  if (end == word || *end) throw std::invalid_argument(word);
+  return value;
+}
+
+// Run a program, whose exceptions end it with a line and 70.
+template <class Program>
+int sheltered(Program program) {
+  try {
+    return program();
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+    return 70;
+  }
+}
 
 // FNV-1a over the bits of numbers.
 struct Digest {

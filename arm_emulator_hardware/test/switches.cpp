@@ -1,10 +1,12 @@
-// Controllers take turns and power is cut: thousands of cycles of an emulated arm.
+// Controllers take turns, power is cut, windings get hot and the machine diverges: thousands of
+// cycles of an emulated arm.
 //
-//   switches DESCRIPTION CONTROLLERS COMPONENT CYCLES SEED JOINT...
+//   switches DESCRIPTION CONTROLLERS COMPONENT CYCLES SEED HOT JOINT...
 //
 // CONTROLLERS has, besides joint_trajectory_controller, the forward_command_controllers `position`,
-// `velocity`, `effort` and `power`. Prints how often what happened, how many states of the joints
-// were not finite, the largest true speed, and a digest of all states.
+// `velocity`, `effort` and `power`, and `stiffness` of a gear, where the machine can diverge. HOT:
+// effort that makes a winding too hot. Prints how often what happened, how many states of the
+// joints were not finite, the largest true speed, and a digest of all states.
 
 #include <algorithm>
 #include <cstdio>
@@ -18,9 +20,12 @@
 namespace {
 
 const char* const kTrajectory = "joint_trajectory_controller";
-const std::vector<std::string> kControllers = {kTrajectory, "position", "velocity", "effort"};
+const char* const kControllers[] = {kTrajectory, "position", "velocity", "effort"};
 const char* const kPower = "power";
-constexpr long kTurn = 40, kCut = 970, kWrong = 210;         // cycles between
+const char* const kStiffness = "stiffness";
+constexpr long kTurn = 40, kCut = 970, kWrong = 210, kHeat = 1130, kBreak = 1510;  // cycles between
+constexpr long kSoon = 200, kShake = 5, kCooling = 500;                            // cycles
+constexpr double kTooStiff = 1e9;                                                  // N m/rad
 constexpr double kStep = 0.05, kSpeed = 0.3, kEffort = 3.0;  // rad, rad/s, N m
 
 struct Random {
@@ -33,17 +38,19 @@ struct Random {
 
 class Turns {
  public:
-  Turns(Session& session, std::string component, std::uint64_t seed,
+  Turns(Session& session, std::string component, std::uint64_t seed, double hot,
         std::vector<std::string> joints)
       : session_(session),
         component_(std::move(component)),
         random_{seed},
+        hot_(hot),
         joints_(std::move(joints)) {}
 
   bool begin() {
-    for (const auto& one : kControllers)
+    for (const char* one : kControllers)
       if (!session_.load(one)) return false;
-    return session_.load(kPower) && session_.change({kPower}, {});
+    if (session_.load(kStiffness)) others_.push_back(kStiffness);
+    return session_.load(kPower) && session_.change(others_, {});
   }
 
   bool go(long cycles) {
@@ -51,6 +58,8 @@ class Turns {
       if (k % kTurn == 0 && !turn()) return false;
       if (k % kCut == 0 && !cut()) return false;
       if (k % kWrong == 0 && !wrong()) return false;
+      if (k % kHeat == 0 && !heat()) return false;
+      if (k % kBreak == 0 && others_.size() > 1 && !diverge()) return false;
       if (!session_.lockstep.cycle()) return false;
       look();
     }
@@ -85,13 +94,16 @@ class Turns {
   }
 
   bool turn() {
-    const auto next = static_cast<std::size_t>(random_.within(2.0) + 2.0) % kControllers.size();
-    if (kControllers[next] != active_) {
-      if (!session_.change({kControllers[next]}, stopped())) return false;
-      active_ = kControllers[next];
-      ++count_["switches"];
-    }
-    return command();
+    const auto next = static_cast<std::size_t>(random_.within(2.0) + 2.0) % std::size(kControllers);
+    return turn_to(kControllers[next]) && command();
+  }
+
+  bool turn_to(const std::string& next) {
+    if (next == active_) return true;
+    if (!session_.change({next}, stopped())) return false;
+    active_ = next;
+    ++count_["switches"];
+    return true;
   }
 
   bool command() {
@@ -105,6 +117,7 @@ class Turns {
       return session_.send(std::string("/") + kTrajectory + "/joint_trajectory", motion);
     }
     std::vector<double> values;
+    values.reserve(joints_.size());
     for (const auto& joint : joints_)
       values.push_back(active_ == "position" ? at(joint, "position") + random_.within(0.01 * kStep)
                        : active_ == "velocity" ? random_.within(kSpeed)
@@ -139,15 +152,49 @@ class Turns {
     return again();
   }
 
+  // Go on for so many cycles while the component is active; true: it is in this state then.
+  bool falls_to(const std::string& state, long cycles) {
+    for (long k = 0; k < cycles && session_.manager->component(component_) == "active"; ++k)
+      if (!session_.lockstep.cycle()) return false;
+    return session_.manager->component(component_) == state;
+  }
+
+  // Shake the arm until drives trip by their copper loss. While it rests, they cool.
+  bool heat() {
+    if (!turn_to("effort")) return false;
+    bool is_hot = false;
+    for (long k = 0; k < kSoon && !is_hot; ++k) {
+      const double effort = k % 2 ? hot_ : -hot_;
+      if (!send("effort", std::vector<double>(joints_.size(), effort))) return false;
+      is_hot = falls_to("inactive", kShake);
+    }
+    if (!is_hot) return false;
+    ++count_["hot"];
+    for (long k = 0; k < kCooling; ++k) {
+      if (!session_.lockstep.cycle()) return false;
+      look();
+    }
+    return again();
+  }
+
+  // The scheme's step is too long for the gear: the component is configured anew.
+  bool diverge() {
+    if (!send(kStiffness, {kTooStiff}) || !falls_to("unconfigured", kSoon)) return false;
+    ++count_["diverged"];
+    return again();
+  }
+
   bool again() {
     active_.clear();
-    return session_.manager->activate(component_) && session_.change({kPower}, {});
+    return session_.manager->activate(component_) && session_.change(others_, {});
   }
 
   Session& session_;
   std::string component_;
   Random random_;
+  double hot_;
   std::vector<std::string> joints_;
+  std::vector<std::string> others_ = {kPower};  // controllers beside the one of the joints
   std::string active_;
   std::map<std::string, long> count_;
   long not_finite_ = 0;
@@ -155,19 +202,24 @@ class Turns {
   Digest digest_;
 };
 
-}  // namespace
-
-int main(int argc, char** argv) {
-  if (argc < 7) return 64;
+int main_of(int argc, char** argv) {
+  if (argc < 8) return 64;
   const char* words[] = {argv[0], "--ros-args", "--log-level", "fatal"};
   rclcpp::init(4, words);
   bool whole = false;
   {
     Session session(argv[1], argv[2]);
-    Turns turns(session, argv[3], std::strtoull(argv[5], nullptr, 10), {argv + 6, argv + argc});
-    whole = turns.begin() && turns.go(std::atol(argv[4]));
+    Turns turns(session, argv[3], std::strtoull(argv[5], nullptr, 10), number(argv[6]),
+                {argv + 7, argv + argc});
+    whole = turns.begin() && turns.go(std::lround(number(argv[4])));
     turns.print();
   }
   rclcpp::shutdown();
   return whole ? 0 : 2;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return sheltered([&] { return main_of(argc, argv); });
 }

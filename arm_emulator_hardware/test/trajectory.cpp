@@ -35,6 +35,7 @@ int run(Session& session, double seconds, const char* rows, const std::vector<st
   table.precision(12);
   Manager& manager = *session.manager;
   std::vector<double> start;
+  start.reserve(joints.size());
   for (const auto& joint : joints) start.push_back(manager.state(joint + "/true_position"));
   const double periods = (seconds + kRest) / session.lockstep.period().seconds();
   for (long cycle = 0; cycle < std::lround(periods); ++cycle) {
@@ -56,24 +57,28 @@ int run(Session& session, double seconds, const char* rows, const std::vector<st
   return 0;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int main_of(int argc, char** argv) {
   if (argc < 6) return 64;
   std::vector<std::string> joints;
   std::vector<double> target;
   for (int k = 5; k < argc; ++k) {
     const std::string word = argv[k];
     joints.push_back(word.substr(0, word.find('=')));
-    target.push_back(std::atof(word.c_str() + word.find('=') + 1));
+    target.push_back(number(word.c_str() + word.find('=') + 1));
   }
   const char* words[] = {argv[0], "--ros-args", "--log-level", "warn"};
   rclcpp::init(4, words);
   int result = 0;
   {
     Session session(argv[1], argv[2]);
-    result = run(session, std::atof(argv[3]), argv[4], joints, target);
+    result = run(session, number(argv[3]), argv[4], joints, target);
   }
   rclcpp::shutdown();
   return result;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return sheltered([&] { return main_of(argc, argv); });
 }

@@ -10,7 +10,7 @@ import os
 import subprocess
 import sysconfig
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,16 @@ import numpy.typing as npt
 import pytest
 import rclpy
 import yaml
+from action_msgs.msg import GoalStatus
 from draws import FULL
 from rclpy.action import ActionClient
+from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
 from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.ros2_control import ros2_control
 from arm_emulator.design.ros2_control import PLUGIN
 from arm_emulator.machine.scene import load_scene
@@ -176,31 +179,56 @@ def test_mock_components_have_no_error_and_we_have_that_of_the_drives(
     assert 1e-5 < wound.max() < 5e-3
 
 
-def with_turns(folder: Path, name: str) -> Path:
-    """Return parameters of a manager with controllers for each loop of the drives."""
-    parameters = yaml.safe_load((folder / f"{name}_controllers.yaml").read_text())
+# They bear the motions between the troubles; the largest currents heat them by 20 and 1 K/ms.
+CONSTANT = {"resistance_coefficient": 0.0}
+WINDINGS = {
+    "three_axis": {"heat_capacity": 0.02, "thermal_resistance": 2.0, "limit": 500.0, **CONSTANT},
+    "ur5": {"heat_capacity": 0.05, "thermal_resistance": 10.0, "limit": 350.0, **CONSTANT},
+}
+HOT = {"three_axis": 100.0, "ur5": 150.0}  # N m, of 20 and 11.9 A
+STIFFNESS, FAULT = "joints.elbow.gear.stiffness", "faults.elbow.encoder_stuck"
+
+
+def troubled(name: str, into: Path) -> Path:
+    """Write what a manager needs for a machine whose windings get hot; `three_axis` can diverge.
+
+    Returns parameters with controllers for each loop of the drives and each trouble.
+    """
+    file = find_scene(name)
+    scene = yaml.safe_load(file.read_text()) | {"servo": name, "motion": name}
+    for joint in scene["joints"].values():
+        joint["motor"] = {**joint["motor"], "winding": WINDINGS[name]}
+    numbers = {}
+    if name == "three_axis":
+        scene["urdf"] = str(file.parent / scene["urdf"])
+        scene["integrator"]["scheme"] = "paper"  # explicit: 1 ms is too long for a stiff gear
+        scene |= {"varied": [STIFFNESS], "faults": [FAULT.removeprefix("faults.")]}
+        numbers = {"stiffness": STIFFNESS, "fault": FAULT}
+    (into / f"{name}.yaml").write_text(yaml.safe_dump(scene))
+    ros2_control(str(into / f"{name}.yaml"), into=into)
+    parameters = yaml.safe_load((into / f"{name}_controllers.yaml").read_text())
     manager = parameters["controller_manager"]["ros__parameters"]
     forwarded = {loop: (list(TARGETS[name]), loop) for loop in ("position", "velocity", "effort")}
     forwarded["power"] = [f"{name}_power"], "power"
+    forwarded |= {one: ([f"{name}_varied"], number) for one, number in numbers.items()}
     for controller, (joints, interface) in forwarded.items():
         manager[controller] = {"type": "forward_command_controller/ForwardCommandController"}
         parameters[controller] = {
             "ros__parameters": {"joints": joints, "interface_name": interface}
         }
-    file = folder / f"{name}_turns.yaml"
-    file.write_text(yaml.safe_dump(parameters))
-    return file
+    written = into / f"{name}_turns.yaml"
+    written.write_text(yaml.safe_dump(parameters))
+    return written
 
 
 @pytest.mark.parametrize(
     ("name", "cycles"), [("three_axis", CYCLES), ("ur5", CYCLES // 4)], ids=["three_axis", "ur5"]
 )
-def test_controllers_take_turns_and_power_is_cut(
-    folder: Path, name: str, cycles: int, sound: Path
+def test_controllers_take_turns_while_the_machine_is_in_trouble(
+    tmp_path: Path, name: str, cycles: int, sound: Path
 ) -> None:
-    ros2_control(name, into=folder)
-    controllers = with_turns(folder, name)
-    words = folder / f"{name}.urdf", controllers, name, cycles, 1, *TARGETS[name]
+    controllers = troubled(name, tmp_path)
+    words = tmp_path / f"{name}.urdf", controllers, name, cycles, 1, HOT[name], *TARGETS[name]
     runs = [run(sound, "switches", *words, seconds=550.0, **QUIET) for _ in range(2)]
     assert runs[0].returncode == 0, runs[0].stdout + runs[0].stderr
     assert "ERROR: AddressSanitizer" not in runs[0].stderr
@@ -208,7 +236,9 @@ def test_controllers_take_turns_and_power_is_cut(
     assert runs[1].stdout == runs[0].stdout
     got = dict(line.split() for line in runs[0].stdout.splitlines())
     assert int(got["switches"]) > 0.5 * cycles / 40 and got["not_finite"] == "0"
-    assert int(got["cuts"]) == cycles // 970
+    assert int(got["cuts"]) == cycles // 970 and int(got["hot"]) == cycles // 1130
+    if name == "three_axis":
+        assert int(got["diverged"]) == cycles // 1510
     assert int(got["wrong"]) > 0.3 * cycles / 210, "infinities, which are refused"
     assert 0.01 < float(got["fastest"]) < 10.0
 
@@ -291,64 +321,175 @@ def test_times_of_another_process_are_refused_in_a_line(prefix: Path, folder: Pa
     assert done.stderr.count("/clock must be published by this process alone") == 1, done.stderr
 
 
+class Managed:
+    """A client of a `lockstep_node` in a process of its own, whose time stands at the start.
+
+    Args:
+        node: the client.
+        prefix: where our package is installed.
+        description: of the robot.
+        parameters: of the manager and its controllers.
+    """
+
+    def __init__(
+        self, node: NetworkGuest, prefix: Path, description: Path, parameters: Path
+    ) -> None:
+        self.node, self.name, self.log = node, description.stem, parameters.with_suffix(".log")
+        self._services: dict[str, Any] = {}
+        self._clients: list[ActionClient] = []
+        self._describe = node.create_publisher(String, "/robot_description", DESCRIPTION_QOS)
+        self._describe.publish(String(data=description.read_text()))
+        words = (
+            "--ros-args", "--params-file", parameters, "-p", "start:=paused",
+            "-p", "real_time_factor:=0.5", "--log-level", "warn",
+        )  # fmt: skip
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(
+                **of_program(prefix, "lockstep_node", *words), stderr=log
+            )
+
+    def wait(self, what: str, condition: Callable[[], bool]) -> None:
+        assert self.node.spin_until(condition, 120.0), f"{what}; {self.log.read_text()}"
+
+    def call(self, kind: Any, service: str, **request: Any) -> Any:
+        if service not in self._services:
+            self._services[service] = self.node.create_client(kind, service)
+        client = self._services[service]
+        self.wait(service, client.service_is_ready)
+        answer = client.call_async(kind.Request(**request))
+        self.wait(service, answer.done)
+        return answer.result()
+
+    def let_pass(self, seconds: float) -> None:
+        """Wait for the manager's time."""
+        times: list[int] = []
+
+        def hear(message: Clock) -> None:
+            times.append(nanoseconds_of(message.clock))
+
+        clock = self.node.create_subscription(Clock, "/clock", hear, 10)
+        self.wait("time", lambda: bool(times) and times[-1] >= times[0] + 1e9 * seconds)
+        self.node.destroy_subscription(clock)
+
+    def load(self, *controllers: str) -> None:
+        from controller_manager_msgs.srv import ConfigureController, LoadController
+
+        for name in controllers:
+            for kind, verb in (LoadController, "load"), (ConfigureController, "configure"):
+                assert self.call(kind, f"/controller_manager/{verb}_controller", name=name).ok
+
+    def switch(self, start: Sequence[str], stop: Sequence[str] = ()) -> None:
+        from controller_manager_msgs.srv import SwitchController
+
+        asked = {"activate_controllers": [*start], "deactivate_controllers": [*stop]}
+        service = "/controller_manager/switch_controller"
+        assert self.call(SwitchController, service, strictness=2, **asked).ok
+
+    def pause(self, paused: bool) -> None:
+        assert self.call(SetBool, "/controller_manager/pause", data=paused).success
+
+    @property
+    def state(self) -> str:
+        """Lifecycle state of the arm."""
+        from controller_manager_msgs.srv import ListHardwareComponents
+
+        service = "/controller_manager/list_hardware_components"
+        return str(self.call(ListHardwareComponents, service).component[0].state.label)
+
+    def activate(self) -> None:
+        from controller_manager_msgs.srv import SetHardwareComponentState
+        from lifecycle_msgs.msg import State
+
+        service, wanted = "/controller_manager/set_hardware_component_state", State(label="active")
+        request = {"name": self.name, "target_state": wanted}
+        assert self.call(SetHardwareComponentState, service, **request).ok
+
+    def send(self, controller: str, *values: float, until: Callable[[], bool]) -> None:
+        """Send values to a forward_command_controller until they show.
+
+        A reader that has just been found may miss the first ones.
+        """
+        publisher = self.node.create_publisher(Float64MultiArray, f"/{controller}/commands", 10)
+        self.wait(controller, lambda: publisher.get_subscription_count() > 0)
+        for _ in range(20):
+            publisher.publish(Float64MultiArray(data=values))
+            if self.node.spin_until(until, 6.0):
+                break
+        assert until(), f"{controller}; {self.log.read_text()}"
+        # One that was sent once too often is taken before this is answered, not later.
+        assert publisher.wait_for_all_acked(Duration(seconds=60)) and self.state and self.state
+        self.node.destroy_publisher(publisher)
+
+    def follow(self, seconds: float, target: Mapping[str, float], **allowed: float) -> Any:
+        """Send a goal; return its handle."""
+        from control_msgs.action import FollowJointTrajectory
+        from control_msgs.msg import JointTolerance
+        from trajectory_msgs.msg import JointTrajectoryPoint
+
+        topic = "/joint_trajectory_controller/follow_joint_trajectory"
+        client = ActionClient(self.node, FollowJointTrajectory, topic)
+        self.wait(topic, client.server_is_ready)
+        goal = FollowJointTrajectory.Goal()
+        goal.trajectory.joint_names = list(target)
+        end = JointTrajectoryPoint(positions=[*target.values()], velocities=[0.0] * len(target))
+        end.time_from_start = Duration(seconds=seconds).to_msg()
+        goal.trajectory.points = [end]
+        goal.path_tolerance = [JointTolerance(name=k, position=v) for k, v in allowed.items()]
+        sent = client.send_goal_async(goal)
+        self.wait("the goal", sent.done)
+        assert sent.result().accepted, self.log.read_text()
+        self._clients.append(client)
+        return sent.result()
+
+    def result(self, goal: Any) -> Any:
+        result = goal.get_result_async()
+        self.wait("the goal's end", result.done)
+        return result.result()
+
+    def close(self) -> None:
+        for one in self._clients:
+            one.destroy()
+        self.process.terminate()
+        assert self.process.wait(60.0) == 0
+
+
+@contextmanager
+def managed(prefix: Path, description: Path, parameters: Path) -> Iterator[Managed]:
+    """Start a manager in the domain, and end it."""
+    with guest() as node:
+        one = Managed(node, prefix, description, parameters)
+        try:
+            yield one
+        finally:
+            one.close()
+
+
+JTC = "joint_trajectory_controller"
+
+
 def goal_run(prefix: Path, folder: Path) -> dict[int, str]:
     """Send a goal by its action to a manager that stands, let time go on; return states by time.
 
     The action answers before its controller has the goal, which the manager's one thread hides.
     """
-    from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointTrajectoryControllerState
-    from controller_manager_msgs.srv import ConfigureController, LoadController, SwitchController
-    from trajectory_msgs.msg import JointTrajectoryPoint
 
-    name, target = "joint_trajectory_controller", TARGETS["three_axis"]
     states: dict[int, str] = {}
 
     def keep(state: Any) -> None:
         bits = np.concatenate([state.feedback.positions, state.output.positions]).tobytes()
         states[nanoseconds_of(state.header.stamp)] = hashlib.sha256(bits).hexdigest()
 
-    with guest() as node:
-
-        def call(kind: Any, service: str, **request: Any) -> Any:
-            client = node.create_client(kind, service)
-            assert node.spin_until(client.service_is_ready, 120.0), service
-            answer = client.call_async(kind.Request(**request))
-            assert node.spin_until(answer.done, 120.0), service
-            return answer.result()
-
-        describe = node.create_publisher(String, "/robot_description", DESCRIPTION_QOS)
-        describe.publish(String(data=(folder / "three_axis.urdf").read_text()))
-        words = (
-            "--ros-args", "--params-file", folder / "three_axis_controllers.yaml",
-            "-p", "start:=paused", "-p", "real_time_factor:=0.5", "--log-level", "warn",
-        )  # fmt: skip
-        manager = subprocess.Popen(**of_program(prefix, "lockstep_node", *words))
-        try:
-            for kind, verb in (LoadController, "load"), (ConfigureController, "configure"):
-                assert call(kind, f"/controller_manager/{verb}_controller", name=name).ok
-            started = {"activate_controllers": [name], "strictness": 2}
-            assert call(SwitchController, "/controller_manager/switch_controller", **started).ok
-            topic = f"/{name}/controller_state"
-            node.create_subscription(JointTrajectoryControllerState, topic, keep, 1000)
-            assert node.spin_until(lambda: bool(states), 120.0), "no state"
-            follow = ActionClient(node, FollowJointTrajectory, f"/{name}/follow_joint_trajectory")
-            assert node.spin_until(follow.server_is_ready, 120.0)
-            goal = FollowJointTrajectory.Goal()
-            goal.trajectory.joint_names = list(target)
-            end = JointTrajectoryPoint(positions=[*target.values()], velocities=[0.0] * 3)
-            end.time_from_start.nanosec = 300_000_000
-            goal.trajectory.points = [end]
-            sent = follow.send_goal_async(goal)
-            assert node.spin_until(sent.done, 120.0) and sent.result().accepted
-            assert call(SetBool, "/controller_manager/pause", data=False).success
-            result = sent.result().get_result_async()
-            assert node.spin_until(result.done, 120.0)
-            assert result.result().result.error_code == FollowJointTrajectory.Result.SUCCESSFUL
-            follow.destroy()
-        finally:
-            manager.terminate()
-            assert manager.wait(60.0) == 0
+    files = folder / "three_axis.urdf", folder / "three_axis_controllers.yaml"
+    with managed(prefix, *files) as manager:
+        manager.load(JTC)
+        manager.switch([JTC])
+        topic = f"/{JTC}/controller_state"
+        manager.node.create_subscription(JointTrajectoryControllerState, topic, keep, 1000)
+        manager.wait("a state", lambda: bool(states))
+        goal = manager.follow(0.3, TARGETS["three_axis"])
+        manager.pause(False)
+        assert manager.result(goal).result.error_code == 0
     return states
 
 
@@ -362,3 +503,49 @@ def test_a_goal_sent_while_time_stands_gives_equal_bits(prefix: Path, folder: Pa
         moving = [at for at in both if at < 300_000_000]
         assert len(moving) > 50
         assert all(first[at] == one[at] for at in both)
+
+
+def test_troubles_are_states_of_the_component_and_results_of_goals(
+    prefix: Path, tmp_path: Path
+) -> None:
+    """A cut, hot windings, a fault and a divergence, each in the middle of a motion."""
+    name, loops = "three_axis", ("power", "fault", "stiffness")
+    parameters = troubled(name, tmp_path)
+    away, back = ({joint: by * q for joint, q in TARGETS[name].items()} for by in (1.0, 0.5))
+    with managed(prefix, tmp_path / f"{name}.urdf", parameters) as manager:
+        manager.load(JTC, "effort", *loops)
+        manager.switch([JTC, *loops])
+        assert manager.state == "active"
+        manager.pause(False)
+
+        def again() -> None:
+            """Begin again at rest, with cool windings; a component stops its controllers."""
+            manager.let_pass(1.0)
+            manager.activate()
+            manager.switch([JTC, *loops])
+            assert manager.result(manager.follow(1.0, back)).result.error_code == 0
+
+        goal = manager.follow(20.0, away)
+        manager.send("power", 0.0, until=lambda: manager.state == "inactive")
+        assert manager.result(goal).status == GoalStatus.STATUS_ABORTED
+        again()
+
+        manager.switch(["effort"], [JTC])
+        efforts = [HOT[name]] * 3
+        manager.send("effort", *efforts, until=lambda: manager.state == "inactive")
+        again()
+
+        goal = manager.follow(20.0, away, elbow=0.05)
+        ended = goal.get_result_async()
+        manager.send("fault", 1.0, until=ended.done)  # the servo drives the elbow away
+        assert ended.result().result.error_code == -4, "its path tolerance"
+        assert manager.state == "active", "no drive has noticed"
+
+        goal = manager.follow(20.0, away)
+        manager.send("stiffness", 1e9, until=lambda: manager.state == "unconfigured")
+        assert manager.result(goal).status == GoalStatus.STATUS_ABORTED
+        again()  # as at the start, without the fault
+    lines = manager.log.read_text()
+    assert lines.count("got a cut") == lines.count("got a divergence") == 1, lines
+    # A machine that diverges may trip by its currents first.
+    assert lines.count("got one too hot") in (1, 2), lines
