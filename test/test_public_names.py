@@ -19,6 +19,7 @@ import pytest
 import arm_emulator
 from arm_emulator import (
     Fleet,
+    FleetWay,
     JacobianController,
     Kinematics,
     OfflineRun,
@@ -320,6 +321,7 @@ FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
     (lambda: pickle.dumps(Timeline(load_run())), "must stay one"),
     (lambda: copy.deepcopy(ServoFleet(Fleet("three_axis", 2), "three_axis")), "must stay one"),
     (lambda: copy.copy(Recording(Plant("three_axis"))), "must stay one"),
+    (lambda: copy.copy(FleetWay(load_scene("three_axis"), 2)), "must stay one"),
     (lambda: testing.assert_settles(ROWS, np.zeros(3), 1e-3, last=10), "last must be"),
     (lambda: testing.assert_settles(ROWS[:0], np.zeros(3), 1e-3, last=1), "last must be"),
     (lambda: testing.assert_settles(ROWS, 0.0, 1e-3, last=2), r"must have shapes \(K, N\) and"),

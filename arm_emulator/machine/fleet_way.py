@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import as_flag, as_kind
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.change import Change, NumberChange, WrenchChange
+from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.core_calls import ARM, FLEET
 from arm_emulator.machine.core_machines import LARGEST_FLEET
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
@@ -23,7 +24,7 @@ _PARAMETER, _WRENCH, _POWER = (
 Timed = tuple[int, Change]
 
 
-class FleetWay:
+class FleetWay(Uncopied):
     """Changes of arms at their ticks, and a function in C that is called after each period.
 
     Attributes:
@@ -35,6 +36,8 @@ class FleetWay:
         look: pointer to the function; None: nobody looks.
         with_: pointer that it gets; both must outlive this.
     """
+
+    instead = "a new one with the same changes"
 
     def __init__(
         self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
@@ -48,6 +51,9 @@ class FleetWay:
             FLEET.fill(self.struct, look=look, **{"with": with_})
         self.set_changes([()] * count)
 
+    def __repr__(self) -> str:
+        return f"<FleetWay of {self.of[1]} {self.of[0].name}>"
+
     def set_changes(self, changes: Sequence[Sequence[Timed]]) -> None:
         """Let changes happen from now on, instead of those before.
 
@@ -60,7 +66,7 @@ class FleetWay:
                 does not take; nothing has changed.
         """
         where, (scene, count) = "FleetWay", self.of
-        if len(changes) != count:
+        if not isinstance(changes, Sequence) or len(changes) != count:
             raise Refusal(where, "changes", f"be a list for each of {count} arms", changes)
         first = [0]
         rows: list[tuple[int, int, int, float]] = []
@@ -68,6 +74,7 @@ class FleetWay:
         for of_arm in changes:
             before = 0
             for tick, change in of_arm:
+                tick = check_count(where, "tick", tick, -(2**63))
                 if not before <= tick:
                     raise Refusal(where, "ticks", "ascend from 0", tick)
                 before = tick
@@ -80,8 +87,11 @@ class FleetWay:
                     kind = _WRENCH
                     place, moved = on_moving_link(scene, where, change.link, change.wrench)
                     wrenches.append((len(rows), AXES.index(moved.axes), moved))
+                elif isinstance(change, PowerChange):
+                    value = float(as_flag(change.on, where, "power"))
                 else:
-                    value = float(change.on)
+                    rule = "be a NumberChange, WrenchChange or PowerChange"
+                    raise Refusal(where, "change", rule, change)
                 rows.append((tick, kind, place, value))
             first.append(len(rows))
         self._keep(first, rows, wrenches)
