@@ -77,11 +77,36 @@ def test_without_a_modifier_the_unknowns_are_numbers_of_the_scene(scene: Scene) 
         ({"signals": {"counts": np.zeros((5, 3))}}, "signal must be a quantity, got counts"),
         ({"signals": {"q": np.zeros((4, 3))}}, "q must have the shape of the commands"),
         ({"sought": {}}, "sought and signals must be one or more"),
-        ({"sought": {"x": Sought(1.0, 0.0)}}, "must have a value from least to most, and a width"),
+        ({"sought": {"x": Sought(1.0, 0.0)}}, "x must be Sought, with a value from least to most"),
         ({"sought": {"x": Sought(1.0, 0.1)}}, "number must be one that can be varied, got x"),
+        ({"sought": {"x": Sought("a", 0.1)}}, "sought x must be Sought"),
+        ({"sought": {"x": Sought(np.nan, 0.1)}}, "sought x must be Sought"),
+        ({"sought": {"x": 1.0}}, "sought x must be Sought"),
+        ({"sought": ["x"]}, "sought and signals must be given by names"),
+        ({"signals": {"q": np.full((5, 3), np.nan)}}, "q must be finite"),
+        ({"modifier": lambda values: None}, "modifier must return numbers by name"),
+        ({"modifier": lambda values: {}}, "modifier must return numbers by name"),
     ],
 )  # fmt: skip
 def test_bad_arguments_are_refused(scene: Scene, change: dict[str, object], rule: str) -> None:
     given = {"commands": np.zeros((5, 3)), "signals": {"q": np.zeros((5, 3))}, "sought": SOUGHT}
     with pytest.raises(Refusal, match=rule):
         fit_numbers(scene, **(given | change))
+
+
+@pytest.mark.parametrize("ends", [(0.8, 0.925), (0.935, 0.936), (0.9, 1.0)])
+def test_an_unknown_stays_in_its_range_however_narrow(
+    scene: Scene, ends: tuple[float, float]
+) -> None:
+    (least, most), asked = ends, []
+    rows, angles = record(scene)
+
+    def modifier(values: Mapping[str, float]) -> dict[str, float]:
+        asked.append(values["magnets"])
+        return modified(scene, {**TRUTH, **values})
+
+    sought = {"magnets": Sought(least, 0.2, least, most)}
+    found = fit_numbers(scene, rows[:60], {"theta_m": angles[:60]}, sought, modifier)
+    assert all(least <= one <= most for one in asked)
+    nearest = min(max(TRUTH["magnets"], least), most)
+    assert found.values["magnets"] == pytest.approx(nearest, abs=1e-3), "counts are coarse"

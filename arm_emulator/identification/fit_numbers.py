@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE
+from arm_emulator.base.given import array_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.structure import lasting
 from arm_emulator.machine.chain import Array
@@ -90,18 +91,22 @@ def fit_numbers(
     rows = ANY_COMMANDS.numbers(WHERE, commands)
     if rows.ndim != 2 or rows.shape[1] != len(scene.joints) or not len(rows):
         raise Refusal(WHERE, "commands", f"have shape (K, {len(scene.joints)})", rows.shape)
+    if not isinstance(signals, Mapping) or not isinstance(sought, Mapping):
+        got = signals if isinstance(sought, Mapping) else sought
+        raise Refusal(WHERE, "sought and signals", "be given by names", got)
+    if not callable(modifier):
+        raise Refusal(WHERE, "modifier", "be a function of the unknowns", modifier)
     measured = {name: _signal(scene, name, values, rows) for name, values in signals.items()}
     if not (sought and measured):
         raise Refusal(WHERE, "sought and signals", "be one or more", "none")
-    names, known = list(sought), list(sought.values())
-    least, most = (np.array([getattr(one, end) for one in known]) for end in ("least", "most"))
-    begin, width = (np.array([getattr(one, of) for one in known]) for of in ("value", "width"))
-    if not ((least < most) & (least <= begin) & (begin <= most) & (width > 0.0)).all():
-        rule = "have a value from least to most, and a width > 0"
-        raise Refusal(WHERE, "sought", rule, ", ".join(map(repr, known)))
+    names, known = list(sought), [_sought(name, one) for name, one in sought.items()]
+    begin, width, least, most = np.array(known).T
 
     def numbers_of(x: Array) -> dict[str, float]:
-        return dict(modifier(dict(zip(names, x.tolist(), strict=True))))
+        numbers = modifier(dict(zip(names, x.tolist(), strict=True)))
+        if not isinstance(numbers, Mapping) or not numbers:
+            raise Refusal(WHERE, "modifier", "return numbers by name", numbers)
+        return dict(numbers)
 
     machine = _varying(scene, numbers_of(begin))
     truth = np.concatenate([*measured.values()], axis=1)
@@ -110,7 +115,7 @@ def fit_numbers(
     def followed(at: bytes) -> tuple[Array, Array]:
         """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
         x = np.frombuffer(at)
-        steps = np.where(x + STEP * width <= most, STEP, -STEP) * width
+        steps = _steps(x, width, least, most)
         ways = [numbers_of(one) for one in (x, *(x + np.diag(steps)))]
         found = _run(machine, ways, rows, list(measured))
         return found[0] - truth, np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
@@ -149,11 +154,31 @@ def fit_numbers(
     )
 
 
+def _sought(name: str, one: object) -> tuple[float, float, float, float]:
+    """Return value, width and range of an unknown."""
+    of = (one.value, one.width, one.least, one.most) if isinstance(one, Sought) else None
+    row = None if of is None else array_of(of)
+    if row is not None and np.isfinite(row[:2]).all():
+        value, width, least, most = row.tolist()
+        if least <= value <= most and least < most and width > 0.0:
+            return value, width, least, most
+    rule = "be Sought, with a value from least to most, and a width > 0"
+    raise Refusal(WHERE, f"sought {name}", rule, one)
+
+
+def _steps(x: Array, width: Array, least: Array, most: Array) -> Array:
+    """Return the steps of the unknowns for their derivatives, which stay in their ranges (U,)."""
+    step, up, down = STEP * width, most - x, x - least
+    within: Array = np.where(up >= down, up, -down)
+    return np.where(step <= up, step, np.where(step <= down, -step, within))
+
+
 def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
     reported = [one.name for one in outputs_of(scene) if not one.per_unit]
     if name not in (*ROWS, *reported):
         raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*ROWS, *reported)))
     rows = ANY_STATE.named(name).numbers(WHERE, values)
+    ANY_STATE.named(name).check(WHERE, rows)
     if rows.shape != commands.shape:
         raise Refusal(WHERE, name, f"have the shape of the commands, {commands.shape}", rows.shape)
     return rows
