@@ -15,6 +15,8 @@ import pytest
 from draws import some
 
 from arm_emulator import (
+    Breakpoint,
+    Condition,
     ExternalWrench,
     Fleet,
     FleetWay,
@@ -279,6 +281,8 @@ def test_what_works_on_machines_refuses_what_it_cannot_take(scene: Scene, tmp_pa
         (lambda x: jacobian.update([0.0, 0.5, 0.8], x), objects), (jacobian.retune, objects),
         (lambda x: way.update([0.0, 0.5, 0.8], x), objects), (way.retune, objects),
         (lambda x: way.begin([0.0, 0.5, 0.8], x), NO_ROWS[1:]),
+        (lambda x: Condition("v.elbow > 1", x), objects),
+        (lambda x: Breakpoint(x, "v.elbow > 1"), objects),
         (record.write, [*objects[:2], *objects[3:], "", tmp_path / "run.xyz"]),
         (lambda x: Recording(plant, names=x), [None, 5, "q", [5], [None], [np.zeros(3)]]),
         (record.__getitem__, [None, 5, "energy", np.zeros(3)]),

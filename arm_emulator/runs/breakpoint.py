@@ -16,6 +16,7 @@ from arm_emulator.base.formula import (
     Margin,
     Signal,
 )
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import C_FLAGS
@@ -69,6 +70,7 @@ class Breakpoint:
     """
 
     def __init__(self, plant: Plant, text: str, where: str = "breakpoint") -> None:
+        plant = as_kind(plant, Plant, where, "plant", "be a Plant")
         self.condition = condition = Condition(text, plant.scene, where)
         self._plant, self._row = plant, RecordRow(plant)
         steps = list(self._steps(condition.formula, condition.columns))

@@ -20,6 +20,7 @@ from arm_emulator.base.formula import (
     Window,
     parse_formula,
 )
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene
@@ -52,6 +53,7 @@ class Condition:
     def __init__(self, text: str, scene: Scene, where: str = "condition") -> None:
         if not isinstance(text, str):
             raise Refusal(where, "condition", "be text", text)
+        scene = as_kind(scene, Scene, where, "scene", "be a Scene")
         self.text = text
         self.columns = {one.name: one for one in columns_of(scene)}
         known = [*self.columns, *(TOOL if scene.tool in scene.chain.carried else ())]

@@ -197,7 +197,9 @@ def _facts(now: Progress) -> str:
 
 def _print(summary: Summary, digest: str, folder: Path) -> None:
     percent = f"{100 * summary.confidence:g} %"
-    for one in summary.shares:
+    if summary.count == 0:
+        output.line("it has ended before the first run")
+    for one in summary.shares if summary.count else ():
         output.line(
             f"{one.name:<20} fails in {one.hits} of {summary.count}: {100 * one.share:.4g} %, "
             f"within {100 * one.low:.4g} and {100 * one.high:.4g} % ({percent} confidence)"
