@@ -20,9 +20,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from arm_emulator.base.process import processor_time
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
-from bench.lockstep import listener, processor_time
+from bench.lockstep import listener
 from bench.page_browsers import browsers, drawing, page_process, resident, sent, taking
 
 SECONDS = 5.0  # wall, of each run

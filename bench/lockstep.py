@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.process import processor_time
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
@@ -159,12 +160,6 @@ def listener() -> Iterator[Any]:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def processor_time(process: int) -> float:
-    """Return the processor time that a process has spent [s]."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class _InC:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from arm_emulator.base.process import below
 from bench.page_picture import in_chromium
 
 PATIENCE = 120.0  # s, wall
@@ -82,7 +83,7 @@ def drawing(url: str) -> Iterator[Drawn]:
 
 def browsers() -> list[int]:
     """Return the processes of Chromium below this one."""
-    return [one for one in _below(os.getpid()) if b"--type=" in _command(one)]
+    return [one for one in below(os.getpid()) if b"--type=" in _command(one)]
 
 
 def sent(url: str) -> int:
@@ -102,18 +103,10 @@ def resident(process: int) -> float:
 
 def page_process(emulator: int) -> int:
     """Return the process of the page that an emulator has started."""
-    return next(one for one in _below(emulator) if b"live_process" in _command(one))
+    return next(one for one in below(emulator) if b"live_process" in _command(one))
 
 
 def _command(process: int) -> bytes:
     with contextlib.suppress(OSError):
         return Path(f"/proc/{process}/cmdline").read_bytes()
     return b""
-
-
-def _below(process: int) -> Iterator[int]:
-    with contextlib.suppress(OSError):
-        for task in Path(f"/proc/{process}/task").iterdir():
-            for child in map(int, (task / "children").read_text().split()):
-                yield child
-                yield from _below(child)

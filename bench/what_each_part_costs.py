@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,7 @@ def timed_scenes(names: Sequence[str]) -> Iterator[Scene]:
                 yield _scene(name, scheme, overrides)
 
 
+@cache
 def _variants(name: str) -> dict[str, dict[str, Any]]:
     """Return what can be taken out of a scene: what it has."""
     scene = load_scene(name)
@@ -102,6 +104,7 @@ def _has_loops(scene: Scene) -> bool:
     return any(joint.current_bandwidth > 0.0 for joint in scene.joints)
 
 
+@cache
 def _timed(name: str) -> dict[str, dict[str, Any]]:
     """Return what is put in, and what is taken out, to be timed alone."""
     return {**IN, **LOOPS} if _has_loops(load_scene(name)) else IN

@@ -16,21 +16,18 @@ import numpy as np
 import pytest
 import yaml
 from draws import FULL, some
-from scipy import stats
 
 from arm_emulator.base.kept import Kept
+from arm_emulator.base.process import below, runs
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.case import drawn_case
-from arm_emulator.campaign.distributions import parse_distribution
-from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
 from arm_emulator.campaign.judges import Checked
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.results import Results, digest_of, schema_of, write_part
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.campaign.variation import Variation, Varying, correlation_of
 from arm_emulator.cli.commands.campaign import campaign
 from arm_emulator.cli.output import output, plain
 from arm_emulator.machine.external_wrench import ExternalWrench
@@ -93,107 +90,6 @@ def changed(data, path, value):
     else:
         place[last] = value
     return data
-
-
-# ------------------------------------------------------------------------------------ what varies
-
-
-DISTRIBUTIONS = [
-    ("uniform(-1, 3)", stats.uniform(-1, 4)),
-    ("loguniform(0.1, 10)", stats.loguniform(0.1, 10)),
-    ("normal(2, 0.5)", stats.norm(2, 0.5)),
-    ("lognormal(2, 0.4)", stats.lognorm(0.4, scale=2 * math.exp(-0.08))),
-    ("triangular(1, 2, 5)", stats.triang(0.25, 1, 4)),
-    ("triangular(1, 1, 5)", stats.triang(0, 1, 4)),
-    ("triangular(1, 5, 5)", stats.triang(1, 1, 4)),
-    ("exponential(3)", stats.expon(scale=3)),
-    ("weibull(1.5, 2)", stats.weibull_min(1.5, scale=2)),
-    ("beta(2, 3, -1, 1)", stats.beta(2, 3, -1, 2)),
-    ("truncated(normal(0, 1), -0.5, 2)", stats.truncnorm(-0.5, 2)),
-    ("truncated(exponential(1), 0.5, 1)", stats.truncexpon(0.5, 0.5)),
-    ("truncated(triangular(0, 1, 2), 0, 2)", stats.triang(0.5, 0, 2)),
-]
-
-
-@pytest.mark.parametrize(("text", "truth"), DISTRIBUTIONS)
-def test_quantiles_are_those_of_scipy(text, truth):
-    found = parse_distribution(text, "c", "x")
-    for u in (1e-9, 0.01, 0.3, 0.5, 0.77, 0.999, 1 - 1e-9):
-        assert found.at(u, math.nan) == pytest.approx(truth.ppf(u), rel=1e-9, abs=1e-9)
-        if found.share is not None:
-            assert found.share(truth.ppf(u)) == pytest.approx(u, abs=1e-9)
-
-
-@pytest.mark.parametrize(("text", "truth"), DISTRIBUTIONS)
-def test_a_part_of_a_distribution_has_values_of_it_alone(text, truth):
-    low, high = truth.ppf([1e-3, 0.999])
-    for first, last in ((low, high), (low - 9.0, 0.5 * (low + high)), (0.5 * (low + high), 1e3)):
-        part = parse_distribution(f"truncated({text}, {float(first)!r}, {float(last)!r})", "c", "x")
-        below, above = truth.cdf([first, last])
-        for u in (1e-9, 0.3, 0.77, 1 - 1e-9):
-            expected = truth.ppf(below + u * (above - below))
-            assert part.at(u, math.nan) == pytest.approx(expected, rel=1e-7, abs=1e-7)
-        assert part.share(-1e9) == 0.0 and part.share(1e9) == 1.0
-
-
-def test_choices_and_mixtures_have_their_shares():
-    u = (np.arange(10_000) + 0.5) / 10_000
-    choice = parse_distribution("choice(1, 2, 5)", "c", "x")
-    values = [choice.at(one, 0.0) for one in u]
-    assert [values.count(one) for one in (1.0, 2.0, 5.0)] == [3333, 3334, 3333]
-    mixture = parse_distribution("nominal * mixture(3, uniform(0, 1), 1, uniform(9, 10))", "c", "x")
-    mixed = np.array([mixture.at(one, 2.0) for one in u])
-    assert np.count_nonzero(mixed < 3.0) == 7500 and mixed.min() < 1e-3 and mixed.max() > 19.99
-    assert parse_distribution(4, "c", "x").at(0.3, 0.0) == 4.0
-
-
-def variation(sampling, count, numbers=3, pairs=(), text="uniform(0, 1)"):
-    of = [Varying(f"x{k}", "", parse_distribution(text, "c", "x"), 1.0) for k in range(numbers)]
-    return Variation(of, sampling, bytes(range(32)), count, correlation_of(pairs, of, "c"), "c")
-
-
-def cube(of, count):
-    return np.array([list(of.values(index).values()) for index in range(count)])
-
-
-@pytest.mark.parametrize("sampling", ["random", "sobol", "latin"])
-def test_points_are_functions_of_their_index(sampling):
-    points = cube(variation(sampling, 64), 64)
-    other = variation(sampling, 64)
-    for index in (63, 0, 17, 18, 5, 5):
-        assert list(other.values(index).values()) == points[index].tolist()
-    assert len(np.unique(points)) == points.size
-    spread = stats.qmc.discrepancy(points)
-    assert spread < {"random": 0.1, "sobol": 0.0012, "latin": 0.01}[sampling]
-    strata = np.sort((points * 64).astype(int), axis=0)
-    assert (strata == np.arange(64)[:, None]).all() == (sampling != "random")
-
-
-def test_correlation_and_grids():
-    points = cube(variation("random", 1, pairs=[(["x0", "x2"], 0.8)]), 4000)
-    # Of the normal scores: 0.8; 4000 points know it to 0.36 / 63 = 0.006, five times that is a slip
-    found = np.corrcoef(stats.norm.ppf(points).T)
-    assert found[0, 2] == pytest.approx(0.8, abs=0.03) and abs(found[0, 1]) < 0.08
-    with pytest.raises(Refusal, match="hold together"):
-        pairs = [(["x0", "x1"], 0.9), (["x1", "x2"], 0.9), (["x0", "x2"], -0.9)]
-        variation("random", 1, pairs=pairs)
-    grid = variation("random", 1, 2, text="grid(-1, 1, 5)")
-    assert grid.levels == 25
-    assert len({tuple(row) for row in cube(grid, 25).tolist()}) == 25
-    assert (cube(grid, 50)[25:] == cube(grid, 25)).all()
-
-
-def test_intervals_hold_what_they_claim():
-    # Coverage summed over all outcomes.
-    for share in (0.02, 0.2, 0.5):
-        chance = stats.binom.pmf(range(41), 40, share)
-        ends = (clopper_pearson(k, 40, 0.9) for k in range(41))
-        assert (
-            sum(p for p, (low, high) in zip(chance, ends, strict=True) if low <= share <= high)
-            >= 0.9
-        )
-    low, high = quantile_places(0.5, 100, 0.95)
-    assert (low, high) == (39, 60)  # tables of the sign test: the 40th and 61st of 100
 
 
 # ------------------------------------------------------------------------------------------ runs
@@ -434,19 +330,6 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     assert facts["measures"]["error"] == pytest.approx(error, abs=1e-12) and len(q) == 201
 
 
-def processes_below(process):
-    """Process ids of a process and of those that it has begun."""
-    found = [process]
-    for task in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = task.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == process:
-            found += processes_below(int(task.parent.name))
-    return found
-
-
 @pytest.mark.parametrize("seed", some(range(20), 1))
 def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
     """Client, workers, and Ctrl-C: what was written stays, and the end is the same."""
@@ -460,22 +343,22 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         ) as client:  # fmt: skip
             until = time.monotonic() + 60.0
-            while len(processes_below(client.pid)) < 3 and time.monotonic() < until:
+            while len(list(below(client.pid))) < 2 and time.monotonic() < until:
                 time.sleep(0.02)
             time.sleep(rng.uniform(0.0, 2.5))
-            below = processes_below(client.pid)
+            begun = [client.pid, *below(client.pid)]
             if how == "client":
                 os.kill(client.pid, signal.SIGKILL)
             elif how == "ctrl-c":
                 os.killpg(client.pid, signal.SIGINT)
             else:
                 with contextlib.suppress(ProcessLookupError):  # it had just come to its end
-                    os.kill(int(rng.choice(below[1:] or below)), signal.SIGKILL)
+                    os.kill(int(rng.choice(begun[1:] or begun)), signal.SIGKILL)
             client.communicate(timeout=120)
         until = time.monotonic() + 30.0
-        while any(Path(f"/proc/{one}").exists() for one in below) and time.monotonic() < until:
+        while any(map(runs, begun)) and time.monotonic() < until:
             time.sleep(0.05)
-        assert not [one for one in below if Path(f"/proc/{one}").exists()], "nobody stays behind"
+        assert not any(map(runs, begun)), "nobody stays behind"
         parts = set((into / "parts").glob("*.parquet"))
         assert before <= parts
     assert finished(file, into)["digest"] == digest_alone(file)[0]
@@ -484,9 +367,6 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
 def test_a_campaign_stops_when_it_knows_enough(tmp_path):
     data = changed(TABLE, "stop", {"width": 0.16, "confidence": 0.9})
     file = written(tmp_path, data)
-    units = {one.name: (one.metadata or {}).get(b"unit") for one in schema_of(load_campaign(file))}
-    assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
-    assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
     facts = finished(file, tmp_path / "two", "--workers", "2")
     assert facts["count"] == 200 and facts["digest"] == digest_alone(file, 200)[0]
     assert all(one["high"] - one["low"] <= 0.16 for one in facts["shares"])
@@ -510,7 +390,7 @@ def test_dask_is_transport_only(tmp_path):
     assert facts["digest"] == digest_alone(file)[0]
 
 
-def begun(module, *words):
+def of_cluster(module, *words):
     """A process of a cluster."""
     process = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard", *words]
     return subprocess.Popen(process, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -528,8 +408,8 @@ def test_a_killed_scheduler_loses_nothing(tmp_path, seed):
 
     def cluster():
         workers = ("dask_worker", address, "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
-        return [begun("dask_scheduler", "--host", "127.0.0.1", "--port", str(port)),
-                begun(*workers), begun(*workers)]  # fmt: skip
+        return [of_cluster("dask_scheduler", "--host", "127.0.0.1", "--port", str(port)),
+                of_cluster(*workers), of_cluster(*workers)]  # fmt: skip
 
     processes = cluster()
     try:

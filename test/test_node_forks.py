@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from arm_emulator.base.process import runs
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
 
@@ -22,15 +23,6 @@ with own_domain(), Bringup("three_axis", forked=True) as nodes:
     print(*[nodes.process(name).pid for name in NODES], flush=True)
     signal.pause()
 """
-
-
-def runs(process: int) -> bool:
-    """Whether a process runs: one that has ended, and is not asked for, does not."""
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state not in "ZX"
 
 
 def test_nodes_end_with_the_user_who_is_killed() -> None:

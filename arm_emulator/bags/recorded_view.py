@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,10 +17,6 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.runs.view_of import view_of
 from arm_emulator.view.rerun_stream import RerunStream
-
-BREATH = 1e-3  # s, wall
-MOST_WAITING = 10_000  # samples
-LONGEST_END = 60.0  # s, wall
 
 
 def write_view(
@@ -66,8 +61,7 @@ def write_view(
             further += _named(terms).values()
             # A sentence is written where it begins to hold; its numbers may change meanwhile.
             active = {text.split(",")[0]: text for text in active_at(machine, terms)}
-        while stream.waiting >= MOST_WAITING:
-            time.sleep(BREATH)
+        stream.wait_for_room()
         usual = state.q, state.v, state.gear_torque, state.current, measured.applied
         stream.offer(now, *usual, (counts + 0.5) * angle, further)
         while targets and targets[0][0] <= machine.tick:
@@ -82,10 +76,8 @@ def write_view(
         if machine.tick >= end:
             break
         machine.advance(min(every, end - machine.tick))
-    stream.close(LONGEST_END)
-    if stream.trouble or stream.dropped:
-        got = stream.trouble or f"{stream.dropped} samples are missing"
-        raise Refusal("film", f"file {file}", "accept every sample", got)
+    if missing := stream.close_whole():
+        raise Refusal("film", f"file {file}", "accept every sample", missing)
     return count
 
 

@@ -10,7 +10,8 @@ import ctypes
 import os
 import signal
 import sys
-from pathlib import Path
+
+from arm_emulator.base.process import runs
 
 VARIABLE = "ARM_EMULATOR_PARENT"
 _PR_SET_PDEATHSIG = 1
@@ -28,14 +29,5 @@ def end_with_parent() -> None:
         return
     if os.getppid() == int(launcher):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
-    if not _runs(int(launcher)):  # it ended before that
+    if not runs(int(launcher)):  # it ended before that
         sys.exit(0)
-
-
-def _runs(process: int) -> bool:
-    """Return whether a process runs; one that has ended may still have its number."""
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state not in "ZX"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,9 +12,6 @@ from arm_emulator.base.column import Column, Rows
 from arm_emulator.view.rerun_stream import RerunStream
 
 NANOSECONDS = 1_000_000_000
-MOST_WAITING = 10_000  # samples
-BREATH = 1e-3  # s
-LONGEST_END = 60.0  # s
 
 
 class RerunRows:
@@ -60,13 +56,10 @@ class RerunRows:
         ]
         times = np.rint(rows["t"] * NANOSECONDS).astype(np.int64).tolist()
         for time_ns, *sample in zip(times, *quantities, strict=True):
-            while self._stream.waiting >= MOST_WAITING:
-                time.sleep(BREATH)
+            self._stream.wait_for_room()
             q, v, torque, current, applied, measured, *further = sample
             self._stream.offer(time_ns, q, v, torque, current, applied, measured, further)
 
     def close(self) -> str:
-        """Write the waiting rows; return the error, if any."""
-        self._stream.close(LONGEST_END)
-        lost = f"{self._stream.dropped} samples are not shown" if self._stream.dropped else ""
-        return self._stream.trouble or lost
+        """Write the waiting rows; return what is missing, or ""."""
+        return self._stream.close_whole()

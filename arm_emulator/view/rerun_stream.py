@@ -40,6 +40,9 @@ SIGNAL_BATCHES = 5  # the curves come once in so many batches: fewer, longer col
 BATCH_ROWS = 500  # about the most in one column: keeps a single call short
 BREATH = 1e-4  # s, after each small step: lets the control path have Python's lock
 FLUSH_WAIT = 0.5  # s, real time: longest wait in one call for a slow disk
+MOST_WAITING = 10_000  # samples that wait before one that may wait, too
+ROOM_BREATH = 1e-3  # s, real time, between two looks for room
+LONGEST_END = 60.0  # s, real time, for all samples of a whole run
 
 
 class RerunStream:
@@ -195,6 +198,16 @@ class RerunStream:
         if self._open:
             measured = self._not_measured if q_measured is None else q_measured
             self._queue.put(time_ns, (q, v, gear_torque, current, applied, measured, *further))
+
+    def wait_for_room(self) -> None:
+        """Wait until the queue has room, before a sample of a run that can wait is offered."""
+        while self.waiting >= MOST_WAITING:
+            time.sleep(ROOM_BREATH)
+
+    def close_whole(self) -> str:
+        """Write all waiting samples and end the recording; return what is missing, or ""."""
+        self.close(LONGEST_END)
+        return self.trouble or (f"{self.dropped} samples are missing" if self.dropped else "")
 
     def offer_target(self, time_ns: int, p_WT: Sequence[float]) -> None:
         """Show the tool's target p_WT (3,) [m] in the root frame, from a logical time on.
