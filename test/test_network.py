@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from bad_messages import BAD, ZERO, at_tick, joint_state, motor_command, motor_state, pose
 from diagnostic_msgs.msg import DiagnosticStatus
 from draws import some
-from geometry_msgs.msg import PoseStamped
 from in_process import in_process
 from network import (
     ASK_AGAIN,
-    JOINTS,
     RECEIVER,
     SharedNetwork,
     User,
@@ -29,16 +28,13 @@ from network import (
 from network import user as user_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
 
 from arm_emulator.base.config_files import find_config
 from arm_emulator.motion.pose import Pose
-from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
+from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
-from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from arm_emulator_msgs.msg import EmulatorStatus
 
-ZERO = [0.0, 0.0, 0.0]
-NAN, INF = math.nan, math.inf
 TICKS = 400
 
 
@@ -72,113 +68,6 @@ def pause_at(user: User, tick: int) -> int:
 # ------------------------------------------------------------------------------------ bad messages
 
 
-def motor_command(tick: int, voltage: list[float] = ZERO, names: list[str] = JOINTS) -> Any:
-    return MotorCommand(tick=tick, joint_names=names, command=voltage)
-
-
-def joint_state(
-    time_ns: int, position: list[float], names: list[str] = JOINTS, **more: list[float]
-) -> Any:
-    message = JointState(name=names, position=position, **more)
-    message.header.stamp = stamp(time_ns)
-    return message
-
-
-def motor_state(at: int, **change: Any) -> Any:
-    message = MotorState(
-        tick=at, joint_names=JOINTS, encoder_counts=[0, 0, 0], current=ZERO, powered=True
-    )
-    message.header.stamp = stamp(at * 1_000_000)
-    for field, value in change.items():
-        setattr(message, field, value)
-    return message
-
-
-def pose(position: list[float], orientation: list[float], frame: str = "") -> Any:
-    message = PoseStamped()
-    message.header.frame_id = frame
-    p, o = message.pose.position, message.pose.orientation
-    p.x, p.y, p.z = position
-    o.x, o.y, o.z, o.w = orientation
-    return message
-
-
-NAMES_RULE = "joint names must name every joint once"
-# Of each topic: what is sent at tick k of a paused run, and the beginning of the refusal.
-Maker = Callable[[int], Any]
-BAD: dict[str, list[tuple[Maker, str]]] = {
-    "motor_commands": [
-        (
-            lambda k: motor_command(k - 1, [9.0, 9.0, 9.0]),
-            "tick must be at least {k}, got {k-1} (stale)",
-        ),
-        (lambda k: motor_command(k + 1), "tick must be at most {k}, got {k+1} (future)"),
-        (lambda k: motor_command(2**64 - 1), "tick must be at most {k}, got 18446744073709551615"),
-        (lambda k: motor_command(k, names=["waist", "shoulder", "hand"]), NAMES_RULE),
-        (lambda k: motor_command(k, names=["waist", "waist", "elbow"]), NAMES_RULE),
-        (lambda k: motor_command(k, [1.0, 2.0]), "command must have one value per joint name (3)"),
-        (
-            lambda k: motor_command(k, [1.0, NAN, 2.0]),
-            "command must be numbers within +-1e+09 V, N m or A, got [1.0, nan",
-        ),
-        (
-            lambda k: motor_command(k, [1.0, 2.0, -INF]),
-            "command must be numbers within +-1e+09 V, N m or A",
-        ),
-        (lambda k: motor_command(k, [], []), NAMES_RULE),
-    ],
-    "joint_targets": [
-        (lambda k: joint_state(k * 10**6, [0.0, 0.5]), "position must have one value per joint"),
-        (
-            lambda k: joint_state(k * 10**6, [0.0, NAN, 0.5]),
-            "position must be numbers within +-1e+06 rad",
-        ),
-        (
-            lambda k: joint_state(k * 10**6, ZERO, velocity=[INF, 0.0, 0.0]),
-            "velocity must be numbers within",
-        ),
-        (lambda k: joint_state(k * 10**6, ZERO, effort=[1.0]), "effort must have one value per"),
-        (lambda k: joint_state(k * 10**6, ZERO, ["waist", "elbow", "knee"]), NAMES_RULE),
-        (lambda k: joint_state(10**18, ZERO), "header.stamp must be that of the joint states it"),
-    ],
-    "motor_states": [
-        (lambda k: motor_state(k + 1, joint_names=["a", "b", "c"]), NAMES_RULE),
-        (lambda k: motor_state(k + 1, encoder_counts=[1, 2]), "encoder_counts must have one value"),
-        (lambda k: motor_state(k + 1, current=[0.0] * 4), "current must have one value per joint"),
-        (
-            lambda k: motor_state(k + 1, current=[0.0, NAN, 0.0]),
-            "current must be numbers within +-1e+09 A",
-        ),
-        (lambda k: motor_state(k + 1, tick=k + 2), "header.stamp must be tick x servo period"),
-    ],
-    "tool_target": [
-        (
-            lambda _: pose([NAN, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]),
-            "position must be numbers within +-1e+06 m",
-        ),
-        (
-            lambda _: pose([0.1, 0.0, INF], [0.0, 0.0, 0.0, 1.0]),
-            "position must be numbers within +-1e+06 m",
-        ),
-        (lambda _: pose([0.1, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]), "orientation must be a quaternion"),
-        (
-            lambda _: pose([0.1, 0.0, 0.5], [0.0, NAN, 0.0, 1.0]),
-            "orientation must be finite numbers",
-        ),
-        (
-            lambda _: pose([0.1, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0], "camera"),
-            "header.frame_id must be the arm's base, got camera; valid: world",
-        ),
-    ],
-    "joint_states": [
-        (lambda _: joint_state(10**18, [0.0, 0.5], ["waist", "elbow"]), NAMES_RULE),
-        (
-            lambda _: joint_state(10**18, [0.0, NAN, 0.5]),
-            "position must be numbers within +-1e+06 rad",
-        ),
-        (lambda _: joint_state(10**18, []), "position must have one value per joint name (3)"),
-    ],
-}
 # Nodes read these with best effort: a message may get lost.
 MAY_GET_LOST = ("motor_states", "joint_states")
 # Topics of different receivers.
@@ -204,12 +93,6 @@ def assert_all_refused(user: User, bad: dict[str, tuple[Any, str]], tick: int) -
         user.publish(publishers(user)[topic], message)
     for topic, (message, words) in bad.items():
         await_refusal(user, topic, message, before[topic], f"{topic}: {at_tick(words, tick)}")
-
-
-def at_tick(words: str, tick: int) -> str:
-    """Return the beginning of a refusal with the ticks that it has."""
-    words = words.replace("{k}", f"{tick}")
-    return words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
 
 
 def await_refusal(user: User, topic: str, message: Any, before: int, words: str) -> None:
