@@ -245,7 +245,7 @@ def test_a_fleet_refuses_what_it_cannot_take(
 KINDS = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u4", "u8", "g")
 
 
-def test_what_works_on_machines_refuses_what_it_cannot_take(scene: Scene, tmp_path: Path) -> None:
+def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: Path) -> None:
     """Servos, sessions, recordings, kinematics: every argument of another kind."""
     gains, other = load_gains("three_axis"), load_gains("ur5")
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)

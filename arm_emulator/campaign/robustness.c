@@ -37,7 +37,7 @@ struct robustness {
   node nodes[];
 };
 
-/* What is not a number stays so: a requirement must not hold because nobody knows. */
+/* A value that is not a number stays so: no requirement holds because nothing is known. */
 static double least(double a, double b) { return a < b || isnan(a) ? a : b; }
 static double most(double a, double b) { return a > b || isnan(a) ? a : b; }
 

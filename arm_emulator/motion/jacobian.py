@@ -100,7 +100,7 @@ class JacobianController(Closed):
         """Continue with other parameters.
 
         Raises:
-            Refusal: they are none.
+            Refusal: config is not a MotionConfig.
         """
         as_kind(config, MotionConfig, "JacobianController.retune", "config", "be a MotionConfig")
         self.weight = config.weight

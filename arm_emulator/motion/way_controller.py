@@ -109,7 +109,7 @@ class WayController:
         """Continue with other limits, from the next way on.
 
         Raises:
-            Refusal: they are none.
+            Refusal: config is not a MotionConfig.
         """
         as_kind(config, MotionConfig, "WayController.retune", "config", "be a MotionConfig")
         self._limit(config)

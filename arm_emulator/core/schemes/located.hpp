@@ -87,7 +87,7 @@ class Located {
   static constexpr int kMostTrials = 150;
   static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
 
-  // How far an event is searched: until its time is known to an instant or, for a lock that breaks,
+  // An event is searched until its time is known to an instant or, for a lock that breaks,
   // until the torque beyond its limit is one of rounding. Lanes round otherwise than this machine,
   // so that more trials than these would not bring both together.
   enum class Until { instant, rounding };
