@@ -6,6 +6,7 @@ import os
 import signal
 from typing import Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from arm_emulator.base.refusal import Refusal
@@ -41,7 +42,7 @@ FEATURES = (
     "STEP_SIMULATION_ACTION",
 )
 ALREADY, FAILED, INCORRECT = 101, 102, 103  # results of SetSimulationState
-WHOLE = 3  # bits of ResetSimulation that a reset sets back: time and state
+TIME, STATE, SPAWNED, ALL = 1, 2, 4, 255  # scopes of ResetSimulation
 QUIT_AFTER = 0.2  # s, wall: for the answer to leave
 
 
@@ -67,7 +68,6 @@ class SimulationServices:
         for kind, name, answer in (
             (srv.GetSimulationState, "get_simulation_state", self._on_get_state),
             (srv.SetSimulationState, "set_simulation_state", self._on_set_state),
-            (srv.StepSimulation, "step_simulation", self._on_step),
             (srv.ResetSimulation, "reset_simulation", self._on_reset),
             (srv.GetEntities, "get_entities", self._on_get_entities),
             (srv.GetEntitiesStates, "get_entities_states", self._on_get_entities),
@@ -76,6 +76,13 @@ class SimulationServices:
             (srv.GetEntityInfo, "get_entity_info", self._on_get_entity_info),
         ):
             node.create_service(kind, f"~/{name}", answer, refuse=_refuse)
+        node.create_service(
+            srv.StepSimulation,
+            "~/step_simulation",
+            self._on_step,
+            refuse=_refuse,
+            callback_group=ReentrantCallbackGroup(),  # it waits, and others must not
+        )
         node.create_service(
             srv.GetSimulatorFeatures,
             "~/get_simulator_features",
@@ -178,13 +185,15 @@ class SimulationServices:
         return result
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        scope = request.scope or srv.ResetSimulation.Request.SCOPE_ALL
+        scope = request.scope or ALL
+        known = scope == ALL or not scope & ~(TIME | STATE | SPAWNED)
+        parts = scope & (TIME | STATE) if known else 0  # nothing is ever spawned
         with self._lock:
-            if scope & WHOLE == WHOLE:
+            if parts == TIME | STATE:
                 stopped = self._session.paused
                 self._stepper.end("the simulation was reset")
                 self._control.reset(paused=stopped)
-            elif scope == srv.ResetSimulation.Request.SCOPE_STATE:
+            elif parts == STATE:
                 if behind := self._gate.without_room():
                     reason = f"recorder {behind} has to catch up first, ask again then"
                     return _refuse(response, reason, msg.Result.RESULT_OPERATION_FAILED)
@@ -192,7 +201,7 @@ class SimulationServices:
                     MachineEvent.KIND_RESTORE, lambda: self._session.restore(self._at_start)
                 )
             else:
-                rule = "be SCOPE_STATE, or have SCOPE_TIME and SCOPE_STATE"
+                rule = "have SCOPE_STATE, and no unknown bit"
                 reason = str(Refusal("reset_simulation", "scope", rule, scope))
                 return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
             return _done(response)

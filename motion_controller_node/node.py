@@ -31,7 +31,7 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.follow_goal import tolerances_of
+from arm_emulator.motion.follow_goal import check_points, tolerances_of
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
@@ -218,6 +218,7 @@ class MotionControllerNode(ManagedNode):
         names = () if kinematics is None else kinematics.joint_names
 
         def take() -> None:
+            check_points(goal)
             self._orders.add_trajectory(
                 trajectory, lambda default: tolerances_of(goal, names, default)
             )

@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Duration
 from ideal_arm import SECOND, Ideal
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.follow_goal import result_of, tolerances_of
+from arm_emulator.motion.follow_goal import check_points, result_of, tolerances_of
 from arm_emulator.motion.motion_report import Kind, MotionReport, State
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 
@@ -60,13 +60,19 @@ def test_a_goal_states_what_it_allows_beside_the_parameters() -> None:
         assert words in str(refusal.value)
 
 
+def test_a_goal_without_points_is_refused() -> None:
+    check_points(goal(trajectory=SimpleNamespace(points=[object()])))
+    with pytest.raises(Refusal, match="points must be some in a goal, got none"):
+        check_points(goal(trajectory=SimpleNamespace(points=[])))
+
+
 @pytest.mark.parametrize(
     ("state", "reason", "code"),
     [
         (State.REACHED, "", 0),
         (State.REFUSED, "joint_trajectory: ...", -1),
         (State.REPLACED, "by tool target 3", -1),
-        (State.ABORTED, "cancelled", -1),
+        (State.ABORTED, "cancelled", 0),
         (State.ABORTED, "path tolerance: a is off by 1 rad", -4),
         (State.ABORTED, "goal tolerance after 1 s: a is off by 1 rad", -5),
     ],

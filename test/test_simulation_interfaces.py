@@ -83,6 +83,11 @@ class Simulation(Client):
         request = StepSimulation.Request(steps=steps)
         return self.call(StepSimulation, "step_simulation", request).result
 
+    def begin_steps(self, steps: int) -> Any:
+        client = self.user.node.create_client(StepSimulation, "emulator/step_simulation")
+        self.user.wait("the service", client.service_is_ready)
+        return client.call_async(StepSimulation.Request(steps=steps))
+
     def reset(self, scope: int) -> int:
         request = ResetSimulation.Request(scope=scope)
         return int(self.call(ResetSimulation, "reset_simulation", request).result.result)
@@ -159,8 +164,17 @@ def test_states_steps_and_resets_to_equal_bits(simulation: Simulation) -> None:
     start = np.array(load_scene("three_axis").start)
     user.wait("the start", lambda: np.array_equal(user.truth.position, start))
     assert user.tick == end, "time goes on"
-    for scope in (ResetSimulation.Request.SCOPE_TIME, ResetSimulation.Request.SCOPE_SPAWNED):
+    time, state, spawned, unknown = 1, 2, 4, 8
+    for scope in (time, spawned, time | spawned, unknown | state, unknown | time | state, 254):
         assert simulation.reset(scope) == Result.RESULT_FEATURE_UNSUPPORTED
+    assert simulation.reset(state | spawned) == ok and user.tick == end
+    begun, big = simulation.begin_steps(2**63), user.tick + 20
+    user.wait("many steps", lambda: user.tick > big)
+    for other in (simulation.goal(5)[0], simulation.step(1)):
+        assert other.error_message == "other steps are not done yet"
+    assert simulation.reset(time | state | spawned) == ok
+    user.wait("their end", begun.done)
+    assert begun.result().result.error_message == "the simulation was reset"
     assert simulation.reset(ResetSimulation.Request.SCOPE_DEFAULT) == ok
     user.wait("tick 0", lambda: user.tick == 0)
     assert simulation.state_now == STOPPED

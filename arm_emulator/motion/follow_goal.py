@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.motion_report import MotionReport, State
+from arm_emulator.motion.motion_report import CANCELLED, MotionReport, State
 from arm_emulator.motion.orders import GOAL_TOLERANCE, PATH_TOLERANCE
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 
@@ -46,11 +46,27 @@ def tolerances_of(goal: Any, names: Sequence[str], default: Tolerances) -> Toler
     )
 
 
+def check_points(goal: Any) -> None:
+    """Refuse a goal without points; on the topic a trajectory without points stops the arm.
+
+    Raises:
+        Refusal: it has none.
+    """
+    if not goal.trajectory.points:
+        rule, valid = "be some in a goal", "to cancel the goal that runs"
+        raise Refusal("joint_trajectory", "points", rule, "none", valid)
+
+
 def result_of(report: MotionReport) -> tuple[int, str]:
-    """Return error code and text for the final report of a goal."""
+    """Return error code and text for the final report of a goal.
+
+    To cancel is no error.
+    """
     if report.state is State.REACHED:
         return SUCCESSFUL, "reached"
     words = f"{report.state.name.lower()}: {report.reason}"
+    if report.state is State.ABORTED and report.reason == CANCELLED:
+        return SUCCESSFUL, words
     if report.state is State.ABORTED and report.reason.startswith(PATH_TOLERANCE):
         return PATH_TOLERANCE_VIOLATED, words
     if report.state is State.ABORTED and report.reason.startswith(GOAL_TOLERANCE):

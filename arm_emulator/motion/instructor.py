@@ -18,7 +18,7 @@ from arm_emulator.motion.jog_order import JogOrder
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_report import Kind, Reports, State
+from arm_emulator.motion.motion_report import CANCELLED, Kind, Reports, State
 from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
 from arm_emulator.motion.orders import Order, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
@@ -194,7 +194,7 @@ class Instructor:
         for taken in self._coming:
             if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
                 self._coming.remove(taken)
-                taken.report(self.reports, Progress(State.ABORTED, "cancelled"))
+                taken.report(self.reports, Progress(State.ABORTED, CANCELLED))
                 return
         active = self._active
         if self._laws is None or active is None or active.state.final:

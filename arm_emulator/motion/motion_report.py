@@ -7,6 +7,7 @@ import math
 from collections import Counter, deque
 from dataclasses import dataclass
 
+CANCELLED = "cancelled"  # the reason of an order that its sender ended
 MOST_WAITING = 100  # reports that nobody has taken; a node takes them every period
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from arm_emulator.motion.motion_report import MotionReport, Reports, State
+from arm_emulator.motion.motion_report import CANCELLED, MotionReport, Reports, State
 from arm_emulator.motion.orders import Order, Progress
 
 
@@ -25,7 +25,7 @@ class TakenOrder:
     def replaces(self) -> Progress:
         """Progress of an order in whose place this one comes."""
         if not self.number:
-            return Progress(State.ABORTED, "cancelled")
+            return Progress(State.ABORTED, CANCELLED)
         what = self.order.kind.name.lower().replace("_", " ")
         return Progress(State.REPLACED, f"by {what} {self.number}")
 

@@ -62,6 +62,14 @@ void check_names(const std::string& where, const std::string& what,
   for (const auto& one : given) check_name(where, what, one.name, table);
 }
 
+// Throw unless all are numbers.
+void check_types(const std::string& where,
+                 const std::vector<hardware_interface::InterfaceInfo>& given) {
+  for (const auto& one : given)
+    if (!one.data_type.empty() && one.data_type != "double")
+      throw Refused(where + ": data_type of " + one.name + " must be double, got " + one.data_type);
+}
+
 constexpr const char* kPower = "power";
 constexpr std::array<std::pair<const char*, int>, 1> kPowered = {{{"powered", 0}}};
 constexpr std::array<std::pair<const char*, int>, 1> kParameters = {{{"scene", 0}}};
@@ -118,9 +126,15 @@ void ArmSystem::check_interfaces() const {
     const std::string at = where + ": " + joint.name;
     check_names(at, "command_interface", joint.command_interfaces, kCommands);
     check_names(at, "state_interface", joint.state_interfaces, kReadings);
+    check_types(at, joint.command_interfaces);
+    check_types(at, joint.state_interfaces);
   }
-  for (const auto& gpio : info_.gpios)
-    check_names(where + ": " + gpio.name, "state_interface", gpio.state_interfaces, kPowered);
+  for (const auto& gpio : info_.gpios) {
+    const std::string at = where + ": " + gpio.name;
+    check_names(at, "state_interface", gpio.state_interfaces, kPowered);
+    check_types(at, gpio.command_interfaces);
+    check_types(at, gpio.state_interfaces);
+  }
 }
 
 // The joints' positions at the start: `initial_value` of their positions, or 0.

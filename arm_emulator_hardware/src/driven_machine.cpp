@@ -191,12 +191,14 @@ bool DrivenMachine::vary(int k, double value) {
 }
 
 void DrivenMachine::reset(const std::vector<double>& q) {
-  const bool sound = q.size() == states_.size() &&
-                     std::all_of(q.begin(), q.end(), [](double one) { return std::isfinite(one); });
+  const bool sound = q.size() == states_.size() && std::all_of(q.begin(), q.end(), [](double one) {
+                       return std::abs(one) <= kLargest;
+                     });
   const std::vector<double> still(states_.size(), 0.0);
   if (!sound || reset_(machine_, q.data(), still.data()) != ARM_OK)
     throw Refused(std::string(data_.scene) + ": initial positions must be " +
-                  std::to_string(joints()) + " finite numbers within the machine's stops");
+                  std::to_string(joints()) + " numbers within " + within(-kLargest, kLargest) +
+                  " and the stops");
   servo_reset_(&servo_);
   measure_(machine_, &measurement_);
   for (Demand& one : demands_) one = Demand{one.loop};

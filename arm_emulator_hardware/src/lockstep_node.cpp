@@ -77,13 +77,23 @@ int run(int argc, char** argv) {
     RCLCPP_ERROR(manager->get_logger(), "%s: %s", manager->get_name(), why.c_str());
   } else {
     executor->add_node(manager);
-    std::thread spinner([&] { executor->spin(); });
+    std::atomic<bool> failed = false;
+    std::thread spinner([&] {
+      try {
+        executor->spin();
+      } catch (const std::exception& error) {  // a description that no component takes
+        RCLCPP_ERROR(manager->get_logger(), "%s: %s", manager->get_name(), error.what());
+        failed = true;
+        rclcpp::shutdown();
+      }
+    });
     Lockstep lockstep(manager);
     while (rclcpp::ok() && !manager->is_resource_manager_initialized())
       rclcpp::sleep_for(std::chrono::milliseconds(10));
     sound = go(lockstep, factor, paused);
     rclcpp::shutdown();  // ends the spinner even before it begins, which `cancel` does not
     spinner.join();
+    sound = sound && !failed;
   }
   rclcpp::shutdown();
   return sound ? 0 : 2;

@@ -28,14 +28,15 @@ inline double number(const char* word) {
   return value;
 }
 
-// Run a program, whose exceptions end it with a line and 70.
+// Run a program, whose exceptions end it with a line and 70; at once, since a manager that throws
+// while it is made leaves a callback behind.
 template <class Program>
 int sheltered(Program program) {
   try {
     return program();
   } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());
-    return 70;
+    std::quick_exit(70);
   }
 }
 

@@ -243,30 +243,62 @@ def test_controllers_take_turns_while_the_machine_is_in_trouble(
     assert 0.01 < float(got["fastest"]) < 10.0
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "why"),
-    [
-        ('name="scene"', 'name="scenes"', "param must be known, got scenes; valid: scene"),
-        ('<command_interface name="velocity"', '<command_interface name="speed"',
-         "command_interface must be known, got speed; valid: position, velocity, effort"),
-        ('<state_interface name="current"', '<state_interface name="amps"',
-         "state_interface must be known, got amps"),
-        ("three_axis</param>", "nothing</param>", "scene must be FOLDER/NAME after"),
-        ('name="elbow"', 'name="bend"',
-         "joint must be one of the scene, got bend; valid: waist, shoulder, elbow"),
-    ],
-)  # fmt: skip
-def test_wrong_descriptions_are_one_line(
-    prefix: Path, folder: Path, old: str, new: str, why: str, tmp_path: Path
+START = '<param name="initial_value">0.5<'
+NUMBER = '<param name="initial_value">10000.0<'
+WRONG = [
+    ('name="scene"', 'name="scenes"', "param must be known, got scenes; valid: scene"),
+    ('<param name="scene"', '<param name="clock">wall</param><param name="scene"',
+     "param must be known, got clock; valid: scene"),
+    ('<command_interface name="velocity"', '<command_interface name="speed"',
+     "command_interface must be known, got speed; valid: position, velocity, effort"),
+    ('<state_interface name="current"', '<state_interface name="amps"',
+     "state_interface must be known, got amps"),
+    ('<state_interface name="powered"', '<state_interface name="on"',
+     "three_axis_power: state_interface must be known, got on; valid: powered"),
+    ('<command_interface name="power"', '<command_interface name="Power"',
+     "must be `power` or a number that the scene varies, got Power; valid: joints.elbow.gear"),
+    ("faults.elbow.encoder_stuck", "faults.elbow.encoder_gone", "got faults.elbow.encoder_gone"),
+    (NUMBER, '<param name="initial_value"><', f"{STIFFNESS} must have an initial_value"),
+    (NUMBER, '<param name="initial_value">-5<', f"{STIFFNESS} must be within 1e-15 to 1e+15"),
+    (NUMBER, '<param name="initial_value">much<', "Invalid initial value : 'much'"),
+    (START, '<param name="initial_value">1e300<', "must be 3 numbers within -1e+09 to 1e+09"),
+    (START, '<param name="initial_value">half<', "Invalid initial value : 'half'"),
+    ("three_axis</param>", "nothing</param>", "scene must be FOLDER/NAME after"),
+    ("/three_axis</param>", "/</param>", "scene must be FOLDER/NAME after"),
+    ('name="elbow"', 'name="bend"',
+     "joint must be one of the scene, got bend; valid: waist, shoulder, elbow"),
+    ('type="system"', 'type="system" is_async="true"', "is_async must be false"),
+    ('type="system"', 'type="system" rw_rate="300"', "update_rate must give whole ns, got 300 Hz"),
+    ('<command_interface name="position"', '<command_interface name="position" data_type="bool"',
+     "data_type of position must be double, got bool"),
+    (PLUGIN, f"{PLUGIN}s", f"class {PLUGIN}s with base class type"),
+]  # fmt: skip
+
+
+def test_wrong_descriptions_are_one_line(prefix: Path, tmp_path: Path) -> None:
+    troubled("three_axis", tmp_path)
+    text = (tmp_path / "three_axis.urdf").read_text()
+    for old, new, why in WRONG:
+        assert old in text
+        (tmp_path / "wrong.urdf").write_text(text.replace(old, new))
+        files = tmp_path / "wrong.urdf", tmp_path / "three_axis_controllers.yaml"
+        with own_domain():
+            done = move(prefix, *files, TARGETS["three_axis"])
+        assert done.returncode > 0, f"{new}: {done.stderr}"
+        assert len([line for line in done.stderr.splitlines() if why in line]) == 1, done.stderr
+
+
+def test_lockstep_node_ends_in_a_line_after_a_wrong_description(
+    prefix: Path, tmp_path: Path
 ) -> None:
-    ros2_control("three_axis", into=folder)
-    text = (folder / "three_axis.urdf").read_text()
-    assert old in text
-    (tmp_path / "wrong.urdf").write_text(text.replace(old, new))
-    controllers = folder / "three_axis_controllers.yaml"
-    done = move(prefix, tmp_path / "wrong.urdf", controllers, TARGETS["three_axis"])
-    assert done.returncode != 0
-    assert len([line for line in done.stderr.splitlines() if why in line]) == 1, done.stderr
+    ros2_control("three_axis", into=tmp_path)
+    description = tmp_path / "three_axis.urdf"
+    description.write_text(description.read_text().replace("three_axis</param>", "none</param>"))
+    with guest() as node:
+        one = Managed(node, prefix, description, tmp_path / "three_axis_controllers.yaml")
+        one.wait("its end", lambda: one.process.poll() is not None)
+    assert one.process.returncode == 2
+    assert one.log.read_text().count("scene must be FOLDER/NAME after") == 1
 
 
 @pytest.mark.parametrize(
