@@ -11,7 +11,7 @@ import pytest
 # other work mostly wait for each other, spinning.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Units of tests are compiled without some of GCC's passes behind all arithmetic: in 0.86 of the
+# Units of tests are compiled without some of GCC's passes behind all arithmetic: in 0.9 of the
 # time, to the same bits (test_further_flags.py). Some machines run a fifth slower, others faster.
 QUICK = (
     "-fno-schedule-insns2 -fira-region=one -fno-gcse -fno-rerun-cse-after-loop "
