@@ -86,14 +86,16 @@ class LinearlyImplicit {
 
   // Begin at a state with no past.
   void reset(const State<S, X>& x) {
-    past_ = {};
+    past() = {};
     if constexpr (!extrapolates) return;
     typename Links<S, X>::Kinematics kinematics;
     Links<S, X>::kinematics(x.q, kinematics);
-    Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past_.torque);
+    Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past().torque);
   }
-  const Memory& memory() const { return past_; }
-  void restore(const Memory& memory) { past_ = memory; }
+  const Memory& memory() const { return past_[newest_]; }
+  // That before the newest step, of lanes.
+  const Memory& memory_before() const { return past_[kept - 1 - newest_]; }
+  void restore(const Memory& memory) { past() = memory; }
 
   // Whether the last step's data exists and has this step's length.
   enum class Past { used, unknown };
@@ -115,7 +117,8 @@ class LinearlyImplicit {
     Inputs in;
     begin(x, u, in);
     if constexpr (Tables::modal) tables_.put_modes(in);
-    Accelerations k1;
+    Accelerations own;
+    Accelerations& k1 = place_of_next(own);
     begin_links(x, u, in, k1);
     given_ = {&friction, from};
     stages_of(x, u, links, in, k1);
@@ -133,10 +136,10 @@ class LinearlyImplicit {
       modes.accelerations(x, u, links, a, coulomb_);
       typename Links<S, X>::Kinematics kinematics;
       Links<S, X>::kinematics(start.q, kinematics);
-      Links<S, X>::inverse_dynamics(n_, kinematics, start.v, a, past_.torque);
+      Links<S, X>::inverse_dynamics(n_, kinematics, start.v, a, past().torque);
       for (int j = 0; j < N; ++j) {
-        past_.a[j] = a[j];
-        past_.torque[j] += n_.carried(j) * a[j];
+        past().a[j] = a[j];
+        past().torque[j] += n_.carried(j) * a[j];
       }
     }
   }
@@ -148,7 +151,8 @@ class LinearlyImplicit {
     Inputs in;
     begin(x, u, in);
     if constexpr (!Tables::modal) {
-      Accelerations k1;
+      Accelerations own;
+      Accelerations& k1 = place_of_next(own);
       begin_links(x, u, in, k1);
       exchange.take(links);
       stages_of(x, u, links, in, k1);
@@ -170,6 +174,14 @@ class LinearlyImplicit {
   static constexpr double gamma = gamma_of(stages);
 
   using Numbers = Row<N, X>;
+
+  Memory& past() { return past_[newest_]; }
+  Accelerations& place_of_next(Accelerations& own) {
+    if constexpr (kept == 2)
+      return past_[1 - newest_];
+    else
+      return own;
+  }
 
   ARM_INLINE void begin(State<S, X>& x, const X (&u)[row], Inputs& in) const {
     if constexpr (kJumps<S>) begin_at_once(n_, x, u);
@@ -199,7 +211,10 @@ class LinearlyImplicit {
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
-    if constexpr (extrapolates) past_ = k1;
+    if constexpr (kept == 2)
+      newest_ = 1 - newest_;
+    else if constexpr (extrapolates)
+      past() = k1;
     if constexpr (stages == 2 && !extrapolates) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates)
       if (given_.past == Past::unknown) evaluate_change(x, k1, change);
@@ -301,13 +316,14 @@ class LinearlyImplicit {
   // here.
   ARM_INLINE void extrapolate_change(const Dynamics& links, X (&change)[row]) const {
     const auto& M = links.M.at;
+    const Memory& past = memory();
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = past_.torque[j] - links.nle[j] - M[j][j] * past_.a[j];
+      change[j] = past.torque[j] - links.nle[j] - M[j][j] * past.a[j];
     });
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
-        change[j] -= M[j][k] * past_.a[k];
-        change[k] -= M[j][k] * past_.a[j];
+        change[j] -= M[j][k] * past.a[k];
+        change[k] -= M[j][k] * past.a[j];
       });
     });
   }
@@ -339,12 +355,12 @@ class LinearlyImplicit {
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
   void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
-    const Memory memory = past_;
+    const Memory memory = past();
     const bool begins_usual = usual_ && is_usual(n_, x, u);
     if (!begins_usual) serve_modes_at(x, u);
     State<S> y;
     for (int round = 0; round <= 2 * N * Tables::M; ++round) {
-      past_ = memory;
+      past() = memory;
       attempt(x, u, links, in, y);
       if (begins_usual && round == 0 && is_usual(n_, y, u)) {
         x = y;
@@ -359,7 +375,7 @@ class LinearlyImplicit {
     }
     usual_ = false;
     tables_.settle(y, u);
-    past_ = memory;
+    past() = memory;
     if (halvings_ < kMostHalvings)
       halve(x, u);
     else
@@ -398,7 +414,7 @@ class LinearlyImplicit {
       half_ = new LinearlyImplicit(0.5 * h_, n_);
       half_->halvings_ = halvings_ + 1;
     }
-    half_->past_ = past_;
+    half_->past() = past();
     for (int part = 0; part < 2; ++part) {
       Dynamics links;
       Inputs in;
@@ -406,7 +422,7 @@ class LinearlyImplicit {
       begin(x, u, in);
       half_->step_in_modes(x, u, links, in);
     }
-    past_ = half_->past_;
+    past() = half_->past();
   }
 
   // Whether all modes hold at the end y of a step from x; those that do not are changed.
@@ -432,7 +448,10 @@ class LinearlyImplicit {
   const arm::Numbers<S, X>& n_;
   Tables tables_;
   bool usual_ = true;  // all joints are served in their usual modes
-  Memory past_ = {};
+  // Of the newest step, and in lanes of the one before: the next is written over that, not copied.
+  static constexpr int kept = extrapolates && kWidth<X> > 1 ? 2 : 1;
+  Memory past_[kept] = {};
+  int newest_ = 0;
   Coulomb<S, X> coulomb_;
   LinearlyImplicit* half_ = nullptr;  // made when it is first needed
   int halvings_ = 0;

@@ -34,6 +34,7 @@ class RichardsonScheme {
   };
   void reset(const State<S, X>&) {}
   Memory memory() const { return {}; }
+  Memory memory_before() const { return {}; }
   void restore(Memory) {}
 
   template <class Exchange>

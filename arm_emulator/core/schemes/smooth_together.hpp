@@ -59,12 +59,12 @@ class SmoothTogether {
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
                        Exchange& exchange) {
     State<S, X> start = x;
-    Memory past = method_.memory();
     bool jumps = false;
     if constexpr (locates) jumps = follow(x, u);
     Mask<X> smooth = n_.brakes_open() & is_usual(n_, x, u);
     const Mask<X> begins = smooth;
-    if (any(smooth & there_)) {
+    const bool together = any(smooth & there_);
+    if (together) {
       if constexpr (locates)
         smooth &= locate(x, u, links);
       else
@@ -72,6 +72,7 @@ class SmoothTogether {
     }
     const Mask<X> alone = there_ & ~smooth;
     if (any(alone)) {
+      Memory past = together ? method_.memory_before() : method_.memory();
       Memory later = method_.memory();
       for (int lane = 0; lane < width; ++lane) {
         if (!alone[lane]) continue;
