@@ -334,9 +334,11 @@ class Machine {
 
   void change_numbers(auto&& set) {
     change([&] {
+      const auto before = numbers_.drives();
       set();
       ++edition_;
-      stale_ = true;
+      // Equal numbers may have other derivatives.
+      stale_ = stale_ || kDifferentiates || numbers_.drives() != before;
     });
     balance_.reset(numbers_, x_);
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
@@ -452,7 +454,7 @@ class Machine {
   Real power_ = 0.0;
   std::int64_t steps_taken_ = 0;
   std::int64_t edition_ = 0;
-  bool stale_ = false;  // the scheme's tables are older than the numbers
+  bool stale_ = false;  // the scheme's tables are older than the drives
   int fault_ = -1;      // the joint that went out of bounds
   Instant checked_ = {};
 };

@@ -159,6 +159,7 @@ class Numbers<S, Real> {
     sheet_ = Sheet<S>(p_.p);
   }
 
+  ARM_INLINE constexpr const auto& drives() const { return now().drives; }
   // body(drive, j) for the drive of every joint.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive(TheBody&& body) const {
