@@ -57,16 +57,16 @@ struct Elimination {
   Real s;
   X E[n][n], e[n], b;
 
-  ARM_INLINE static Elimination of(const Drive& drive, Real s) {
-    Elimination one = {};
-    one.s = s;
-    drive.inverse(s, one.E);
-    for (int r = 0; r < K; ++r)
-      for (int c = 0; c < K; ++c)
-        one.e[r] += s * one.E[r][c] * (drive.F[c][K + 1] + s * drive.F[c][K]);
-    one.b = -(s * drive.G[K] + drive.G[K + 1]);
-    for (int k = 0; k < K; ++k) one.b -= drive.G[k] * one.e[k];
-    return one;
+  // Of this drive with this s.
+  ARM_INLINE void put(const Drive& drive, Real with) {
+    s = with;
+    drive.inverse(s, E);
+    for (int r = 0; r < K; ++r) {
+      e[r] = X{};
+      for (int c = 0; c < K; ++c) e[r] += s * E[r][c] * (drive.F[c][K + 1] + s * drive.F[c][K]);
+    }
+    b = -(s * drive.G[K] + drive.G[K + 1]);
+    for (int k = 0; k < K; ++k) b -= drive.G[k] * e[k];
   }
   // The rates of z without that of v, and the link's row.
   struct Stage {
@@ -89,7 +89,8 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
   using In = StepInput<K, M, R>;
   using X = Real;
   constexpr int n = LinearDrive<K, M>::kRows;
-  const auto whole = Elimination<K, M>::of(drive, gamma_of(stages) * h);
+  Elimination<K, M> whole = {};
+  whole.put(drive, gamma_of(stages) * h);
   const auto& [s, E, e, b] = whole;
   DriveTable<K, M, R> table = {};
   table.diagonal = s * b;

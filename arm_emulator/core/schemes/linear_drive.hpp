@@ -57,7 +57,7 @@ struct LinearDrive {
 
   // E = (D - s F_z)^-1, by Gauss and Jordan with pivots.
   ARM_INLINE constexpr void inverse(Real s, X (&E)[kRows][kRows]) const {
-    X W[kRows][kRows] = {};
+    X W[kRows][kRows];
     for (int r = 0; r < K; ++r)
       for (int c = 0; c < K; ++c) {
         W[r][c] = (r == c ? D[r] : X{}) - s * F[r][c];

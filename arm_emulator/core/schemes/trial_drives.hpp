@@ -34,7 +34,7 @@ class TrialDrives : public ServedDrives<S, Real> {
     h_ = maker.h;
     for (int g = 0; g < Row::groups; ++g) {
       Group& one = of_[g];
-      one.eliminate = Reduced::of(one.drive, gamma_of(2) * h_);
+      one.eliminate.put(one.drive, gamma_of(2) * h_);
       *reinterpret_cast<Vector*>(diagonal + g * Row::group) = one.eliminate.s * one.eliminate.b;
     }
   }
