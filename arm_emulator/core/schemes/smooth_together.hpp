@@ -59,10 +59,10 @@ class SmoothTogether {
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
                        Exchange& exchange) {
     State<S, X> start = x;
-    bool jumps = false;
+    Mask<X> jumps = {};
     if constexpr (locates) jumps = follow(x, u);
     Mask<X> smooth = n_.brakes_open() & is_usual(n_, x, u);
-    const Mask<X> begins = smooth;
+    const Mask<X> begins = smooth & ~jumps;
     const bool together = any(smooth & there_);
     if (together) {
       if constexpr (locates)
@@ -77,7 +77,7 @@ class SmoothTogether {
       for (int lane = 0; lane < width; ++lane) {
         if (!alone[lane]) continue;
         if constexpr (locates)
-          if (begins[lane] && !jumps) {
+          if (begins[lane]) {
             cut_alone(lane, start, u, x, later);
             continue;
           }
@@ -164,19 +164,19 @@ class SmoothTogether {
     return typename Drive::Modes{};
   };
 
-  // Whether any drive has an algebraic state; it is set.
-  bool follow(State<S, X>& x, const X* u) {
-    bool some = false;
+  // Set the algebraic states. Returns in which lanes a drive has one.
+  Mask<X> follow(State<S, X>& x, const X* u) {
+    Mask<X> has = {};
     for (int lane = 0; lane < width; ++lane)
       n_.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
         if (!drive.follows_at_once()) return;
-        some = true;
+        has[lane] = -1;
         confirmed_ = false;
         auto at = input_in_lane(drive, j, x, u[j], lane);
         drive.follow(at);
         put_states(drive, j, lane, at, x);
       });
-    return some;
+    return has;
   }
 
   using OfOne = typename Machine::Threads::Memory;
