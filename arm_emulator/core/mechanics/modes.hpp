@@ -23,9 +23,6 @@ class Modes {
   typename Friction::Modes friction;
   DriveModes<M> drive[N];
 
-  // The start of a trial and the newest ends.
-  using Memo = LinksMemo<S, Real, 2>;
-
   // These of the links, and the usual ones of all drives.
   Modes(const Numbers<S>& numbers, const typename Friction::Modes& of_links)
       : friction(of_links), n_(&numbers) {}
@@ -84,7 +81,7 @@ class Modes {
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
   // quantities with different units; only its sign counts.) `each` gets that of each condition; 1
   // where there is no such condition, or the lock of a joint while others already fail.
-  Real margin(const State<S>& x, const Real* u, Memo& memo, Real* each = nullptr) const {
+  Real margin(const State<S>& x, const Real* u, LinksMemo<S>& memo, Real* each = nullptr) const {
     Real least = 1.0;
     for (int k = 0; each && k < conditions; ++k) each[k] = 1.0;
     const auto at_most = [&](int k, Real margin) {

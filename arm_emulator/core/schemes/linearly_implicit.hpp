@@ -127,13 +127,13 @@ class LinearlyImplicit {
     given_ = {};
   }
 
-  // Set the past for a step from `start` to x that was taken otherwise. x calls for these modes,
-  // and the links' part there is given.
-  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row],
-                const Modes<S>& modes, const Dynamics& links) {
+  // Set the past for a step from `start` to x that was taken otherwise.
+  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
     if constexpr (extrapolates) {
+      Dynamics links;
+      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
       X a[N];
-      modes.accelerations(x, u, links, a, coulomb_);
+      Modes<S>(n_, x, u, links).accelerations(x, u, links, a, coulomb_);
       typename Links<S, X>::Kinematics kinematics;
       Links<S, X>::kinematics(start.q, kinematics);
       Links<S, X>::inverse_dynamics(n_, kinematics, start.v, a, past().torque);

@@ -61,7 +61,7 @@ class Located {
     whole_.step_in(modes, y, u, links, Past::used);
     if (modes.margin(y, u, memo_) < 0.0) {
       whole_.restore(memory);
-      cut(x, y, u, modes, links, Until::instant);
+      cut<Until::instant>(x, y, u, modes, links);
     } else {
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, h_);
@@ -76,7 +76,7 @@ class Located {
     const Modes<S> modes(n_, friction);
     const Dynamics links = memo_.at(n_, x);
     State<S> end = y;
-    if (modes.margin(end, u, memo_) < 0.0) return cut(x, end, u, modes, links, Until::rounding);
+    if (modes.margin(end, u, memo_) < 0.0) return cut<Until::rounding>(x, end, u, modes, links);
     modes.settle(end, u);
     x = end;
   }
@@ -93,8 +93,8 @@ class Located {
   enum class Until { instant, rounding };
 
   // A step from x to y of which not all modes hold.
-  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links,
-           Until until) {
+  template <Until until>
+  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {
     const State<S> start = x;
     Real left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
@@ -106,32 +106,33 @@ class Located {
         part.step(y, u, links, nobody);
         follow_at_once(n_, y, u);
         if (meter_) meter_->part(x, y, u, modes, left);
-        left = 0.0;
-      } else {
-        bool fails = true;  // of the whole step that is known
-        if (events > 0) {
-          y = x;
-          part_.retime(left, modes);
-          part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
-          fails = modes.margin(y, u, memo_) < 0.0;
-        }
-        const Real t = fails ? first_event(x, y, u, modes, links, left, until) : left;
-        modes.settle(y, u);
-        if (meter_) meter_->part(x, y, u, modes, t);
-        left -= t;
+        x = y;
+        break;
       }
+      bool fails = true;  // of the whole step that is known
+      if (events > 0) {
+        y = x;
+        part_.retime(left, modes);
+        part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
+        fails = modes.margin(y, u, memo_) < 0.0;
+      }
+      const Real t = fails ? first_event<until>(x, y, u, modes, links, left) : left;
+      modes.settle(y, u);
+      if (meter_) meter_->part(x, y, u, modes, t);
       x = y;
+      left -= t;
       links = memo_.at(n_, x);
       modes = Modes<S>(n_, x, u, links);
     }
-    whole_.remember(start, x, u, modes, links);
+    whole_.remember(start, x, u);
   }
 
   // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
+  template <Until until>
   Real first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
-                   const Dynamics& links, Real left, Until until) {
+                   const Dynamics& links, Real left) {
     Trial last, other;
     last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
     int first = other.first_after(last);
@@ -141,12 +142,13 @@ class Located {
       const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
       // A little beyond the zero, so that the trial that meets it is one that fails.
-      Real beyond = 0.5 * least;
-      if (until == Until::rounding && first >= 0) {
+      if constexpr (until == Until::instant) {
+        if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
+      } else if (first >= 0) {
         const Real steep = magnitude(last.each[first] - other.each[first]);
-        if (modes.rounding(first) > beyond * steep) beyond = modes.rounding(first) / steep;
+        const Real beyond = larger(0.5 * least, modes.rounding(first) / steep);
+        share += last.holds() ? beyond : -beyond;
       }
-      if (first >= 0) share += last.holds() ? beyond : -beyond;
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
       const Real t = last.t + share * width;
       State<S> end = x;
@@ -159,9 +161,8 @@ class Located {
       if (now.holds() != last.holds()) before = other, other = last;
       last = now;
       first = last.holds() ? other.first_after(last) : last.first_after(other);
-      if (until == Until::rounding && first >= 0 && !last.holds() &&
-          last.each[first] >= -3.0 * modes.rounding(first))
-        break;
+      if constexpr (until == Until::rounding)
+        if (first >= 0 && !last.holds() && last.each[first] >= -3.0 * modes.rounding(first)) break;
       // The zero lies within an instant before a trial that fails.
       if (first >= 0 && !last.holds() &&
           magnitude(last.share(other, first) * (other.t - last.t)) <= kInstant * h_)
@@ -189,7 +190,7 @@ class Located {
     Real t, margin, each[Modes<S>::conditions];
 
     void take(Real length, const Modes<S>& modes, const State<S>& end, const Real (&u)[row],
-              typename Modes<S>::Memo& memo) {
+              LinksMemo<S>& memo) {
       t = length;
       margin = modes.margin(end, u, memo, each);
     }
@@ -215,6 +216,7 @@ class Located {
       return first;
     }
   };
+  static Real larger(Real a, Real b) { return a > b ? a : b; }
   // Next trial for the zero of a condition between `last` and `other`, of which one holds.
   static Real next_share(const Trial& last, const Trial& other, const Trial& before, int k) {
     const Real at = last.each[k], there = other.each[k], past = before.each[k];
@@ -235,7 +237,7 @@ class Located {
   const Numbers<S>& n_;
   Method whole_;
   Part part_;  // of a step
-  typename Modes<S>::Memo memo_;
+  LinksMemo<S> memo_;
   EnergyMeter<S>* meter_ = nullptr;
 };
 
