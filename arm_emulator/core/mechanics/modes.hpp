@@ -106,11 +106,6 @@ class Modes {
     return least;
   }
 
-  // Rounding of a condition, known for locks alone; else 0.
-  Real rounding(int condition) const {
-    return condition < 2 * N ? 0.0 : kRounding * n_->Ds(condition - 2 * N);
-  }
-
   // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a
   // current without inductance follows the voltage.
   void settle(State<S>& x, const Real* u) const {

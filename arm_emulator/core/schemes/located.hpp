@@ -61,7 +61,7 @@ class Located {
     whole_.step_in(modes, y, u, links, Past::used);
     if (modes.margin(y, u, memo_) < 0.0) {
       whole_.restore(memory);
-      cut<Until::instant>(x, y, u, modes, links);
+      cut(x, y, u, modes, links);
     } else {
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, h_);
@@ -76,7 +76,7 @@ class Located {
     const Modes<S> modes(n_, friction);
     const Dynamics links = memo_.at(n_, x);
     State<S> end = y;
-    if (modes.margin(end, u, memo_) < 0.0) return cut<Until::rounding>(x, end, u, modes, links);
+    if (modes.margin(end, u, memo_) < 0.0) return cut(x, end, u, modes, links);
     modes.settle(end, u);
     x = end;
   }
@@ -87,13 +87,7 @@ class Located {
   static constexpr int kMostTrials = 150;
   static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
 
-  // An event is searched until its time is known to an instant or, for a lock that breaks,
-  // until the torque beyond its limit is one of rounding. Lanes round otherwise than this machine,
-  // so that more trials than these would not bring both together.
-  enum class Until { instant, rounding };
-
   // A step from x to y of which not all modes hold.
-  template <Until until>
   void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {
     const State<S> start = x;
     Real left = h_;
@@ -116,7 +110,7 @@ class Located {
         part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
         fails = modes.margin(y, u, memo_) < 0.0;
       }
-      const Real t = fails ? first_event<until>(x, y, u, modes, links, left) : left;
+      const Real t = fails ? first_event(x, y, u, modes, links, left) : left;
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, t);
       x = y;
@@ -130,7 +124,6 @@ class Located {
   // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
-  template <Until until>
   Real first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
                    const Dynamics& links, Real left) {
     Trial last, other;
@@ -142,13 +135,7 @@ class Located {
       const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
       // A little beyond the zero, so that the trial that meets it is one that fails.
-      if constexpr (until == Until::instant) {
-        if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
-      } else if (first >= 0) {
-        const Real steep = magnitude(last.each[first] - other.each[first]);
-        const Real beyond = larger(0.5 * least, modes.rounding(first) / steep);
-        share += last.holds() ? beyond : -beyond;
-      }
+      if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
       const Real t = last.t + share * width;
       State<S> end = x;
@@ -161,8 +148,6 @@ class Located {
       if (now.holds() != last.holds()) before = other, other = last;
       last = now;
       first = last.holds() ? other.first_after(last) : last.first_after(other);
-      if constexpr (until == Until::rounding)
-        if (first >= 0 && !last.holds() && last.each[first] >= -3.0 * modes.rounding(first)) break;
       // The zero lies within an instant before a trial that fails.
       if (first >= 0 && !last.holds() &&
           magnitude(last.share(other, first) * (other.t - last.t)) <= kInstant * h_)
@@ -216,7 +201,6 @@ class Located {
       return first;
     }
   };
-  static Real larger(Real a, Real b) { return a > b ? a : b; }
   // Next trial for the zero of a condition between `last` and `other`, of which one holds.
   static Real next_share(const Trial& last, const Trial& other, const Trial& before, int k) {
     const Real at = last.each[k], there = other.each[k], past = before.each[k];
