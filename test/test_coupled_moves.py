@@ -25,6 +25,7 @@ from arm_emulator.base.shafts import Shafts, shaft_limits
 from arm_emulator.base.urdf_text import limits_of
 from arm_emulator.build.c_header import Library
 from arm_emulator.design.new_scene import write_new
+from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
 from arm_emulator.doors.fieldbus.drives import Drives
@@ -164,10 +165,14 @@ def test_position_limits_of_drives_keep_the_joints_within_theirs(machine: Machin
     for j, name in enumerate(scene.joint_names):
         if name in named:
             np.testing.assert_allclose(shafts[:, j], named[name], atol=2.0 * abs(per_count[j]))
-    for joint in scene.joints:
+    for joint, link in zip(scene.joints, scene.chain.joints, strict=True):
         for part in joint.parts:
             if isinstance(part, EndStops):
-                assert (part.lower, part.upper) == pytest.approx(named[joint.name])
+                lower, upper = named[joint.name]
+                slide = link.kind == "prismatic"
+                beyond = STOPS_BEYOND_OF_SLIDE if slide else STOPS_BEYOND
+                stops = lower - beyond, upper + beyond
+                assert (part.lower, part.upper) == pytest.approx(stops)
     for k, name in enumerate(f"j{k + 1}" for k in range(len(C))):
         low, high = machine.limits.get(name, (-np.inf, np.inf))
         up, down = np.maximum(C[k], 0.0), np.minimum(C[k], 0.0)
