@@ -255,6 +255,19 @@ def test_every_declaration_refuses_in_the_same_form() -> None:
             check_refusals(one, name, partial(one.named(name).take, "here"))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.longdouble, np.int8, np.uint64])
+def test_short_and_long_numbers_of_numpy_are_taken_as_they_are(kind: type[np.number]) -> None:
+    """Ranges end beyond what short ones hold, whose comparisons with these would warn."""
+    for one in (Number("x"), Number("x", at_least=-1.0, at_most=1e300), Number.within("x", "", 9)):
+        assert one.take("here", kind(3)) == 3.0
+    for bad in {"i": (), "u": ()}.get(np.dtype(kind).kind, (math.nan, math.inf, -math.inf)):
+        with pytest.raises(Refusal, match="here: x must be a"):
+            Number("x").take("here", kind(bad))
+    with pytest.raises(Refusal, match="here: x must be a number from 5 to 9"):
+        Number("x", at_least=5.0, at_most=9.0).take("here", kind(3))
+
+
 def test_commands_and_measurements_are_refused_in_rows_alike() -> None:
     rows = [one for one in vars(bound).values() if isinstance(one, Number)]
     assert len(rows) > 10

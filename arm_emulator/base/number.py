@@ -74,6 +74,8 @@ class Number:
         if type(value) is not float:  # most are, and the abstract class takes long to ask
             if isinstance(value, bool) or not isinstance(value, numbers.Real):
                 return False
+            if isinstance(value, np.floating):  # short ones cannot hold the ends of ranges
+                value = float(value)
         size: Any = abs(value) if self.in_size else value
         within = self.least <= size <= self.most and size < math.inf
         return bool(within and not (self.whole and size % 1))
@@ -194,6 +196,8 @@ class Number:
     def _rule(self, value: object, most: float, *, many: bool = False) -> str:
         """Return the rule that a value breaks: as declared, or of what can be computed with."""
         at_most = None if self.at_most is None else most
+        if isinstance(value, np.floating):
+            value = float(value)
         known = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if known and self._keeps(abs(value) if self.in_size else value, at_most):  # type: ignore[arg-type]
             low = None if self.in_size and self.above is None else self.least
