@@ -1,7 +1,6 @@
 """Fixtures shared by all tests."""
 
 import os
-import shutil
 import signal
 from collections.abc import Iterator
 
@@ -10,16 +9,6 @@ import pytest
 # Before NumPy is loaded: matrices of tests are small, and threads that work on them together beside
 # other work mostly wait for each other, spinning.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-# Units of tests are compiled without some of GCC's passes behind all arithmetic: in 0.9 of the
-# time, to the same bits (test_further_flags.py). Some machines run a fifth slower, others faster.
-QUICK = (
-    "-fno-schedule-insns2 -fira-region=one -fno-gcse -fno-rerun-cse-after-loop "
-    "-fno-cse-follow-jumps -fno-forward-propagate -fno-dse -fno-crossjumping "
-    "-fno-cprop-registers -fno-move-loop-invariants"
-)
-if "CXX" not in os.environ and "g++" in os.path.realpath(shutil.which("c++") or ""):
-    os.environ.setdefault("ARM_EMULATOR_CXXFLAGS", QUICK)
 
 # In a job that a script has started with `&` it is ignored, by all children as well.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -8,8 +8,6 @@ import shutil
 
 from arm_emulator.base.refusal import Refusal
 
-FLAGS_VARIABLE = "ARM_EMULATOR_CXXFLAGS"
-
 
 def find_compiler() -> list[str]:
     """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
@@ -51,24 +49,11 @@ def identity(command: list[str]) -> str:
     return shlex.join([file, *command[1:]])
 
 
-def further_flags() -> tuple[str, ...]:
-    """Return the flags that $ARM_EMULATOR_CXXFLAGS adds to those of every unit.
-
-    Raises:
-        Refusal: it is no list of words.
-    """
-    return tuple(_words(FLAGS_VARIABLE))
-
-
 def _named() -> list[str]:
-    return _words("CXX")
-
-
-def _words(variable: str) -> list[str]:
-    text = os.environ.get(variable, "")
+    text = os.environ.get("CXX", "")
     try:
         return shlex.split(text)
     except ValueError as error:
         raise Refusal(
-            "arm_emulator", variable, "be the words of a command", f"{text} ({error})"
+            "arm_emulator", "CXX", "be the words of a command", f"{text} ({error})"
         ) from None

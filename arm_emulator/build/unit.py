@@ -15,12 +15,7 @@ from pathlib import Path
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build import library_cache
 from arm_emulator.build.c_header import Header, Library
-from arm_emulator.build.compiler_command import (
-    find_compiler,
-    further_flags,
-    identity,
-    is_named,
-)
+from arm_emulator.build.compiler_command import find_compiler, identity, is_named
 from arm_emulator.build.elf import why_no_library
 from arm_emulator.build.trusted import Untrusted, check_folder, read_file
 
@@ -143,11 +138,6 @@ def fingerprint(unit: Unit, target: str) -> str:
     return f"0x{_digest(unit.saves_as or unit, target)[:16]}u"
 
 
-def flags_of(unit: Unit) -> tuple[str, ...]:
-    """Return the flags with which a unit is compiled: its own, then those of the environment."""
-    return (*unit.flags, *further_flags())
-
-
 def sources_digest(unit: Unit) -> str:
     """Return a digest of a unit's sources, without flags and compiler."""
     digest = hashlib.sha256(unit.source.encode())
@@ -219,7 +209,7 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
         with library_cache.scratch_of(library) as scratch:
             source, built = scratch / "unit.cpp", scratch / "unit.so"
             source.write_text(unit.source, encoding="utf-8")
-            command = [*compiler, *flags_of(unit), f"-march={target}"]
+            command = [*compiler, *unit.flags, f"-march={target}"]
             command += [f"-I{folder}" for folder in unit.folders]
             command.append(f"-DARM_FINGERPRINT={fingerprint(unit, target)}")
             if unit.beside:
@@ -288,7 +278,7 @@ def _digest(unit: Unit, target: str) -> str:
         digest.update(_digest_of(folder))
     processor = _processor() if target == "native" else ""
     sources = (unit.source, unit.beside) if unit.beside else (unit.source,)
-    for part in (*sources, " ".join(flags_of(unit)), target, processor):
+    for part in (*sources, " ".join(unit.flags), target, processor):
         digest.update(part.encode())
         digest.update(b"\0")
     return digest.hexdigest()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from arm_emulator.build.unit import flags_of, sources_digest
+from arm_emulator.build.unit import sources_digest
 from arm_emulator.machine.compiler import machine_unit
 from arm_emulator.machine.plant import Plant
 
@@ -21,7 +21,7 @@ def build_facts(plant: Plant) -> dict[str, str]:
     named = [found[0].decode().strip() for one in _COMPILERS if (found := re.search(one, library))]
     return {
         COMPILED_BY: named[0] if named else "unknown",
-        COMPILED_WITH: " ".join(flags_of(unit)),
+        COMPILED_WITH: " ".join(unit.flags),
         COMPILED_FROM: sources_digest(unit),
     }
 
