@@ -21,7 +21,7 @@ from arm_emulator.campaign.search.splitting import Origin, Splitting
 from arm_emulator.campaign.shrinking import shrink
 from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.campaign.splitter import Splitter, failures_in
+from arm_emulator.campaign.splitter import Splitter, failed_forks
 from arm_emulator.campaign.summary import summary_of
 from arm_emulator.cli.searched import case_of
 
@@ -191,15 +191,15 @@ def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
     results = Results(into, one)
     found = Splitter(one, results, Crew(Here, 1, 1.0, lambda _: None)).run()
     assert found[2].title == "Failures" and len(found[2].rows) == 10
-    first, *_ = failures_in(results)
+    first, *_ = failed_forks(results)
     assert found[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
-    count = len(failures_in(results))
+    count = len(failed_forks(results))
     simulator = Simulator(one)
     for k in range(0, count, max(1, count // 5)):
         assert simulator.run(case_of(one, into, k, "--replay")).robustness["counts"] < 0.0
     with pytest.raises(Refusal, match=f"be a failure of the search, got {count}"):
         case_of(one, into, count, "--replay")
-    k = next(k for k, one in enumerate(failures_in(results)) if len(one.seeds) > 1)
+    k = next(k for k, one in enumerate(failed_forks(results)) if len(one.seeds) > 1)
     shrunk = shrink(one, case_of(one, into, k, "--shrink"))
     files = write_shrunk(one, shrunk, tmp_path / "shrunk")
     again = Simulator(load_campaign(files.campaign)).run(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import concurrent.futures as cf
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -63,7 +63,7 @@ class Splitter:
         findings = [self._method.finding(self._method.of, pilot["levels"], found)]
         if found:
             findings.append(self._method.of_levels(pilot["levels"], found))
-            findings.append(self._of_failures(failures_in(self._results)))
+            findings.append(self._of_failures(_failures(found)))
         write_findings(self._results, findings)
         return findings
 
@@ -99,10 +99,14 @@ class Splitter:
             repetitions.complete(missing, work)
 
 
-def failures_in(results: Results) -> list[Origin]:
+def failed_forks(results: Results) -> list[Origin]:
     """Return the failures of all repetitions that are done, in their order."""
     files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
-    return [one for file in files for one in _read(file).failures]
+    return _failures(map(_read, files))
+
+
+def _failures(repetitions: Iterable[Repetition]) -> list[Origin]:
+    return [one for repetition in repetitions for one in repetition.failures]
 
 
 def split(file: str, key: bytes, folder: str, number: int) -> Done:

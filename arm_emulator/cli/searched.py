@@ -20,7 +20,7 @@ from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.shrinking import shrink
 from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.campaign.splitter import failures_in
+from arm_emulator.campaign.splitter import failed_forks
 from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
@@ -42,7 +42,7 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
         raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
     results = Results(into, one)
     if one.search.forks:
-        failures = failures_in(results)
+        failures = failed_forks(results)
         if index >= len(failures):
             valid = f"0 to {len(failures) - 1}" if failures else None
             raise Refusal("campaign", option, "be a failure of the search", index, valid)
