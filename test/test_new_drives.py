@@ -92,6 +92,12 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
         assert gear.ratio * MOTOR_SPEED == pytest.approx(drive.speed, rel=1e-2)
         rate = math.sqrt(gear.stiffness / demand.inertia[1])
         assert rate > 0.99 * LOWEST_RESONANCE[demand.kind]
+        # A count of wind-up accelerates a link by 5 % of its limit at most, or has 15 bit; no bit
+        # more than that takes.
+        counts = drive.joint.counts_per_turn
+        swings = 2.0 * math.pi * gear.ratio / counts * gear.stiffness / demand.inertia[0]
+        assert counts == 2**15 or swings < 0.0505 * drive.acceleration
+        assert counts == 2**13 or swings > 0.0245 * drive.acceleration
         holds = demand.effort is not None and demand.effort >= demand.bare_torque
         moves = demand.effort is not None and demand.effort >= needs[j] / UNDERSIZED
         sane = demand.effort is not None and demand.effort <= PLACEHOLDER * needs[j]

@@ -40,7 +40,8 @@ _RULES = """\
 #   gear         170 times the peak torque per rad, as strain wave gears; lowest resonance at least
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical
 #   friction     10 % of the peak torque at full speed
-#   encoder      13 bit on the motor
+#   encoder      13 bit on the motor; up to 15, where a count of wind-up would accelerate the link
+#                by more than 5 % of its limit
 #   end_stops    where the description has limits, 0.02 rad (2 mm) beyond them: 0.05 rad (5 mm)
 #                deep at full speed with the most inertia, damped to 20 % of critical
 # Replace what you know, then `arm_emulator tune {file} --write`.

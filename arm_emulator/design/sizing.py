@@ -45,7 +45,8 @@ STIFFNESS_PER_TORQUE = 170.0  # 1/rad: strain wave gears of sizes 14 to 40, to t
 LOWEST_RESONANCE = {"revolute": 2 * math.pi * 12.0, "prismatic": 2 * math.pi * 30.0}  # rad/s
 DAMPING = 0.05  # of critical, of the link on its gear
 FRICTION_PART = 0.1  # of the peak torque at full speed
-COUNTS_PER_TURN = 8192  # 13 bit at the motor
+FEWEST_BITS, MOST_BITS = 13, 15  # of the encoder at the motor
+COUNT_PART = 0.05  # of the acceleration, that a count of wind-up gives a link on its gear
 
 
 @dataclass(frozen=True)
@@ -219,6 +220,9 @@ def _drive(
     least, most = demand.inertia
     stiffness = max(STIFFNESS_PER_TORQUE * torque, LOWEST_RESONANCE[demand.kind] ** 2 * most)
     middle = math.sqrt(least * most)
+    count = 2.0 * math.pi * ratio * stiffness / max(least, 1e-9)  # rad/s2, of one count in a turn
+    finest = math.ceil(math.log2(max(1.0, count / (COUNT_PART * acceleration))))
+    bits = min(max(FEWEST_BITS, finest), MOST_BITS)
     rating = Rating(
         torque=torque * ratio,
         rotor_inertia=torque * ratio / ROTOR_ACCELERATION,
@@ -239,7 +243,7 @@ def _drive(
             stiffness=rounded(stiffness),
             damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
-        sensors=JointSensors.with_counts(COUNTS_PER_TURN),
+        sensors=JointSensors.with_counts(2**bits),
         friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
         decorators=tuple(_rounded(one) for one in around if one is not None),
     )
