@@ -63,7 +63,7 @@ def run(name: str, data: Mapping[str, object], count: int, workers: int, folder:
     seconds, _ = seconds_per_run(campaign)  # compiles, too
     results = Results(folder / name, campaign)
     began, used = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    crew = Crew(lambda: LocalPool(workers), workers, seconds, lambda progress: None)
+    crew = Crew(lambda: LocalPool(workers), seconds, lambda progress: None)
     run_campaign(campaign, results, crew)
     wall, now = time.monotonic() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = now.ru_utime + now.ru_stime - used.ru_utime - used.ru_stime

@@ -134,9 +134,6 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
         try:
             written = write_new(file, Path(folder) / "new")
             scene, gains = load_scene(written.file), load_gains(written.file)
-            # Moves are drawn without regard to the arm's own parts.
-            motion = dataclasses.replace(gains.motion, collisions="off")
-            gains = dataclasses.replace(gains, motion=motion)
         except Refusal as refusal:
             outcome.refused = str(refusal)
             return outcome
@@ -182,7 +179,12 @@ def reachable(
 
 
 def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Move:
-    """Send the arm from one pose to another, and watch it all the way."""
+    """Send the arm from one pose to another, and watch it all the way.
+
+    The poses are drawn without regard to the arm's own parts, so it may run into itself.
+    """
+    motion = dataclasses.replace(gains.motion, collisions="off")
+    gains = dataclasses.replace(gains, motion=motion)
     joints = tuple(
         dataclasses.replace(joint, start=float(angle))
         for joint, angle in zip(scene.joints, q, strict=True)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from draws import FULL, some
+from draws import some
 
 from arm_emulator.base.kept import Kept
-from arm_emulator.base.process import below, runs
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.campaign_file import load_campaign
@@ -37,6 +32,7 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.drives import Drives
+from bench.campaign_kills import Here, one_moment
 
 TABLE = {
     "scene": "three_axis",
@@ -330,38 +326,14 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     assert facts["measures"]["error"] == pytest.approx(error, abs=1e-12) and len(q) == 201
 
 
-@pytest.mark.parametrize("seed", some(range(20), 1))
-def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
-    """Client, workers, and Ctrl-C: what was written stays, and the end is the same."""
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize("victim", some(("worker", "ctrl-c", "client"), 2))
+def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
+    """What was written stays, nobody stays behind; `bench.campaign_kills` tries more moments."""
+    rng = np.random.default_rng(5)
     file = written(tmp_path, changed(TABLE, "count", 4000))
-    into = tmp_path / "killed"
-    for how in some(rng.permutation(["client", "worker", "ctrl-c"]), 2):
-        before = set((into / "parts").glob("*.parquet"))
-        with subprocess.Popen(
-            command(file, into, "--workers", "2"), start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        ) as client:  # fmt: skip
-            until = time.monotonic() + 60.0
-            while len(list(below(client.pid))) < 2 and time.monotonic() < until:
-                time.sleep(0.02)
-            time.sleep(rng.uniform(0.0, 2.5))
-            begun = [client.pid, *below(client.pid)]
-            if how == "client":
-                os.kill(client.pid, signal.SIGKILL)
-            elif how == "ctrl-c":
-                os.killpg(client.pid, signal.SIGINT)
-            else:
-                with contextlib.suppress(ProcessLookupError):  # it had just come to its end
-                    os.kill(int(rng.choice(begun[1:] or begun)), signal.SIGKILL)
-            client.communicate(timeout=120)
-        until = time.monotonic() + 30.0
-        while any(map(runs, begun)) and time.monotonic() < until:
-            time.sleep(0.05)
-        assert not any(map(runs, begun)), "nobody stays behind"
-        parts = set((into / "parts").glob("*.parquet"))
-        assert before <= parts
-    assert finished(file, into)["digest"] == digest_alone(file)[0]
+    after = rng.uniform(0.0, 4.0)
+    one = one_moment(file, tmp_path / "killed", Here(), victim, after, rng)
+    assert one.digest == digest_alone(file)[0], one
 
 
 def test_a_campaign_stops_when_it_knows_enough(tmp_path):
@@ -379,62 +351,6 @@ def test_the_price_is_known_beforehand(tmp_path):
     )  # fmt: skip
     assert "300 runs of 0.2 s" in done.stdout and "kB" in done.stdout
     assert not (tmp_path / "x").exists()
-
-
-@pytest.mark.skipif(not FULL, reason="FULL=1: a cluster of processes")
-def test_dask_is_transport_only(tmp_path):
-    distributed = pytest.importorskip("distributed", reason="Dask: pip install distributed")
-    file = written(tmp_path, TABLE)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=2, dashboard_address=None) as one:
-        facts = finished(file, tmp_path / "dask", "--dask", one.scheduler_address)
-    assert facts["digest"] == digest_alone(file)[0]
-
-
-def of_cluster(module, *words):
-    """A process of a cluster."""
-    process = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard", *words]
-    return subprocess.Popen(process, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
-@pytest.mark.skipif(not FULL, reason="FULL=1: a cluster of processes")
-@pytest.mark.parametrize("seed", range(5))
-def test_a_killed_scheduler_loses_nothing(tmp_path, seed):
-    """Another one at its address goes on; without one the client ends with a line."""
-    pytest.importorskip("distributed", reason="Dask: pip install distributed")
-    rng = np.random.default_rng(seed)
-    file, into = written(tmp_path, changed(TABLE, "count", 4000)), tmp_path / "dask"
-    port = int(rng.integers(20_000, 30_000))
-    address = f"tcp://127.0.0.1:{port}"
-
-    def cluster():
-        workers = ("dask_worker", address, "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
-        return [of_cluster("dask_scheduler", "--host", "127.0.0.1", "--port", str(port)),
-                of_cluster(*workers), of_cluster(*workers)]  # fmt: skip
-
-    processes = cluster()
-    try:
-        with subprocess.Popen(
-            command(file, into, "--json", "--dask", address), stdout=subprocess.PIPE, text=True
-        ) as client:
-            until = time.monotonic() + 60.0
-            while not into.exists() and time.monotonic() < until:
-                time.sleep(0.02)
-            time.sleep(rng.uniform(0.5, 5.0))
-            processes[0].kill()
-            processes[0].wait()
-            if seed == 0:
-                assert client.wait(300) == 2
-            else:
-                processes += cluster()
-            out = client.communicate(timeout=300)[0]
-        if seed == 0:
-            assert json.loads(out)["refused"].startswith("campaign: --dask must be the address")
-            out = json.dumps(finished(file, into))
-        assert json.loads(out)["digest"] == digest_alone(file)[0]
-    finally:
-        for one in processes:
-            one.kill()
-            one.wait()
 
 
 def test_the_page_lists_what_a_file_may_have():

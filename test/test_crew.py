@@ -33,7 +33,7 @@ def work_of(kills, done_before_each):
         return pools[-1]
 
     progress = Progress(12, 0)
-    crew = Crew(make_pool, 1, 1.0, lambda progress: None)
+    crew = Crew(make_pool, 1.0, lambda progress: None)
 
     def work(pool, missing, killed):
         assert pool is pools[-1] and killed == len(pools) - 1

@@ -203,8 +203,8 @@ class Here:
 
 
 def searched(one, folder, pool, workers, seconds=1e-3):
-    results = Results(folder, one)
-    crew = Crew(lambda: pool, workers, seconds, lambda _: None)
+    results, pool.workers = Results(folder, one), workers
+    crew = Crew(lambda: pool, seconds, lambda _: None)
     return Searcher(one, results, crew).run(), results.columns()
 
 

@@ -26,6 +26,10 @@ class Pool(Protocol):
     def breaks(self) -> tuple[type[BaseException], ...]:
         """Exceptions of work whose process was killed; another pool can go on."""
 
+    @property
+    def workers(self) -> int:
+        """Number of its processes at this time; at least 1."""
+
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
         """Submit a call."""
 
@@ -79,13 +83,11 @@ class Crew:
 
     Attributes:
         make_pool: makes processes; called again after one of them was killed.
-        workers: their number.
         seconds: of a run, measured beforehand.
         report: is called after each chunk.
     """
 
     make_pool: Callable[[], Pool]
-    workers: int
     seconds: float
     report: Callable[[Progress], None]
 

@@ -26,6 +26,7 @@ from arm_emulator.campaign.lanes import WIDTH
 from arm_emulator.campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.worker import Done, end_with, simulate, simulator_of
 
+ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
 
 
@@ -35,6 +36,7 @@ class LocalPool(cf.ProcessPoolExecutor):
     breaks: tuple[type[BaseException], ...] = (BrokenProcessPool,)
 
     def __init__(self, workers: int) -> None:
+        self.workers = workers
         spawned = mp.get_context("spawn")
         super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
 
@@ -58,12 +60,13 @@ class DaskPool:
     Args:
         address: of the scheduler.
         patience: for so long it may not answer [s].
+        workers: chunks are for so many; None: for all that the cluster has, come and gone ones too.
 
     Raises:
         Refusal: Dask is not installed, or no scheduler answers.
     """
 
-    def __init__(self, address: str, patience: float) -> None:
+    def __init__(self, address: str, patience: float, workers: int | None = None) -> None:
         need_wheel("campaign", "distributed", "distributed")
         from distributed import Client
         from distributed.comm.core import CommClosedError
@@ -79,6 +82,17 @@ class DaskPool:
             rule = "be the address of a Dask scheduler"
             raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
         self._executor = self._client.get_executor(pure=False, retries=3)
+        self._given, self._asked, self._threads = workers, -math.inf, 1
+
+    @property
+    def workers(self) -> int:
+        """Number given, or of the cluster's threads, asked now and then; at least 1."""
+        if self._given is not None:
+            return self._given
+        if time.monotonic() - self._asked >= ASKED_EVERY:
+            threads: dict[str, int] = self._client.nthreads()
+            self._asked, self._threads = time.monotonic(), max(1, sum(threads.values()))
+        return self._threads
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
         """Submit a call."""
@@ -114,7 +128,7 @@ def _complete(
 
     def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
         left = sum(end - first for first, end in missing)
-        size = max(1, min(crew.largest >> killed, math.ceil(left / (2 * crew.workers))))
+        size = max(1, min(crew.largest >> killed, math.ceil(left / (2 * pool.workers))))
         size -= size % WIDTH if size > WIDTH else 0  # lanes are full
         _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
 
@@ -134,7 +148,7 @@ def _work(
     of_all = str(campaign.file.absolute()), campaign.key, str(results.folder.absolute())
     todo, waiting = iter(chunks), set[cf.Future[Done]]()
     while True:
-        for first, end in itertools.islice(todo, max(0, 2 * crew.workers - len(waiting))):
+        for first, end in itertools.islice(todo, max(0, 2 * pool.workers - len(waiting))):
             waiting.add(pool.submit(simulate, *of_all, first, end))
         if not waiting:
             return

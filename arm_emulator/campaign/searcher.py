@@ -41,7 +41,7 @@ class Searcher:
     Args:
         campaign: with a search.
         results: where to.
-        crew: simulates; its workers share a batch.
+        crew: simulates; the workers of its pool share a batch.
     """
 
     def __init__(self, campaign: Campaign, results: Results, crew: Crew) -> None:
@@ -138,7 +138,7 @@ class Searcher:
         """Simulate what is missing of a batch."""
         campaign, folder = self._campaign, str(self._results.folder.absolute())
         left = sum(end - begin for begin, end in missing)
-        size = max(1, min(self._crew.largest, math.ceil(left / self._crew.workers)))
+        size = max(1, min(self._crew.largest, math.ceil(left / pool.workers)))
         waiting: dict[cf.Future[Done], int] = {}
         for begin, end in chunks_of(missing, size):
             rows = points[begin - first : end - first]

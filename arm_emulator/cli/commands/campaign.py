@@ -35,6 +35,7 @@ from arm_emulator.cli.options import Keep, PageAt
 from arm_emulator.cli.output import output
 from arm_emulator.cli.searched import case_of, print_findings, print_shrunk, record_case
 
+PATIENCE = 10.0  # s that a Dask scheduler may take to answer
 BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink
 
 
@@ -69,7 +70,7 @@ def campaign(
         file: the campaign, YAML.
         into: results and report (default: out/campaigns/NAME).
         count: runs in all, in the place of the file's count.
-        workers: processes (default: one for each processor core).
+        workers: processes (default: one for each processor core, or all threads of the cluster).
         dask: scheduler of a Dask cluster, whose workers see the same files.
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
         replay: simulate one run again, for --record, --bag, --rerun and --page.
@@ -90,16 +91,15 @@ def campaign(
         )
     if count is not None:
         one = dataclasses.replace(one, count=check_count("campaign", "--count", count, 1, 10**12))
-    if workers is None:
-        workers = len(os.sched_getaffinity(0))
-    check_count("campaign", "--workers", workers, 1, 4096)
+    if workers is not None:
+        check_count("campaign", "--workers", workers, 1, 100_000 if dask else 4096)
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
         return _replay(one, case_of(one, into, replay, "--replay"), kept, page, bag)
     if shrink is not None:
         return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
     seconds, ready = seconds_per_run(one)
-    _preview(one, seconds, ready, workers)
+    _preview(one, seconds, ready, workers or _all_of(dask))
     if dry:
         return 0
     results = Results(into, one)
@@ -115,6 +115,17 @@ def campaign(
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
     return 130 if interrupted else 0
+
+
+def _all_of(dask: str | None) -> int:
+    """Return the number of workers that are at hand."""
+    if dask is None:
+        return len(os.sched_getaffinity(0))
+    cluster = DaskPool(dask, PATIENCE)
+    try:
+        return cluster.workers
+    finally:
+        cluster.end()
 
 
 def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
@@ -136,17 +147,19 @@ def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
 
 
 def _simulate(
-    one: Campaign, results: Results, dask: str | None, workers: int, seconds: float
+    one: Campaign, results: Results, dask: str | None, workers: int | None, seconds: float
 ) -> tuple[bool, list[Finding]]:
     """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
     # One that was killed may take its time to be there again.
-    patience = itertools.chain([10.0], itertools.repeat(60.0))
+    patience = itertools.chain([PATIENCE], itertools.repeat(60.0))
 
     def pool() -> Pool:
-        return DaskPool(dask, next(patience)) if dask else LocalPool(workers)
+        if dask is None:
+            return LocalPool(workers or _all_of(dask))
+        return DaskPool(dask, next(patience), workers)
 
     with _shown() as report:
-        crew = Crew(pool, workers, seconds, report)
+        crew = Crew(pool, seconds, report)
         try:
             if one.search is not None and one.search.forks:
                 return False, Splitter(one, results, crew).run()

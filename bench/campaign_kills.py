@@ -1,0 +1,274 @@
+"""A campaign whose workers, scheduler and client are killed at random moments, here and on Dask.
+
+Each moment is drawn over the time that the campaign takes if nobody is killed: most fall between
+its first chunk and its last. What was written must stay, nobody may stay behind, and the digest in
+the end must be the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import yaml
+
+from arm_emulator.base.process import below, runs
+from arm_emulator.campaign.campaign_file import load_campaign
+from arm_emulator.campaign.case import drawn_case
+from arm_emulator.campaign.lanes import runs_of
+from arm_emulator.campaign.outcome import Outcomes
+from arm_emulator.campaign.results import Results, digest_of, write_part
+
+CAMPAIGN = {
+    "scene": "three_axis",
+    "scenario": {"seconds": 0.2, "targets": [{"at": 0.0, "elbow": 1.0}]},
+    "vary": {"joints.*.friction.viscous": "nominal * lognormal(1, 0.3)"},
+    "requirements": {"near": "always abs(error.*) < 0.3"},
+    "count": 100_000,
+}
+LONGEST = 600.0  # s that a client may take, on a busy machine
+ENDING = 60.0  # s until the processes of a client that was killed must have ended
+WORKERS = 2
+
+Process = subprocess.Popen[str]
+
+
+class Place(Protocol):
+    """Processes that simulate, and how one of them is killed."""
+
+    options: Sequence[str]  # of the command
+    victims: Sequence[str]
+
+    def kill(self, victim: str, client: Process, rng: np.random.Generator) -> None:
+        """Kill a process of a kind."""
+
+    def end(self) -> None:
+        """End what this has begun."""
+
+
+def kill_client(victim: str, client: Process) -> None:
+    """Kill a client, or press Ctrl-C in its terminal, which reaches its whole group."""
+    with contextlib.suppress(ProcessLookupError):  # it had just come to its end
+        if victim == "client":
+            client.kill()
+        else:
+            os.killpg(client.pid, signal.SIGINT)
+
+
+class Here:
+    """Processes of this machine that the client begins."""
+
+    options: Sequence[str] = ("--workers", str(WORKERS))
+    victims: Sequence[str] = ("worker", "client", "ctrl-c")
+
+    def kill(self, victim: str, client: Process, rng: np.random.Generator) -> None:
+        """Kill a process of a kind."""
+        if victim != "worker":
+            return kill_client(victim, client)
+        workers = list(below(client.pid))
+        with contextlib.suppress(ProcessLookupError):
+            if workers:
+                os.kill(int(rng.choice(workers)), signal.SIGKILL)
+
+    def end(self) -> None:
+        """End what this has begun: nothing."""
+
+
+class Cluster:
+    """A scheduler of Dask and two workers, each a process, of which any may be started again."""
+
+    victims: Sequence[str] = ("scheduler", "worker", "client", "ctrl-c")
+
+    def __init__(self) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        address = f"tcp://127.0.0.1:{port}"
+        self.options: Sequence[str] = ("--dask", address)
+        worker = ("worker", address, "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
+        self._words: list[tuple[str, ...]] = [
+            ("scheduler", "--host", "127.0.0.1", "--port", str(port))
+        ]
+        self._words += [worker] * WORKERS
+        self._processes = [self._begun(words) for words in self._words]
+
+    @staticmethod
+    def _begun(words: tuple[str, ...]) -> subprocess.Popen[bytes]:
+        kind, *more = words
+        module = f"distributed.cli.dask_{kind}"
+        process = [sys.executable, "-m", module, "--no-dashboard", *more]
+        return subprocess.Popen(process, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def kill(self, victim: str, client: Process, rng: np.random.Generator) -> None:
+        """Kill a process, and start another one in its place: with a scheduler all workers."""
+        if victim not in ("scheduler", "worker"):
+            return kill_client(victim, client)
+        everyone = range(len(self._words))
+        for k in everyone if victim == "scheduler" else [int(rng.choice(everyone[1:]))]:
+            self._stop(k)
+            self._processes[k] = self._begun(self._words[k])
+
+    def stop_scheduler(self) -> None:
+        """Kill the scheduler; nobody takes its place."""
+        self._stop(0)
+
+    def _stop(self, k: int) -> None:
+        self._processes[k].kill()
+        self._processes[k].wait()
+
+    def end(self) -> None:
+        """End all processes."""
+        for k in range(len(self._processes)):
+            self._stop(k)
+
+
+PLACES: dict[str, Callable[[], Place]] = {"here": Here, "dask": Cluster}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Result of a campaign of which somebody was killed.
+
+    Attributes:
+        digest: in the end; empty: the campaign has not come to its end.
+        parts: files of results when it happened, and at the end.
+        words: last words of a campaign without a digest.
+        seconds: that the campaign took, from the first sign of its folder.
+    """
+
+    digest: str
+    parts: tuple[int, int]
+    words: str
+    seconds: float
+
+    @property
+    def when(self) -> str:
+        """When it happened: before the first part, amid them, or after the last."""
+        before, after = self.parts
+        return "before" if before == 0 else "amid" if before < after else "after"
+
+
+def digest_alone(file: Path, folder: Path) -> str:
+    """Return the digest of all runs, one after the other in this process."""
+    campaign = load_campaign(file)
+    simulator, results = runs_of(campaign), Results(folder, campaign)
+    cases = [drawn_case(campaign.variation, index) for index in range(campaign.count)]
+    write_part(folder, campaign, Outcomes.joined(list(simulator.runs(cases))))
+    return digest_of(results.columns())
+
+
+def begun(file: Path, into: Path, place: Place) -> Process:
+    """Begin a campaign, in a group of processes of its own, as from a terminal."""
+    words = [sys.executable, "-m", "arm_emulator", "campaign", str(file), "--into", str(into)]
+    return subprocess.Popen(
+        [*words, "--json", *place.options], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def works(client: Process, into: Path) -> bool:
+    """Wait until a campaign has begun to work; return whether it has not ended before."""
+    until = time.monotonic() + LONGEST
+    while not into.exists() and client.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    return client.poll() is None
+
+
+def one_moment(
+    file: Path, into: Path, place: Place, victim: str, after: float, rng: np.random.Generator
+) -> Moment:
+    """Kill somebody so many seconds after a campaign has begun its work; see it to its end.
+
+    Args:
+        file: of the campaign.
+        into: a new folder.
+        place: where its runs are simulated.
+        victim: of `place.victims`; empty: nobody.
+        after: time of the kill [s].
+        rng: chooses a worker.
+    """
+
+    def parts() -> set[Path]:
+        return set((into / "parts").glob("*.parquet"))
+
+    client = begun(file, into, place)
+    works(client, into)
+    began, before = time.monotonic(), set[Path]()
+    try:
+        if victim:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                client.wait(after)
+            processes, before = [client.pid, *below(client.pid)], parts()
+            place.kill(victim, client, rng)
+            if victim in ("client", "ctrl-c"):
+                client.communicate(timeout=LONGEST)
+                until = time.monotonic() + ENDING
+                while any(map(runs, processes)) and time.monotonic() < until:
+                    time.sleep(0.05)
+                if any(map(runs, processes)):
+                    return Moment("", (len(before), 0), "somebody stays behind", 0.0)
+                client = begun(file, into, place)
+        out, wrong = client.communicate(timeout=LONGEST)
+    except subprocess.TimeoutExpired:
+        os.killpg(client.pid, signal.SIGKILL)
+        return Moment("", (len(before), 0), f"hung: {client.communicate()[1][-600:]}", 0.0)
+    facts, last = json.loads(out) if out.strip() else {}, parts()
+    words = "" if before <= last else "parts are lost"
+    digest = "" if words else facts.get("digest", "")
+    words = words or facts.get("refused", "") or wrong[-1500:]
+    return Moment(digest, (len(before), len(last)), words, time.monotonic() - began)
+
+
+def main() -> None:
+    """Print what became of each moment, and the count of those that were survived."""
+    parser = argparse.ArgumentParser(prog="bench.campaign_kills", description=__doc__)
+    parser.add_argument("--moments", type=int, default=70)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    rng, survived, when = np.random.default_rng(given.seed), Counter[str](), Counter[str]()
+    with tempfile.TemporaryDirectory() as empty:
+        folder = Path(empty)
+        file = folder / "campaign.yaml"
+        file.write_text(yaml.safe_dump(CAMPAIGN), encoding="utf-8")
+        wanted = digest_alone(file, folder / "alone")
+
+        places: dict[str, Place] = {name: made() for name, made in PLACES.items()}
+        kinds = [(name, victim) for name, place in places.items() for victim in place.victims]
+        try:
+            took = {
+                name: one_moment(file, folder / name, place, "", 0.0, rng).seconds
+                for name, place in places.items()
+            }
+            for moment in range(given.moments):
+                name, victim = kinds[moment % len(kinds)]
+                after, into = rng.uniform(0.0, took[name]), folder / f"{moment}"
+                one = one_moment(file, into, places[name], victim, after, rng)
+                survived[f"{name} {victim}"] += one.digest == wanted
+                when[one.when] += 1
+                good = "same digest" if one.digest == wanted else f"{one}"
+                print(f"{moment}: {name} {victim}, {after:.1f} s, {one.when}: {good}", flush=True)
+        finally:
+            for place in places.values():
+                place.end()
+    for kind in kinds:
+        print(f"{' '.join(kind):<16} {survived[' '.join(kind)]}")
+    print(f"{survived.total()} of {given.moments} survived, digest {wanted[:16]}")
+    print(", ".join(f"{count} {name} the parts were written" for name, count in when.items()))
+
+
+if __name__ == "__main__":
+    main()
