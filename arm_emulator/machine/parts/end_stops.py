@@ -42,13 +42,7 @@ class EndStops(Extra):
             absent="`lower` and `upper` are given",
             text="both ends at the URDF's limits of the joint",
         ),
-        Key(
-            _BEYOND.name,
-            unit=_BEYOND.unit,
-            range="from 0",
-            absent="0",
-            text=_BEYOND.text,
-        ),
+        _BEYOND,
     )
 
     lower: float = number(
