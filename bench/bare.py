@@ -1,15 +1,50 @@
 """Scenes without what no other simulator of this report has.
 
-Brakes, end stops, current loops, and steps that are cut at events.
+Brakes, end stops, current loops, friction that sticks, gears that are more than a spring and a
+damper, and steps that are cut at events.
 """
 
 from __future__ import annotations
 
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.known import DECORATORS, EXTRAS, without
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.friction import LinkFriction
+from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.known import (
+    DECORATORS,
+    EXTRAS,
+    GEARS,
+    LINK_FRICTIONS,
+    ROTOR_FRICTIONS,
+    without,
+)
+from arm_emulator.machine.scene import Scene
+
+# The parts that a bare scene has.
+PLAIN = (DcMotor, ElasticGear, RigidGear, LinkFriction)
+
+DRY = ("coulomb", "breakaway")
+_PLAIN_KEYS = {key for kind in PLAIN for key in kind.numbers()} - {*DRY}
 
 BARE = {
-    **without((Brake, *EXTRAS, *DECORATORS)),
+    **without((Brake, *EXTRAS, *DECORATORS, *ROTOR_FRICTIONS)),
+    **{
+        f"joints.*.{kind.section}.{key}": None
+        for kind in (*GEARS, *LINK_FRICTIONS)
+        for key in kind.numbers()
+        if key not in _PLAIN_KEYS
+    },
     "joints.*.motor.current_limit": None,
     "integrator.events": "step",
 }
+
+
+def odd_parts(scene: Scene) -> list[str]:
+    """Return what a scene has beside the parts of a bare one, by joint and section."""
+    return [
+        f"joints.{joint.name}.{part.section}"
+        for joint in scene.joints
+        for part in joint.parts
+        if type(part) not in PLAIN or (isinstance(part, LinkFriction) and part.sticks)
+    ]

@@ -3,18 +3,16 @@
     python -m bench.loops_beside_mujoco
 
 The servo samples encoders each millisecond and follows the same swings. Ours has the scene as
-shipped. The peer has it without what `MODELLED` of mujoco_peer lacks: dry friction, limits, stops,
-brakes, gears that stiffen, and the current loops of the drives, so that its servo commands
-voltages. MuJoCo takes the integrator and the largest step with which the links stay within
-`TARGET` of its own motion at a fine step, and of these the quickest; ours is compared with its own
-motion at a fine step, too. Times are of the processor, of one core, in turns.
+shipped. The peer has it bare (bench/bare.py), also without the current loops of the drives, so that
+its servo commands voltages. MuJoCo takes the integrator and the largest step with which the links
+stay within `TARGET` of its own motion at a fine step, and of these the quickest; ours is compared
+with its own motion at a fine step, too. Times are of the processor, of one core, in turns.
 """
 
 from __future__ import annotations
 
 import ctypes
 import dataclasses
-import tempfile
 import time
 from pathlib import Path
 from statistics import median
@@ -22,15 +20,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import yaml
 
 from arm_emulator import Fleet, Scene, ServoFleet, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import Header, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_numbers import servo_numbers
+from bench.bare import BARE
 from bench.fleet_loops import COUNT, NAME, PERIODS, Motion
 from bench.motion import Array
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
@@ -42,23 +39,6 @@ FINE_STEP = 2e-5  # s, of ours
 ROUNDS = 5
 HERE = Path(__file__).resolve().parent
 LOOP = Header(HERE / "mujoco_loop.h", (FOLDER,))
-
-
-def peer_scene() -> Scene:
-    """Return the scene without what the peer lacks."""
-    data = yaml.safe_load(find_scene(NAME).read_text(encoding="utf-8"))
-    data["integrator"]["events"] = "step"
-    for joint in data["joints"].values():
-        for key in ("current_limit", "current_loop"):
-            joint["motor"].pop(key, None)
-        joint["gear"].pop("cubic_stiffness", None)
-        joint["friction"].pop("coulomb", None)
-        for key in ("brake", "end_stops"):
-            joint.pop(key, None)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{NAME}.yaml"
-        file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
-        return load_scene(file)
 
 
 class PeerLoop:
@@ -143,7 +123,7 @@ class OwnLoop:
 
 def report() -> str:
     """Measure, and return lines of Markdown."""
-    scene, lanes = peer_scene(), 8
+    scene, lanes = load_scene(NAME, BARE), 8
     solution = PeerLoop(scene, "RK4", FINE).run()[0]
     rows, chosen = [], list[tuple[float, PeerLoop, str]]()
     for integrator in INTEGRATORS:

@@ -20,18 +20,13 @@ from arm_emulator import Refusal, Scene
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.friction import LinkFriction
-from arm_emulator.machine.parts.gear import RigidGear
+from bench.bare import odd_parts
 
 Array = NDArray[np.float64]
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")
 # Else MuJoCo writes a file into the working directory; `MujocoArm.diverged` reports the same.
 mujoco.set_mju_user_warning(lambda message: None)
-
-# The parts that are written as MJCF here.
-MODELLED = (DcMotor, ElasticGear, RigidGear, LinkFriction)
 
 UNUSED = ("contact", "constraint", "equality", "limit", "frictionloss", "warmstart")
 
@@ -40,7 +35,7 @@ class MujocoArm:
     """A scene's machine, stepped by MuJoCo.
 
     Args:
-        scene: the machine; no Coulomb friction, no current limit, no payload.
+        scene: the machine, with the parts of a bare scene; no current limit, no payload.
         integrator: one of `INTEGRATORS`.
         dt: step [s].
     """
@@ -108,17 +103,19 @@ class MujocoArm:
 
 
 def mjcf(scene: Scene, integrator: str, dt: float) -> str:
-    """Return the scene's machine as MJCF text."""
+    """Return the scene's machine as MJCF text.
+
+    Raises:
+        Refusal: it has a part that is not written here.
+    """
+    if odd := odd_parts(scene):
+        raise Refusal("MuJoCo", "parts", "be those of a bare scene", ", ".join(odd))
     model = links_model(scene)
     flags = " ".join(f'{name}="disable"' for name in UNUSED)
     links, rotors, gears, motors = "", "", "", ""
     for index, joint in enumerate(scene.joints, start=1):
-        for part in joint.parts:
-            if type(part) not in MODELLED:
-                where = f"joints.{joint.name}.{part.section}"
-                raise Refusal("MuJoCo", where, "be a part that the peer has", type(part).__name__)
         links += _link(model, index, joint)
-        if not isinstance(joint.motor, DcMotor):  # MODELLED: it has none
+        if not isinstance(joint.motor, DcMotor):  # it has none
             continue
         motors += _motor(joint, joint.motor)
         if joint.gear.stiffness is not None:

@@ -303,6 +303,8 @@ class MotionControllerNode(ManagedNode):
         if movable is None:
             self._unanswered = message
             return
+        if self._answer is None:
+            self._diagnostics.log.outcome("begun", "joint states arrive, targets are taken")
         self._now_ns = now
         instruction = self._instructor.instruct(controller, now, q, v, movable, tau)
         self._report()
