@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rclpy.publisher import Publisher
+
 from arm_emulator.base.address import LOCAL
 from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
@@ -117,21 +119,11 @@ class EmulatorNode(ManagedNode):
         """Create the machine, which stands, and its topics and services."""
         config = self._config
         check_pace(config)
-        scene = load_scene(config.scene)
-        for line in scene.warnings:
-            self.get_logger().warning(line)
-        diagnostics = self._diagnostics
-        diagnostics.hardware_id = scene.name
         outbox = Outbox()
         self.cleanup.callback(outbox.close)
-        self._session = session = (
-            real_time_session(scene, config.start, standing=True, readers=READERS)
-            if config.clock == "realtime"
-            else Session(scene, config.clock, config.start, standing=True)
-        )
-        diagnostics.values |= build_facts(session.plant)
-        if session.by_itself:
-            diagnostics.values["nice value"] = precede()
+        diagnostics = self._diagnostics
+        self._session = session = self._new_session()
+        scene = session.scene
         watched = self._watch(session)
         self.cleanup.callback(watched.close)
         view = View(session, config.rerun_file, config.rerun_port)
@@ -153,11 +145,7 @@ class EmulatorNode(ManagedNode):
         intake = Intake(own, self._pacer, changes, breaks)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
-            folder = Path(config.record)
-            commands = intake.commands.topic_name
-            outbox.record = own_record(self, folder, publishers, commands, session.lockstep)
-            diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
-            self.cleanup.callback(self._end_record)
+            self._begin_record(outbox, publishers, intake.commands.topic_name)
         given = intake.commands, intake.taking
         self.hot = (
             HeldCommands(own, loop.ticks, *given)
@@ -182,6 +170,30 @@ class EmulatorNode(ManagedNode):
             f"clock {config.clock}"
         )
         diagnostics.ok("inactive: the machine stands")
+
+    def _new_session(self) -> Session:
+        """Return the machine under its clock, which stands."""
+        config = self._config
+        scene = load_scene(config.scene)
+        for line in scene.warnings:
+            self.get_logger().warning(line)
+        self._diagnostics.hardware_id = scene.name
+        session = (
+            real_time_session(scene, config.start, standing=True, readers=READERS)
+            if config.clock == "realtime"
+            else Session(scene, config.clock, config.start, standing=True)
+        )
+        self._diagnostics.values |= build_facts(session.plant)
+        if session.by_itself:
+            self._diagnostics.values["nice value"] = precede()
+        return session
+
+    def _begin_record(self, outbox: Outbox, publishers: list[Publisher], commands: str) -> None:
+        """Record what is published, and the commands of a topic, until the node ends."""
+        folder, diagnostics = Path(self._config.record), self._diagnostics
+        outbox.record = own_record(self, folder, publishers, commands, self._session.lockstep)
+        diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
+        self.cleanup.callback(self._end_record)
 
     def _watch(self, session: Session) -> Watched:
         """Return the machine with a page, or without one."""

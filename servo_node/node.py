@@ -221,7 +221,7 @@ class ServoNode(ManagedNode):
 
     def _start_over(self) -> None:
         self._drives.reset()
-        self._at.tick = -1  # none has come
+        self._at.tick = -1  # no state has come
         self._at.waiting = 0  # for the joint targets of this motion period
         self._at.cycle = 0  # start of this motion period
         self._silent = False  # no motor states, and the power is cut

@@ -56,60 +56,80 @@ class Fmu2:
         return handle
 
 
-def abuse_2(rng: np.random.Generator, fmu: Fmu2, calls: int) -> dict[int, int]:
-    """Call anything in any order, with wrong arguments too; return how often which status came.
+class _Abuser:
+    """Calls of one instance, with wrong arguments too.
 
-    Raises:
-        AssertionError: an unknown status, or a call that was not taken and changed a value.
+    Attributes:
+        time: of the next step [s].
     """
-    handle = fmu.instance()
-    statuses = dict.fromkeys(range(4), 0)
 
-    def call(name: str, *arguments: Any) -> int:
-        status: int = getattr(fmu.binary, f"fmi2{name}")(handle, *arguments)
+    def __init__(self, rng: np.random.Generator, fmu: Fmu2) -> None:
+        self._rng, self._fmu = rng, fmu
+        self.handle = fmu.instance()
+        self.time = 0.0
+
+    def call(self, name: str, *arguments: Any) -> int:
+        status: int = getattr(self._fmu.binary, f"fmi2{name}")(self.handle, *arguments)
         return status
 
-    def save() -> bytes:
+    def save(self) -> bytes:
         state, size = ctypes.c_void_p(), ctypes.c_size_t()
-        assert call("GetFMUstate", ctypes.byref(state)) == OK, "a state is kept"
-        assert call("SerializedFMUstateSize", state, ctypes.byref(size)) == OK, "it has a size"
+        assert self.call("GetFMUstate", ctypes.byref(state)) == OK, "a state is kept"
+        assert self.call("SerializedFMUstateSize", state, ctypes.byref(size)) == OK, "it has a size"
         array = ctypes.create_string_buffer(size.value)
-        assert call("SerializeFMUstate", state, array, size) == OK, "it is written"
-        assert call("FreeFMUstate", ctypes.byref(state)) == OK, "it is forgotten"
+        assert self.call("SerializeFMUstate", state, array, size) == OK, "it is written"
+        assert self.call("FreeFMUstate", ctypes.byref(state)) == OK, "it is forgotten"
         return array.raw
 
-    def values() -> tuple[str, int]:
+    def any(self) -> tuple[str, int]:
+        """Call a function drawn at random; return its name and status."""
+        kind = self._rng.random()
+        if kind < 0.4:
+            return self._step()
+        if kind < 0.85:
+            return self._values()
+        return self._states() if kind < 0.93 else self._rest()
+
+    def _step(self) -> tuple[str, int]:
+        rng = self._rng
+        step = 1e-3 * float(rng.integers(1, 4)) if rng.random() < 0.9 else strange_number(rng)
+        step = 1e300 if step > 1.0 else step  # or it takes its time
+        return "DoStep", self.call("DoStep", self.time, step, 1)
+
+    def _values(self) -> tuple[str, int]:
+        rng, kinds = self._rng, self._fmu.kinds
         kind = str(rng.choice(["Real", "Real", "Boolean", "Integer", "String"]))
-        fitting = [k for k, one in enumerate(fmu.kinds) if one == kind] or [0]
+        fitting = [k for k, one in enumerate(kinds) if one == kind] or [0]
         count = int(rng.integers(0, 5))
         references = [int(k) for k in rng.choice(fitting, count)]
         if references and rng.random() < 0.05:
-            references[-1] = int(rng.choice([len(fmu.kinds), 2**31, 2**32 - 1, 0]))
+            references[-1] = int(rng.choice([len(kinds), 2**31, 2**32 - 1, 0]))
         array = (KINDS[kind] * count)()
         if kind != "String":
             number = strange_number if kind == "Real" else lambda rng: int(rng.integers(-2, 3))
             array[:] = [number(rng) for _ in range(count)]
         name = f"{'Get' if rng.random() < 0.4 else 'Set'}{kind}"
         given: Any = None if rng.random() < 0.02 else (ctypes.c_uint32 * count)(*references)
-        return name, call(name, given, count, None if rng.random() < 0.02 else array)
+        return name, self.call(name, given, count, None if rng.random() < 0.02 else array)
 
-    def states() -> tuple[str, int]:
-        saved = bytearray(save())
+    def _states(self) -> tuple[str, int]:
+        rng, saved = self._rng, bytearray(self.save())
         if rng.random() < 0.5:
             saved[int(rng.integers(len(saved)))] ^= 1 << int(rng.integers(8))
         state = ctypes.c_void_p()
         name = "DeSerializeFMUstate"
-        status = call(name, bytes(saved), len(saved), ctypes.byref(state))
+        status = self.call(name, bytes(saved), len(saved), ctypes.byref(state))
         if status == OK and rng.random() < 0.5:
             gone = ctypes.c_void_p(state.value)
-            assert call("FreeFMUstate", ctypes.byref(state)) == OK, "it is forgotten"
+            assert self.call("FreeFMUstate", ctypes.byref(state)) == OK, "it is forgotten"
             state = gone
         if status == OK:
             name = str(rng.choice(["SetFMUstate", "FreeFMUstate"]))
-            status = call(name, state if name == "SetFMUstate" else ctypes.byref(state))
+            status = self.call(name, state if name == "SetFMUstate" else ctypes.byref(state))
         return name, status
 
-    def rest() -> tuple[str, int]:
+    def _rest(self) -> tuple[str, int]:
+        rng = self._rng
         name = str(rng.choice([one for one in _ARGUMENTS if "Status" in one or one[0] in "SCTR"]))
         arguments = [
             None if kind is POINTER else 0.0 if kind is DOUBLE else int(rng.integers(0, 4))
@@ -117,33 +137,39 @@ def abuse_2(rng: np.random.Generator, fmu: Fmu2, calls: int) -> dict[int, int]:
         ]
         if "Status" in name and rng.random() < 0.8:
             arguments[1] = ctypes.byref(ctypes.c_double())
-        return name, call(name, *arguments)
+        return name, self.call(name, *arguments)
 
-    time = 0.0
+    def begin_again(self) -> None:
+        assert self.call("Reset") == OK, "a reset helps"
+        for mode in ("Enter", "Exit") if self._rng.random() < 0.9 else ():
+            assert self.call(f"{mode}InitializationMode") == OK, "it begins again"
+
+    def take_time(self) -> None:
+        here = ctypes.c_double()
+        assert self.call("GetRealStatus", 2, ctypes.byref(here)) == OK, "the time is reported"
+        self.time = here.value if self._rng.random() < 0.98 else strange_number(self._rng)
+
+
+def abuse_2(rng: np.random.Generator, fmu: Fmu2, calls: int) -> dict[int, int]:
+    """Call anything in any order, with wrong arguments too; return how often which status came.
+
+    Raises:
+        AssertionError: an unknown status, or a call that was not taken and changed a value.
+    """
+    one = _Abuser(rng, fmu)
+    statuses = dict.fromkeys(range(4), 0)
     for _ in range(calls):
-        before = save()
-        kind = rng.random()
-        if kind < 0.4:
-            step = 1e-3 * float(rng.integers(1, 4)) if rng.random() < 0.9 else strange_number(rng)
-            step = 1e300 if step > 1.0 else step  # or it takes its time
-            name, status = "DoStep", call("DoStep", time, step, 1)
-        elif kind < 0.85:
-            name, status = values()
-        else:
-            name, status = states() if kind < 0.93 else rest()
+        before = one.save()
+        name, status = one.any()
         assert status in statuses, f"{name} returns {status}"
         statuses[status] += 1
-        after = save()
+        after = one.save()
         if status == DISCARD:
             assert after == before, f"{name} was discarded, and yet something changed"
         if status == ERROR and name != "DoStep":  # a step may diverge
             assert after[24:-8] == before[24:-8], f"{name} failed, and yet a value changed"
         if status == ERROR and rng.random() < 0.8:
-            assert call("Reset") == OK, "a reset helps"
-            for mode in ("Enter", "Exit") if rng.random() < 0.9 else ():
-                assert call(f"{mode}InitializationMode") == OK, "it begins again"
-        here = ctypes.c_double()
-        assert call("GetRealStatus", 2, ctypes.byref(here)) == OK, "the time is reported"
-        time = here.value if rng.random() < 0.98 else strange_number(rng)
-    fmu.binary.fmi2FreeInstance(handle)
+            one.begin_again()
+        one.take_time()
+    fmu.binary.fmi2FreeInstance(one.handle)
     return statuses

@@ -84,7 +84,7 @@ def test_a_member_reaches_nodes_and_other_members(server: CanServer) -> None:
     with Client(server) as one, Client(server) as other:
         assert [one.device_type(node) for node in (1, 2, 3)] == [DEVICE_TYPE] * 3
         other.frame(0x603)  # what one asks
-        assert len(other.frame(0x583)) == 8, "and what it is answered"
+        assert len(other.frame(0x583)) == 8, "and the answer"
         one.send("< send 123 3 1 a ff >< send 00000581 1 7 >< send 080 0 >")
         assert other.frame(0x123) == b"\x01\x0a\xff", "data as they are"
         line = other.line()

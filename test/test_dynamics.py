@@ -105,7 +105,7 @@ def test_locked_joints_hold_their_position(tmp_path: Path, seed: int) -> None:
 
 
 def test_locked_joints_near_a_quarter_turn_stand_where_they_are_locked() -> None:
-    """Roll and yaw of the URDF that is published hardly differ there; their frame must not suffer.
+    """Roll and yaw in the published URDF hardly differ there; the frame must stay exact.
 
     In SciPy's rotations, with pitches that are 1e-15 to 0.1 rad from a quarter of a turn.
     """

@@ -178,7 +178,7 @@ def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoCon
 
 
 def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
-    """In each loop, of motors slow and fast against the period: what grows does, nothing else."""
+    """In each loop, of motors slow and fast against the period, only unstable modes grow."""
     rng = np.random.default_rng(4)
     held, grew = 0, 0
     for draw in range(200 if FULL else 16):

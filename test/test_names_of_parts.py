@@ -57,6 +57,7 @@ ALLOWED = {
     "arm_emulator/analysis/reference.py": INDEPENDENT,
     "oracles/smoothed_reference.py": INDEPENDENT,
     "oracles/alone.py": "draws what the smoothed reference solves",
+    "bench/bare.py": "the parts that peers have, too",
     "bench/mujoco_peer.py": INDEPENDENT,
     "bench/advice.py": ABOUT,
     "bench/doubtful_records.py": ABOUT,

@@ -1,6 +1,6 @@
 """Arguments of the plain libraries from any caller: counts, arrays, rotations, poses.
 
-Whatever is no such thing is refused in one line, and nothing has changed then. Calls of plants and
+Anything else is refused in one line, and changes nothing. Calls of plants and
 fleets: test_manners.py.
 """
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.integrator import Integrator
+from arm_emulator.machine.linear_drive import LinearDrive
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES, SCHEMES
@@ -27,6 +28,35 @@ HARMLESS = 0.1
 SMALLEST_STEP = 1e-8  # s; no step below is looked at
 SLOW = 0.01  # rad or m per step; with less, speed is no reason
 LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six joints
+
+
+class _AllDrives:
+    """The drives of all joints in one: D z' = F (z, q, v, u), torque = G (z, q, v, u).
+
+    Attributes:
+        D: (n,).
+        F: (n, n + 3 N).
+        G: (N, n + 3 N).
+        current, motor_angle: by the same, (N, n + 3 N).
+        no_currents: 0 for the currents among the columns, 1 for all others (n + 3 N,).
+    """
+
+    def __init__(self, drives: Sequence[LinearDrive]) -> None:
+        N, n = len(drives), sum(len(drive.D) for drive in drives)
+        self.D, self.F, self.G = np.zeros(n), np.zeros((n, n + 3 * N)), np.zeros((N, n + 3 * N))
+        self.current, self.motor_angle = np.zeros((2, N, n + 3 * N))
+        self.no_currents = np.ones(n + 3 * N)
+        first = 0
+        for j, drive in enumerate(drives):
+            own = np.arange(first, first + len(drive.D))
+            columns = [*own, n + j, n + N + j, n + 2 * N + j]
+            self.D[own] = drive.D
+            self.F[np.ix_(own, columns)] = drive.F
+            self.G[j, columns] = drive.G
+            self.current[j, columns] = drive.current
+            self.motor_angle[j, columns] = drive.motor_angle
+            self.no_currents[own[drive.current[: len(own)] != 0.0]] = 0.0
+            first += len(drive.D)
 
 
 class SmallMotions:
@@ -66,22 +96,9 @@ class SmallMotions:
             - plant.links.accelerations(at - step * unit, zero, holding)
         ).T / (2.0 * step)
 
-        # D z' = F (z, q, v, u) and torque = G (z, q, v, u), all drives in one.
         drives = plant.linear_drives(loaded)
-        n = sum(len(drive.D) for drive in drives)
-        D, F, G = np.zeros(n), np.zeros((n, n + 3 * N)), np.zeros((N, n + 3 * N))
-        current, theta_m = np.zeros((2, N, n + 3 * N))
-        torque_free = np.ones(n + 3 * N)  # 0 for the currents
-        first = 0
-        for j, drive in enumerate(drives):
-            own = np.arange(first, first + len(drive.D))
-            columns = [*own, n + j, n + N + j, n + 2 * N + j]
-            D[own] = drive.D
-            F[np.ix_(own, columns)] = drive.F
-            G[j, columns] = drive.G
-            current[j, columns], theta_m[j, columns] = drive.current, drive.motor_angle
-            torque_free[own[drive.current[: len(own)] != 0.0]] = 0.0
-            first += len(drive.D)
+        of_drives = _AllDrives(drives)
+        n, D, F, G = len(of_drives.D), of_drives.D, of_drives.F, of_drives.G
         # States that follow at once, such as a current without inductance, are no states.
         follows = D == 0.0
         kept = np.concatenate([~follows, np.ones(3 * N, dtype=bool)])
@@ -113,15 +130,16 @@ class SmallMotions:
 
         all_from_kept, whole = from_kept(F), rates(F, G)
         whole, self.B = whole[:, :-N], whole[:, -N:]
-        self.theta_m = (theta_m @ all_from_kept)[:, :-N]
-        measured = current @ all_from_kept
+        self.theta_m = (of_drives.motor_angle @ all_from_kept)[:, :-N]
+        measured = of_drives.current @ all_from_kept
         self.current, self.current_by_command = measured[:, :-N], np.diag(measured[:, -N:])
         self.A = whole.copy()  # what the schemes treat implicitly
         whole[-N:, own_places] += by_q
         self.J = whole  # all
         # Without torques of motors: a current acts on nothing but itself.
-        alone = np.where(np.eye(n, n + 3 * N) > 0.0, F, F * torque_free)
-        free = rates(alone, G * torque_free)[:, :-N]
+        no_currents = of_drives.no_currents
+        alone = np.where(np.eye(n, n + 3 * N) > 0.0, F, F * no_currents)
+        free = rates(alone, G * no_currents)[:, :-N]
         free[-N:, own_places] += by_q
         self.falls = max(0.0, float(np.linalg.eigvals(free).real.max()))  # 1/s
         self.fastest = max(0.0, float(np.linalg.eigvals(self.J).real.max()))  # 1/s

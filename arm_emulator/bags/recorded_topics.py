@@ -179,7 +179,7 @@ class RecordedTopics:
                 yield f"{what}: the bag has no {name}"
 
     def hints(self, scene: Scene) -> Iterator[str]:
-        """Yield what may explain a difference, a sentence each."""
+        """Yield possible reasons for a difference, one sentence each."""
         for _, description in self.read("robot_description"):
             if description.data != scene.urdf:
                 yield f"the recorded robot_description is not that of scene {scene.name}"

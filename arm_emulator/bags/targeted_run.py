@@ -26,7 +26,7 @@ class _NoMotionControl:
     """Takes the place of the instructor, which the bag does not have.
 
     Attributes:
-        until: recorded changes by hand at this tick and later ones are left out; None: none is.
+        until: recorded changes by hand from this tick on are left out; None: all are kept.
     """
 
     def __init__(self) -> None:

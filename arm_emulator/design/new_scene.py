@@ -25,7 +25,7 @@ from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import forget_impossible, read_limits, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
 from arm_emulator.design.sizing import Demand, Sized, size
-from arm_emulator.design.survey import survey
+from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.known import MOTORS
@@ -208,29 +208,7 @@ def _texts(
     seen = bare
     if payload:
         seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
-    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.links) * WEIGHT
-    limits = read_limits(description)
-    count = len(links.joints)
-    sheets = published(description.get("name", ""), count) or (None,) * count
-    demands = [
-        Demand(
-            name=joint.name,
-            kind=joint.kind,
-            start=float(bare.start[j]),
-            inertia=(float(bare.inertia[j, 0]), float(seen.inertia[j, 1])),
-            coupling=tuple(seen.coupling[j].tolist()),
-            gravity_torque=float(seen.gravity_torque[j]),
-            bare_torque=float(bare.gravity_torque[j]),
-            tool_torque=tool * (1.0 if joint.kind == "prismatic" else TOOL_AT * kinematics.reach),
-            effort=limits[joint.name]["effort"],
-            velocity=limits[joint.name]["velocity"],
-            sheet=sheets[j],
-            limited=bool(kinematics.lower[j] < bare.start[j] < kinematics.upper[j])
-            and max(-kinematics.lower[j], kinematics.upper[j]) < UNLIMITED
-            and joint.name in links.chain.coupling.apart,
-        )
-        for j, joint in enumerate(links.chain.joints)
-    ]
+    demands = _demands(description, links, kinematics, bare, seen)
     supply, drives = size(demands, kind)
     motion = {
         "tool": choice.tool,
@@ -254,6 +232,43 @@ def _texts(
         ET.tostring(description, encoding="unicode") + "\n",
     )
     return drives, dict(zip(PLACES, contents, strict=True))
+
+
+def _demands(
+    description: ET.Element, links: Scene, kinematics: Kinematics, bare: Survey, seen: Survey
+) -> list[Demand]:
+    """Return what each joint's drive must do.
+
+    Args:
+        description: of the robot, with its limits.
+        links: the robot without motors.
+        kinematics: of the same.
+        bare: what a survey saw without a payload.
+        seen: the same with one.
+    """
+    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.links) * WEIGHT
+    limits = read_limits(description)
+    count = len(links.joints)
+    sheets = published(description.get("name", ""), count) or (None,) * count
+    return [
+        Demand(
+            name=joint.name,
+            kind=joint.kind,
+            start=float(bare.start[j]),
+            inertia=(float(bare.inertia[j, 0]), float(seen.inertia[j, 1])),
+            coupling=tuple(seen.coupling[j].tolist()),
+            gravity_torque=float(seen.gravity_torque[j]),
+            bare_torque=float(bare.gravity_torque[j]),
+            tool_torque=tool * (1.0 if joint.kind == "prismatic" else TOOL_AT * kinematics.reach),
+            effort=limits[joint.name]["effort"],
+            velocity=limits[joint.name]["velocity"],
+            sheet=sheets[j],
+            limited=bool(kinematics.lower[j] < bare.start[j] < kinematics.upper[j])
+            and max(-kinematics.lower[j], kinematics.upper[j]) < UNLIMITED
+            and joint.name in links.chain.coupling.apart,
+        )
+        for j, joint in enumerate(links.chain.joints)
+    ]
 
 
 def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:

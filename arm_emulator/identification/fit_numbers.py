@@ -99,59 +99,95 @@ def fit_numbers(
     measured = {name: _signal(scene, name, values, rows) for name, values in signals.items()}
     if not (sought and measured):
         raise Refusal(WHERE, "sought and signals", "be one or more", "none")
-    names, known = list(sought), [_sought(name, one) for name, one in sought.items()]
-    begin, width, least, most = np.array(known).T
+    fit = _Fit(scene, rows, measured, sought, modifier)
+    x = fit.begin
+    for _ in range(ROUNDS):
+        x = fit.better(x, fit.noise_at(x))
+    left = np.split(np.mean(fit.followed(x.tobytes())[0] ** 2, axis=0), len(measured))
+    return FittedNumbers(
+        dict(zip(sought, x.tolist(), strict=True)),
+        dict(zip(sought, fit.deviations(x).tolist(), strict=True)),
+        fit.numbers_of(x),
+        {name: float(np.sqrt(np.mean(one))) for name, one in zip(measured, left, strict=True)},
+    )
 
-    def numbers_of(x: Array) -> dict[str, float]:
-        numbers = modifier(dict(zip(names, x.tolist(), strict=True)))
+
+class _Fit:
+    """Errors of the machine against a record, as functions of the unknowns x (U,).
+
+    Args:
+        scene: the nominal machine.
+        rows: commands (K, N).
+        measured: signals (K, N) by name, C columns in all.
+        sought: the unknowns.
+        modifier: makes the scene's numbers of them.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rows: Array,
+        measured: Mapping[str, Array],
+        sought: Mapping[str, Sought],
+        modifier: Modifier,
+    ) -> None:
+        known = [_sought(name, one) for name, one in sought.items()]
+        self.begin, self._width, self._least, self._most = np.array(known).T
+        self._names, self._modifier = list(sought), modifier
+        self._rows, self._signals = rows, list(measured)
+        self._machine = _varying(scene, self.numbers_of(self.begin))
+        self._truth = np.concatenate([*measured.values()], axis=1)
+        self.followed = lru_cache(4)(self._followed)
+
+    def numbers_of(self, x: Array) -> dict[str, float]:
+        """Return the scene's numbers that the unknowns make.
+
+        Raises:
+            Refusal: the modifier returns something else.
+        """
+        numbers = self._modifier(dict(zip(self._names, x.tolist(), strict=True)))
         if not isinstance(numbers, Mapping) or not numbers:
             raise Refusal(WHERE, "modifier", "return numbers by name", numbers)
         return dict(numbers)
 
-    machine = _varying(scene, numbers_of(begin))
-    truth = np.concatenate([*measured.values()], axis=1)
-
-    @lru_cache(4)
-    def followed(at: bytes) -> tuple[Array, Array]:
+    def _followed(self, at: bytes) -> tuple[Array, Array]:
         """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
         x = np.frombuffer(at)
-        steps = _steps(x, width, least, most)
-        ways = [numbers_of(one) for one in (x, *(x + np.diag(steps)))]
-        found = _run(machine, ways, rows, list(measured))
-        return found[0] - truth, np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
+        steps = _steps(x, self._width, self._least, self._most)
+        ways = [self.numbers_of(one) for one in (x, *(x + np.diag(steps)))]
+        found = _run(self._machine, ways, self._rows, self._signals)
+        slopes = np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
+        return found[0] - self._truth, slopes
 
-    def noise_at(x: Array) -> Array:
+    def noise_at(self, x: Array) -> Array:
         """Return the root mean square of the errors (C,)."""
-        size = np.sqrt(np.mean(followed(x.tobytes())[0] ** 2, axis=0))
-        noise: Array = np.maximum(size, 1e-12 * (1.0 + np.abs(truth).max()))
+        size = np.sqrt(np.mean(self.followed(x.tobytes())[0] ** 2, axis=0))
+        noise: Array = np.maximum(size, 1e-12 * (1.0 + np.abs(self._truth).max()))
         return noise
 
-    def weighted(x: Array, noise: Array) -> tuple[Array, Array]:
+    def _weighted(self, x: Array, noise: Array) -> tuple[Array, Array]:
         """Return errors and prior in units of their deviations, and the slopes."""
-        error, slopes = followed(x.tobytes())
+        error, slopes = self.followed(x.tobytes())
         rows = (slopes / noise[:, None]).reshape(-1, len(x))
-        left = np.concatenate([(error / noise).ravel(), (x - begin) / width])
-        return left, np.vstack([rows, np.diag(1.0 / width)])
+        left = np.concatenate([(error / noise).ravel(), (x - self.begin) / self._width])
+        return left, np.vstack([rows, np.diag(1.0 / self._width)])
 
-    x = begin
-    for _ in range(ROUNDS):
-        noise = noise_at(x)
-        x = least_squares(
-            lambda x, noise: weighted(x, noise)[0], x, lambda x, noise: weighted(x, noise)[1],
-            bounds=(least, most), x_scale=width, args=(noise,),
+    def better(self, x: Array, noise: Array) -> Array:
+        """Return the unknowns of least squares with this noise, from x on."""
+        found: Array = least_squares(
+            lambda x: self._weighted(x, noise)[0], x, lambda x: self._weighted(x, noise)[1],
+            bounds=(self._least, self._most), x_scale=self._width,
         ).x  # fmt: skip
-    error, every = followed(x.tobytes())[0], np.ones(len(rows), bool)
-    # Errors that last over several periods count once.
-    independent = np.sqrt([lasting(column, every) for column in error.T])
-    A = weighted(x, noise_at(x) * independent)[1]
-    deviations = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
-    left = np.split(np.mean(error**2, axis=0), len(measured))
-    return FittedNumbers(
-        dict(zip(names, x.tolist(), strict=True)),
-        dict(zip(names, deviations.tolist(), strict=True)),
-        numbers_of(x),
-        {name: float(np.sqrt(np.mean(one))) for name, one in zip(measured, left, strict=True)},
-    )
+        return found
+
+    def deviations(self, x: Array) -> Array:
+        """Return the standard deviations of the unknowns (U,)."""
+        error, every = self.followed(x.tobytes())[0], np.ones(len(self._rows), bool)
+        # Errors that last over several periods count once.
+        independent = np.sqrt([lasting(column, every) for column in error.T])
+        A = self._weighted(x, self.noise_at(x) * independent)[1]
+        deviations: Array = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+        return deviations
 
 
 def _sought(name: str, one: object) -> tuple[float, float, float, float]:

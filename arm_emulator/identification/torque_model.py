@@ -233,7 +233,7 @@ class MotionTorques:
     efforts: list[_Effort]
 
     def under(self, unknowns: Array) -> MotionTorques:
-        """Return the torques with gears that transmit the links' torques for these unknowns."""
+        """Return the torques at these unknowns, of gears that transmit the links' torques."""
         carried = self._links(unknowns)
         for one in self.efforts:
             if one.piece.part.shaft == "link":

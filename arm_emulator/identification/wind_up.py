@@ -8,13 +8,16 @@ angle, with some hundred periods per turn.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
+from arm_emulator.identification.found import Found
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
+from arm_emulator.identification.torque_model import matches
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
@@ -77,6 +80,24 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
         residual, ripple, order, rest, unexplained, stiffness, deviation, run.t[kept], measured,
         computed,
     )  # fmt: skip
+
+
+def stiffness_found(
+    scene: Scene, run: MeasuredRun, wanted: Sequence[str], hold: Sequence[str]
+) -> list[Found]:
+    """Return the stiffness of gears whose links have encoders."""
+    if run.q_link is None or not wanted:
+        return []
+    of = wind_up(run, scene)
+    numbers = []
+    for j, joint in enumerate(scene.joints):
+        name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
+        if before is None or name not in wanted or matches(name, hold):
+            continue
+        reported = bool(np.isfinite(of.stiffness[j]))
+        value = float(of.stiffness[j]) if reported else before
+        numbers.append(Found(name, "N m/rad", before, value, float(of.deviation[j]), reported))
+    return numbers
 
 
 def _largest_wave(error: Array, q: Array, period: float) -> tuple[float, float, float]:

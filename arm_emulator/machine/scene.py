@@ -22,8 +22,6 @@ from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.section import Section
-from arm_emulator.base.shafts import shaft_limits
-from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array, Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
@@ -32,19 +30,17 @@ from arm_emulator.machine.joint import Joint, read_joints
 from arm_emulator.machine.overrides import override, plain
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.sensors import SENSOR_PARTS
-from arm_emulator.machine.payload import MASS, Load, load_of, read_payload
+from arm_emulator.machine.payload import MASS, Load
 from arm_emulator.machine.possible import could_vary, possible_faults
+from arm_emulator.machine.scene_links import SceneLinks
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
-from arm_emulator.machine.urdf_chain import lock_joints, read_chain
-from arm_emulator.machine.urdf_file import find_urdf
 from arm_emulator.machine.varied import Varied, choose
 
+MASS_NAME = "payload.mass"
 LONGEST_NAME = 100  # bytes
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
 GRAVITY = Number.within("gravity", "m/s2", 1000.0)
-SHARE = Number("couplings", "", at_least=-1e4, at_most=1e4)
-LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
 CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
 
@@ -201,95 +197,50 @@ def scene_of(given: Scene | str | Path, where: str) -> Scene:
 def _build(root: Section, file: Path) -> Scene:
     where = file.name
     name = root.text("name", most_bytes=LONGEST_NAME)
-    urdf_file = find_urdf(root.text("urdf"), file)
-    urdf = read_urdf(urdf_file)
-    robot = parse_urdf(urdf, urdf_file.name)
-    tool = root.text("tool")
+    links = SceneLinks(root, file)
+    chain, mass = links.chain, links.payload_mass
     gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
-    payload = root.section("payload")
-    locked_section = root.section("locked")
-    locked = {}
-    if locked_section is not None:
-        locked = {key: locked_section.number(LOCKED.named(key)) for key in locked_section.keys()}
-    payload_body = None if payload is None else read_payload(payload)
-    _couple(root.section("couplings"), robot)
-
-    def read(load: Body | None) -> Chain:
-        return read_chain(robot, urdf_file.name, where, locked=locked, tool=tool, payload=load)
-
-    chain = read(payload_body)
-    twice = None if payload_body is None else read(payload_body.scaled(2.0))
-    if lock_joints(robot, locked, urdf_file.name) or root.has("couplings"):
-        urdf = ET.tostring(robot, encoding="unicode")
-    limits = limits_of(robot)
-    if not chain.coupling.plain:  # a stop of a shaft is where the first of its joints has one
-        of_shafts = shaft_limits(urdf, chain.coupling.shafts)
-        limits = {name: of_shafts[name] for name in chain.coupling.apart & of_shafts.keys()}
-    joints = read_joints(root, chain, urdf_file.name, limits)
+    joints = read_joints(root, chain, links.urdf_file.name, links.limits)
     integrator = Integrator.read(root.required_section("integrator"))
     dt = dividing(numbers["servo_period"], integrator.dt, where)
     integrator = replace(integrator, dt=dt)
     unfit = odds(integrator, numbers["threads"])
     if unfit is not None:
         raise root.refusal(*unfit)
-    cores = _cores(root)
     imus = _imus(root, chain)
-    mass = None if payload_body is None else payload_body.mass
-    varied = _varied(root, could_vary(joints, chain, imus), mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
     if root.has("faults"):
         possible = possible_faults(joints, chain, imus, mass, gravity)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
+    varied = _varied(root, could_vary(joints, chain, imus), mass, numbers["seed"])
     varied += tuple(one.varied for one in faults)
-    changed = {change.number: one.name for one in faults for change in one.changes}
-    changed |= {one.name: one.name for one in varied}
-    load = None
-    if payload is not None and "payload.mass" in changed:
-        load = load_of(*(read(read_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
-    if load is not None:
-        _check_carrier(chain.links[load.link].link, changed, where)
-    external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
-    assumed = _links_named(root, "assumed", robot)
+    scene = Scene(
+        name=name,
+        where=where,
+        urdf=links.urdf,
+        tool=links.tool,
+        gravity=gravity,
+        joints=joints,
+        chain=chain,
+        bare=links.bare,
+        integrator=integrator,
+        external_wrench=root.flag("external_wrench"),
+        energy_flow=root.flag("energy_flow"),
+        cores=_cores(root),
+        varied=varied,
+        load=_varied_load(links, varied, faults, where),
+        faults=faults,
+        possible_faults=tuple(possible.values()),
+        imus=imus,
+        assumed=_links_named(root, "assumed", links.robot),
+        **numbers,
+    )
     for key in BESIDE:
         if root.has(key):
             root.text(key)
     root.finish()
-    return Scene(
-        name=name,
-        where=where,
-        urdf=urdf,
-        tool=tool,
-        gravity=gravity,
-        joints=joints,
-        chain=chain,
-        bare=_bare(chain, twice),
-        integrator=integrator,
-        external_wrench=external_wrench,
-        energy_flow=energy_flow,
-        cores=cores,
-        varied=varied,
-        load=load,
-        faults=faults,
-        possible_faults=tuple(possible.values()),
-        imus=imus,
-        assumed=assumed,
-        **numbers,
-    )
-
-
-def _bare(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
-    """Return the bodies of the links without the payload.
-
-    Args:
-        chain: with one payload.
-        twice: with two; None: the scene has no payload.
-    """
-    if twice is None:
-        return tuple(link.body for link in chain.links)
-    # Bodies are linear in the payload: two with one payload, less one with two, have none.
-    pairs = zip(chain.links, twice.links, strict=True)
-    return tuple(one.body.scaled(2.0) + two.body.scaled(-1.0) for one, two in pairs)
+    return scene
 
 
 def _varied(
@@ -305,7 +256,7 @@ def _varied(
     """
     possible = [*of_parts]
     if mass is not None:
-        possible.append(Varied(MASS.named("payload.mass"), mass))
+        possible.append(Varied(MASS.named(MASS_NAME), mass))
     if root.has("seed") or "seed" in root.entries("varied"):
         known = replace(numbers_of(Scene)["seed"], whole=False)  # one is as good as another
         possible.append(Varied(known, seed))
@@ -314,35 +265,26 @@ def _varied(
     return choose(root.entries("varied"), by_name, root.where, "varied", rule)
 
 
-def _check_carrier(link: str, changed: Mapping[str, str], where: str) -> None:
-    """Refuse to change both the payload and the link that carries it.
+def _varied_load(
+    links: SceneLinks, varied: Iterable[Varied], faults: Iterable[SceneFault], where: str
+) -> Load | None:
+    """Return the payload, where numbers or faults change its mass.
 
-    Args:
-        link: that carries the payload.
-        changed: numbers, and by what: a varied number's name, or a fault's.
-        where: the file, for refusals.
+    Raises:
+        Refusal: they change the link that carries it, too.
     """
+    changed = {change.number: one.name for one in faults for change in one.changes}
+    changed |= {one.name: one.name for one in varied}
+    load = links.load() if MASS_NAME in changed else None
+    if load is None:
+        return None
+    link = links.chain.links[load.link].link
     of_link = [by for number, by in sorted(changed.items()) if number.startswith(f"links.{link}.")]
     if of_link:
-        rule = "not change both payload.mass and numbers of the link that carries it"
-        got = f"{changed['payload.mass']} and {of_link[0]}"
+        rule = f"not change both {MASS_NAME} and numbers of the link that carries it"
+        got = f"{changed[MASS_NAME]} and {of_link[0]}"
         raise Refusal(where, "varied and faults", rule, got)
-
-
-def _couple(section: Section | None, robot: ET.Element) -> None:
-    """Put the scene's couplings into the joints of its description, where all readers find them."""
-    if section is None:
-        return
-    joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
-    for name in section.keys():
-        shares = section.required_section(name)
-        if name not in joints:
-            raise section.refusal(name, "be a joint of the URDF", name)
-        for old in [*joints[name].findall("mimic"), *joints[name].findall("coupling")]:
-            joints[name].remove(old)
-        for shaft in shares.keys():
-            share = shares.number(SHARE.named(shaft))
-            ET.SubElement(joints[name], "coupling", joint=shaft, multiplier=repr(share))
+    return load
 
 
 def _links_named(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:

@@ -12,7 +12,8 @@ from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.machine.integrator import EVENTS, EXCHANGES, Integrator
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.payload import COM, INERTIA, MASS
-from arm_emulator.machine.scene import CORES, GRAVITY, LOCKED, LONGEST_NAME, SHARE, Scene
+from arm_emulator.machine.scene import CORES, GRAVITY, LONGEST_NAME, Scene
+from arm_emulator.machine.scene_links import LOCKED, SHARE
 from arm_emulator.machine.schemes.known import SCHEMES
 
 Keys = dict[str, Key | Number]

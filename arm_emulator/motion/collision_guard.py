@@ -58,7 +58,7 @@ class CollisionGuard:
     def ahead(self, joints: SmoothJoints, now: FloatArray, then: Reference) -> str:
         """Return which parts touch where the joints stop if they brake from `then` on; empty: none.
 
-        Where parts touch at `now` (N,) already a motion that leads no nearer is let go.
+        Where parts touch already at `now` (N,), a motion that brings them no nearer is allowed.
         """
         way = joints.stopping_way(then, self._step)
         if len(way) == 1 and self._rested is not None and np.array_equal(way[0], self._rested):

@@ -50,7 +50,7 @@ class ComingOrders:
         self._waiting = [one for one in self._waiting if one[1] is not taken]
 
     def due(self, time_ns: int) -> TakenOrder | None:
-        """Take the first order whose time has come [ns]; None: none has."""
+        """Take the first order whose time has come [ns]; None: no order is due."""
         return self._waiting.pop(0)[1] if self.next_due(time_ns) else None
 
     def next_due(self, time_ns: int) -> TakenOrder | None:

@@ -150,7 +150,7 @@ class Taking:
     The layout of a message is kept for the following ones.
 
     Attributes:
-        layout: of the newest message; None: none has come.
+        layout: of the newest message; None: no message has come.
 
     Args:
         topic: for refusals.

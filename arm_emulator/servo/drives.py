@@ -90,7 +90,7 @@ class Drives:
             counts: see `Servo.observe`, as for the others.
             current: [A].
             applied: what the motors got in the period that ends now [V, N m, A].
-            closed: which brakes are closed, 1 or 0 (N,); None: none is.
+            closed: which brakes are closed, 1 or 0 (N,); None: all are open.
 
         Raises:
             Refusal: see `Servo.observe`. Nothing has changed then.

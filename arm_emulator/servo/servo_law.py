@@ -1,4 +1,4 @@
-"""The servo law of servo.c, compiled; what it is read from servo.h."""
+"""The servo law of servo.c, compiled; its declarations are read from servo.h."""
 
 from __future__ import annotations
 

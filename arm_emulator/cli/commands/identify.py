@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Parameter
@@ -19,23 +19,20 @@ from arm_emulator.base.warning import given
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
-from arm_emulator.identification import inertia
+from arm_emulator.identification.doubts import doubts_of
 from arm_emulator.identification.fitted_scene import with_followers, write_fitted
 from arm_emulator.identification.found import Found, bodies_of, numbers_found
-from arm_emulator.identification.free_run_fit import fit_free_runs
+from arm_emulator.identification.identified import Asked, Identified, gears_of, identified
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.picture import draw_torques
-from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.read_run import read_run
-from arm_emulator.identification.torque_fit import TorqueFit, explained, fit_torques
-from arm_emulator.identification.torque_model import TorqueModel, matches
-from arm_emulator.identification.wind_up import wind_up
-from arm_emulator.machine.chain import Array
+from arm_emulator.identification.torque_fit import TorqueFit
+from arm_emulator.identification.torque_model import matches
+from arm_emulator.identification.wind_up import stiffness_found
 from arm_emulator.machine.scene import Scene, load_scene
 
 DELAYED = ("tau", "q_link")
 LONGEST_DELAY = 0.1  # s
-FAR = 3.0  # prior deviations, beyond which a number is doubted
 
 
 @command(
@@ -84,72 +81,65 @@ def identify(
         raise Refusal("identify", "--out", "end in .yaml", out)
     if out.resolve() == file.resolve():
         raise Refusal("identify", "--out", "be another file than the scene", out)
-    console = output.console(110)
     wanted, kept = ([one for one in names.split(",") if one] for names in (fit, hold))
-    columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
-    progress = Console(stderr=True)  # not for JSON, and erased at the end
-    with Progress(
-        *columns, console=progress, transient=True, disable=not progress.is_terminal
-    ) as bar:
-        task = bar.add_task("read", total=None)
-        late = _delays(delay or ())
-        if data.is_dir():
-            from arm_emulator.bags.bag_run import read_bag_run  # ROS, where it is needed
-
-            run = read_bag_run(data, nominal).shifted(late)
-        else:
-            run = read_run(data, nominal, angles, side).shifted(late)
-        bar.update(task, description="look the record over")
-        run, motion, doubts = looked_over(nominal, run, low_pass, as_is=as_is)
-        bar.update(task, description="fit torques")
-        typical = motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)
-        model = TorqueModel(nominal, typical, trust)
-        gears = [f"joints.{joint.name}.gear.stiffness" for joint in nominal.joints]
-        fitted = model.choose([one for one in wanted if not _any(gears, one)], "identify")
-        fitted = fitted & ~np.array([matches(one.name, kept) for one in model.unknowns])
-        torques = model.of(motion)
-        found = fit_torques(model, motion, fitted, torques)
-        check_fit(run.where, run.joints, found.explained)
-        if simulate:
-            bar.update(task, description="compile, fit by simulating")
-            found = fit_free_runs(found, nominal, run, bar.console.print)
-            share = explained(motion.tau, torques.torques(found.values) - motion.tau, motion.moving)
-            found = dataclasses.replace(found, explained=share)
-        bar.update(task, description="write")
-        numbers = numbers_found(nominal, found)
-        doubts += _doubts(nominal, found, numbers)
-        _write(out, file, nominal, found, numbers, doubts, data.name)
+    late = _delays(delay or ())
+    with _stages() as (stage, note):
+        stage("read")
+        record = _record(data, nominal, angles, side).shifted(late)
+        asked = Asked(wanted, kept, low_pass, trust, as_is, simulate)
+        found = identified(nominal, record, asked, stage, note)
+        stage("write")
+        numbers = numbers_found(nominal, found.fit)
+        doubts = found.doubts + doubts_of(nominal, found.fit, numbers)
+        _write(out, file, nominal, found.fit, numbers, doubts, data.name)
         # Gears wind up under the load of the fitted links.
-        springs = [one for one in gears if matches(one, wanted)]
-        numbers += _stiffness(load_scene(out), run, springs, kept)
-        console.print(_heading(run, late, low_pass, motion.t, found))
-        console.print(_table(numbers))
-        for doubt in doubts:
-            console.print(f"warning: {doubt}", markup=False, highlight=False)
-        _write(out, file, nominal, found, numbers, doubts, data.name)
+        springs = [one for one in gears_of(nominal) if matches(one, wanted)]
+        numbers += stiffness_found(load_scene(out), found.run, springs, kept)
+        _write(out, file, nominal, found.fit, numbers, doubts, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
-        draw_torques(motion, torques.torques(found.values), nominal.joint_names, picture, title)
+        draw_torques(found.motion, found.torques, nominal.joint_names, picture, title)
+    console = output.console(110)
+    console.print(_heading(found, late, low_pass))
+    console.print(_table(numbers))
+    for doubt in doubts:
+        console.print(f"warning: {doubt}", markup=False, highlight=False)
     console.print(f"scene: {out}\npicture: {picture}")
     given.extend(doubts)
-    output.facts(
-        {
-            "record": run.where,
-            "samples": len(run.t),
-            "period": run.period,
-            "rows": len(motion.t),
-            "explained": dict(zip(nominal.joint_names, found.explained, strict=True)),
-            "directions": found.directions,
-            "numbers": [{**plain(one), "remark": one.remark} for one in numbers],
-            "scene": out,
-            "picture": picture,
-        }
-    )
+    output.facts(_facts(found, numbers, nominal) | {"scene": out, "picture": picture})
     return 0
 
 
-def _any(names: Sequence[str], pattern: str) -> bool:
-    return any(matches(name, [pattern]) for name in names) and "gear" in pattern
+@contextlib.contextmanager
+def _stages() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
+    """Show the stage that runs; give what begins another one, and what prints beside it."""
+    columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
+    progress = Console(stderr=True)  # not for JSON, and erased at the end
+    hidden = not progress.is_terminal
+    with Progress(*columns, console=progress, transient=True, disable=hidden) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda stage: bar.update(task, description=stage), bar.console.print
+
+
+def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
+    if not data.is_dir():
+        return read_run(data, nominal, angles, side)
+    from arm_emulator.bags.bag_run import read_bag_run  # ROS, where it is needed
+
+    return read_bag_run(data, nominal)
+
+
+def _facts(found: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[str, Any]:
+    explained = dict(zip(nominal.joint_names, found.fit.explained, strict=True))
+    return {
+        "record": found.run.where,
+        "samples": len(found.run.t),
+        "period": found.run.period,
+        "rows": len(found.motion.t),
+        "explained": explained,
+        "directions": found.fit.directions,
+        "numbers": [{**plain(one), "remark": one.remark} for one in numbers],
+    }
 
 
 def _delays(given: Sequence[str]) -> dict[str, float]:
@@ -167,31 +157,14 @@ def _delays(given: Sequence[str]) -> dict[str, float]:
     return delays
 
 
-def _stiffness(scene: Scene, run: MeasuredRun, wanted: Sequence[str],
-               hold: Sequence[str]) -> list[Found]:  # fmt: skip
-    """Return the stiffness of gears whose links have encoders."""
-    if run.q_link is None or not wanted:
-        return []
-    of = wind_up(run, scene)
-    numbers = []
-    for j, joint in enumerate(scene.joints):
-        name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
-        if before is None or name not in wanted or matches(name, hold):
-            continue
-        reported = bool(np.isfinite(of.stiffness[j]))
-        value = float(of.stiffness[j]) if reported else before
-        numbers.append(Found(name, "N m/rad", before, value, float(of.deviation[j]), reported))
-    return numbers
-
-
-def _heading(run: MeasuredRun, delays: dict[str, float], low_pass: float, t: Array,
-             fit: TorqueFit) -> str:  # fmt: skip
+def _heading(found: Identified, delays: dict[str, float], low_pass: float) -> str:
+    run, fit = found.run, found.fit
     late = ", ".join(f"{name} {1e3 * value:g} ms late" for name, value in delays.items())
     explained = ", ".join(f"{share:.1f}" for share in fit.explained)
     return (
         f"{run.where}: {len(run.t)} samples every {1e3 * run.period:g} ms; "
         f"{late or 'no delays taken out'}; low-pass {low_pass:g} Hz both ways (Butterworth, order "
-        f"4), {len(t)} rows used\n"
+        f"4), {len(found.motion.t)} rows used\n"
         f"torque explained in motion: {explained} %\n"
         f"{int(fit.fitted.sum())} numbers looked for; the motion has {fit.directions} "
         "combinations of them, the rest is as uncertain as before"
@@ -209,35 +182,6 @@ def _table(numbers: Sequence[Found]) -> Table:
             one.remark,
         )  # fmt: skip
     return table
-
-
-def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
-    """Return objections to the numbers found, as text."""
-    names, doubts = scene.joint_names, list[str]()
-    for of, body in zip(scene.chain.links, scene.bare, strict=True):
-        if not inertia.is_body(body):
-            doubts.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
-    for effect in fit.effects:
-        joints = ", ".join(names[j] for j in effect.joints)
-        if len(effect.joints) == len(names) > 1:
-            joints = "all joints"
-        size = f", by {effect.size:.3g} {effect.unit}" if effect.unit else ""
-        doubts.append(
-            f"{joints}: {effect.name}{size}: {100.0 * effect.share:.0f} % of what the scene does "
-            "not explain; deviations have in them what this may hide"
-        )
-    for joint, count in zip(names, fit.far_out, strict=True):
-        if count:
-            doubts.append(f"{joint}: {count} rows stand out, and count little")
-    for one in numbers:
-        if one.identified and one.far > FAR:
-            doubts.append(
-                f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
-                f"before from {one.before:.4g}; is the record in the units and scale given?"
-            )
-        if one.left:
-            doubts.append(f"{one.name}: {one.left}")
-    return doubts
 
 
 def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
