@@ -9,9 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-from mujoco import rollout
 from numpy.typing import NDArray
 
 from arm_emulator import Diverged, Fleet, Plant, Scene, load_scene
@@ -20,7 +18,7 @@ from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import Task, Timing, interleaved, progress
 from bench.motion import SERVO_PERIOD, sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm
+from bench.mujoco_peer import INTEGRATORS, MujocoArm, mujoco
 from bench.pictures import COLOURS, new_figure, save
 from bench.time_at_error import time_at_error
 from bench.work_precision import steps_of
@@ -107,12 +105,14 @@ class Rollout:
     """
 
     def __init__(self, scene: Scene, integrator: str, dt: float, count: int, threads: int) -> None:
+        from mujoco import rollout
+
         self.arm = MujocoArm(scene, integrator, dt)
         self.model, self.count = self.arm.model, count
-        self._data = [mujoco.MjData(self.model) for _ in range(threads)]
+        self._data = [mujoco().MjData(self.model) for _ in range(threads)]
         self._pool = rollout.Rollout(nthread=threads)
-        self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-        self._size = mujoco.mj_stateSize(self.model, self._kind)
+        self._kind = mujoco().mjtState.mjSTATE_FULLPHYSICS
+        self._size = mujoco().mj_stateSize(self.model, self._kind)
         self._driven = [k for k, joint in enumerate(scene.joints) if joint.motor is not None]
         self.reset()
 
@@ -120,7 +120,7 @@ class Rollout:
         """Put all arms at the start."""
         self.arm.reset()
         state = np.empty(self._size)
-        mujoco.mj_getState(self.model, self.arm.data, state, self._kind)
+        mujoco().mj_getState(self.model, self.arm.data, state, self._kind)
         self._state = np.tile(state, (self.count, 1))
 
     def run(self, voltages: Array, steps: int) -> None:
@@ -341,11 +341,12 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     panels = figure.subplots(1, len(arms), sharey=True, squeeze=False)[0]
     ways = ("one arm", "one core", "all cores")
     for axes, arm in zip(panels, arms, strict=True):
-        for k, scheme in enumerate(SCHEMES):
-            per_step = figures["throughput"][arm][scheme]["per_step"]
-            rates = [1e-6 / per_step[way]["median"] for way in ways]
-            at = np.arange(len(ways)) + 0.2 * (k - 1.5)
-            axes.bar(at, rates, width=0.18, color=COLOURS[scheme], label=scheme)
+        schemes = figures["throughput"][arm]
+        width = 0.8 / len(schemes)
+        for k, (scheme, of) in enumerate(schemes.items()):
+            rates = [1e-6 / of["per_step"][way]["median"] for way in ways]
+            at = np.arange(len(ways)) + width * (k - 0.5 * (len(schemes) - 1))
+            axes.bar(at, rates, width=0.9 * width, color=COLOURS[scheme], label=scheme)
         axes.set_xticks(range(len(ways)), ("one arm", "fleet,\none core", "fleet,\nall cores"))
         axes.set_title(arm)
         axes.grid(True, axis="y", color="0.9", linewidth=0.8)

@@ -18,7 +18,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from arm_emulator import Fleet, Scene, ServoFleet, load_gains, load_scene
@@ -30,7 +29,7 @@ from arm_emulator.servo.servo_numbers import servo_numbers
 from bench.bare import BARE
 from bench.fleet_loops import COUNT, NAME, PERIODS, Motion
 from bench.motion import Array
-from bench.mujoco_peer import INTEGRATORS, MujocoArm
+from bench.mujoco_peer import INTEGRATORS, MujocoArm, mujoco
 
 TARGET = 1e-5  # rad, the largest error of a link on the way
 STEPS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40)  # in a servo period
@@ -61,7 +60,7 @@ class PeerLoop:
         about = "a loop for MuJoCo"
         unit = Unit("mujoco_loop", source, C_FLAGS, (FOLDER, HERE), (LOOP,), "bench", about, "")
         self._calls = library(unit)
-        (shared,) = Path(mujoco.__file__).parent.glob("libmujoco.so*")
+        (shared,) = Path(mujoco().__file__).parent.glob("libmujoco.so*")
         step: Any = ctypes.cast(ctypes.CDLL(str(shared)).mj_step, ctypes.c_void_p).value
         self._struct = LOOP.new(
             "mujoco_arm",

@@ -11,7 +11,10 @@ each link gave the same accuracy or less at the same cost.
 
 from __future__ import annotations
 
-import mujoco
+import importlib
+from functools import cache
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -25,10 +28,17 @@ from bench.bare import odd_parts
 Array = NDArray[np.float64]
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")
-# Else MuJoCo writes a file into the working directory; `MujocoArm.diverged` reports the same.
-mujoco.set_mju_user_warning(lambda message: None)
 
 UNUSED = ("contact", "constraint", "equality", "limit", "frictionloss", "warmstart")
+
+
+@cache
+def mujoco() -> Any:
+    """Return MuJoCo, of requirements-bench.txt: tests, which read reports, do without it."""
+    module = importlib.import_module("mujoco")
+    # Else it writes a file into the working directory; `MujocoArm.diverged` reports the same.
+    module.set_mju_user_warning(lambda message: None)
+    return module
 
 
 class MujocoArm:
@@ -41,8 +51,8 @@ class MujocoArm:
     """
 
     def __init__(self, scene: Scene, integrator: str, dt: float) -> None:
-        self.model = mujoco.MjModel.from_xml_string(mjcf(scene, integrator, dt))
-        self.data = mujoco.MjData(self.model)
+        self.model = mujoco().MjModel.from_xml_string(mjcf(scene, integrator, dt))
+        self.data = mujoco().MjData(self.model)
         self._start = scene.start
         self._elastic = [
             k for k, j in enumerate(scene.joints) if j.motor and j.gear.stiffness is not None
@@ -58,25 +68,25 @@ class MujocoArm:
 
     def reset(self) -> None:
         """Put the machine at its start: at rest, gears unloaded, no current."""
-        mujoco.mj_resetData(self.model, self.data)
+        mujoco().mj_resetData(self.model, self.data)
         self.data.qpos[self._q] = self._start
         if self._elastic:
             self.data.qpos[self._motors] = (self._start / self._ratio)[self._elastic]
 
     def run(self, voltages: ArrayLike, steps: int) -> None:
         """Hold each row of voltages (K, N) [V] for `steps` steps."""
-        control, model, data, step = self.data.ctrl, self.model, self.data, mujoco.mj_step
+        control, model, data, step = self.data.ctrl, self.model, self.data, mujoco().mj_step
         for row in np.asarray(voltages)[:, self._driven]:
             control[:] = row
             step(model, data, nstep=steps)
 
     def trace(self, voltages: ArrayLike, steps: int) -> Array:
         """Do as `run`, and return link positions after each row, (K, N) [rad or m]."""
-        rows = np.asarray(voltages)
+        rows, step = np.asarray(voltages), mujoco().mj_step
         q = np.empty((len(rows), len(self._q)))
         for k, row in enumerate(rows):
             self.data.ctrl[:] = row[self._driven]
-            mujoco.mj_step(self.model, self.data, nstep=steps)
+            step(self.model, self.data, nstep=steps)
             q[k] = self.data.qpos[self._q]
         return q
 
@@ -88,17 +98,18 @@ class MujocoArm:
     @property
     def diverged(self) -> bool:
         """Whether MuJoCo has warned of a bad state, and reset itself, since the last `reset`."""
-        bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
-               mujoco.mjtWarning.mjWARN_BADQACC)  # fmt: skip
+        kinds = mujoco().mjtWarning
+        bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
         return any(self.data.warning[kind].number > 0 for kind in bad)
 
     @property
     def energy(self) -> float:
         """Kinetic and potential energy [J]."""
-        mujoco.mj_fwdPosition(self.model, self.data)  # a step leaves the frames one step behind
-        mujoco.mj_fwdVelocity(self.model, self.data)
-        mujoco.mj_energyPos(self.model, self.data)
-        mujoco.mj_energyVel(self.model, self.data)
+        peer = mujoco()
+        peer.mj_fwdPosition(self.model, self.data)  # a step leaves the frames one step behind
+        peer.mj_fwdVelocity(self.model, self.data)
+        peer.mj_energyPos(self.model, self.data)
+        peer.mj_energyVel(self.model, self.data)
         return float(self.data.energy.sum())
 
 

@@ -238,7 +238,7 @@ def report(figures: dict[str, Any]) -> str:
             time = Timing(**arm["times"][name])
             cells.append(f"{time.median * 1e9:.4g} ± {100 * time.spread:.0f} %")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    ratios: dict[str, list[str]] = {scheme: [] for scheme in STEPS}
+    ratios: dict[str, list[str]] = {name: [] for name in names if name in STEPS}
     for arm in arms.values():
         _, mujoco = fastest_mujoco(arm["times"])
         for scheme, row in ratios.items():

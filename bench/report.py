@@ -66,13 +66,15 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
         quick: fewer cases and repetitions, for trying things out.
         only: names of sections; empty: all of SECTIONS.
         out: folder for figures.json, report.md and the pictures.
-        publish: folder into which to copy them when all has gone well; None: nowhere.
+        publish: folder into which to copy them when all has gone well, sections that were named in
+            the place of those of the report there; None: nowhere.
 
     Raises:
-        Refusal: a section that does not exist, or publishing what is not the whole.
+        Refusal: a section that does not exist, or publishing a trial or what is in no report.
     """
-    if publish is not None and (quick or only):
-        raise Refusal("bench", "--publish", "come with a whole run", "--quick or --only")
+    if publish is not None and (quick or not set(only) <= set(SECTIONS)):
+        got = "--quick" if quick else ", ".join(only)
+        raise Refusal("bench", "--publish", "come with sections of the report", got)
     for name in only:
         if name not in SECTIONS + BY_NAME:
             raise Refusal("bench", "section", "be known", name, ", ".join(SECTIONS + BY_NAME))
@@ -98,7 +100,10 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
             traceback.print_exc()
             figures["failed"][name] = f"{type(error).__name__}: {error}"
         figures["seconds"][name] = time.monotonic() - started
-        (out / "figures.json").write_text(json.dumps(figures), encoding="utf-8")
+        _write_figures(figures, out)
+    if publish is not None and only:
+        figures = _renewed(_read_figures(publish), figures)
+        _write_figures(figures, out)
     write_report(figures, out)
     for what, wanted, reached, met in must_show(figures["sections"]):
         colour = {True: "green", False: "red", None: "dim"}[met]
@@ -114,18 +119,51 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
 
 
 def write_report(figures: dict[str, Any], out: Path) -> None:
-    """Write report.md and the pictures from figures, as JSON keeps them."""
-    figures = json.loads(json.dumps(figures))
+    """Write report.md and the pictures from figures."""
+    for name, values in _plain(figures)["sections"].items():
+        section: ModuleType = importlib.import_module(f"bench.{name}")
+        if hasattr(section, "draw"):
+            section.draw(values, out)
+    (out / "report.md").write_text(report_text(figures), encoding="utf-8")
+
+
+def report_text(figures: dict[str, Any]) -> str:
+    """Return the report in Markdown."""
+    figures = _plain(figures)
     lines = ["# Speed against error", "", *_heading(figures), "", *_must_show_table(figures), ""]
     lines += ["## What this does not prove", "", NOT_PROVEN]
     for name, values in figures["sections"].items():
         section: ModuleType = importlib.import_module(f"bench.{name}")
-        if hasattr(section, "draw"):
-            section.draw(values, out)
         lines += ["", f"## {section.TITLE}", "", section.report(values)]
     for name, reason in figures["failed"].items():
         lines += ["", f"## {name}", "", f"**Failed**: {reason}"]
-    (out / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines) + "\n"
+
+
+def _plain(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return figures as JSON keeps them."""
+    plain: dict[str, Any] = json.loads(json.dumps(figures))
+    return plain
+
+
+def _write_figures(figures: dict[str, Any], folder: Path) -> None:
+    (folder / "figures.json").write_text(json.dumps(figures), encoding="utf-8")
+
+
+def _read_figures(folder: Path) -> dict[str, Any]:
+    figures: dict[str, Any] = json.loads((folder / "figures.json").read_text(encoding="utf-8"))
+    return figures
+
+
+def _renewed(published: dict[str, Any], measured: dict[str, Any]) -> dict[str, Any]:
+    """Return a published report's figures with the sections that were measured anew."""
+    anew = {"date": measured["date"], "machine": measured["machine"]}
+    return published | {
+        "seconds": published["seconds"] | measured["seconds"],
+        "sections": published["sections"] | measured["sections"],
+        "failed": measured["failed"],
+        "anew": published.get("anew", {}) | dict.fromkeys(measured["sections"], anew),
+    }
 
 
 def _heading(figures: dict[str, Any]) -> list[str]:
@@ -133,11 +171,21 @@ def _heading(figures: dict[str, Any]) -> list[str]:
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
     minutes = sum(figures["seconds"].values()) / 60.0
     what = "A quick trial, not a measurement" if figures["quick"] else "One run of `make bench`"
-    return [
+    lines = [
         f"{what} on {figures['date']}, {minutes:.1f} min. {m['processor']}, {m['cores']} cores, "
         f"{m['system']}; {m['compiler']}; Python {m['python']}, {versions}. Load average at the "
         f"beginning: {m['load_at_start']:.1f}. All figures are in figures.json.",
     ]
+    for name, at in figures.get("anew", {}).items():
+        title = importlib.import_module(f"bench.{name}").TITLE
+        on = (
+            ""
+            if at["machine"]["processor"] == m["processor"]
+            else f", {at['machine']['processor']}"
+        )
+        load = at["machine"]["load_at_start"]
+        lines += ["", f"*{title}* was measured anew on {at['date']}{on}; load average {load:.1f}."]
+    return lines
 
 
 def _must_show_table(figures: dict[str, Any]) -> list[str]:

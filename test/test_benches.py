@@ -1,0 +1,89 @@
+"""Benches without what they measure: their modules, scenes and published report."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.schemes.known import SCHEMES
+from bench import report, what_each_part_costs
+from bench.bare import BARE, odd_parts
+
+ROOT = Path(__file__).resolve().parents[1]
+PUBLISHED = ROOT / "docs" / "validation" / "report"
+# Packages of requirements-bench.txt that a bench is about; others import theirs when they measure.
+OF_PEERS = {"openturns"}
+MODULES = sorted(file.stem for file in (ROOT / "bench").glob("[!_]*.py"))
+SHIPPED = sorted(file.stem for file in config_folder().glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_scheme_takes_a_scene_without_its_extras(name: str) -> None:
+    for scheme in SCHEMES:
+        scene = load_scene(name, {**BARE, "integrator.scheme": scheme})
+        assert not [one for one in odd_parts(scene) if not one.endswith(".motor")]  # they stay
+        assert scene.integrator.events == "step"
+
+
+def test_every_part_can_be_taken_out_and_put_in() -> None:
+    scenes = list(what_each_part_costs.timed_scenes(("three_axis", "ur5", "panda")))
+    assert {one.integrator.scheme for one in scenes} == set(what_each_part_costs.TIMED)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_bench_can_be_imported(name: str) -> None:
+    try:
+        importlib.import_module(f"bench.{name}")
+    except ModuleNotFoundError as error:
+        assert error.name in OF_PEERS, error
+
+
+def test_the_published_report_is_made_of_its_figures() -> None:
+    figures = json.loads((PUBLISHED / "figures.json").read_text())
+    assert report.report_text(figures) == (PUBLISHED / "report.md").read_text()
+
+
+MACHINE = {
+    "processor": "a processor", "cores": 2, "system": "Linux", "compiler": "a compiler",
+    "python": "3.11", "versions": {}, "load_at_start": 0.0,
+}  # fmt: skip
+
+
+class Section:
+    """A section of a report that counts its runs."""
+
+    TITLE = "Small numbers"
+
+    def __init__(self) -> None:
+        self.runs = 0
+
+    def run(self, quick: bool) -> dict[str, Any]:
+        self.runs += 1
+        return {"runs": self.runs, "quick": quick}
+
+    def report(self, figures: dict[str, Any]) -> str:
+        return f"run {figures['runs']}, quick: {figures['quick']}"
+
+
+def test_one_section_of_a_published_report_is_measured_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sections = {"one": Section(), "two": Section()}
+    monkeypatch.setattr(report, "SECTIONS", tuple(sections))
+    monkeypatch.setattr(report.importlib, "import_module", lambda name: sections[name[6:]])
+    monkeypatch.setattr(report, "machine", lambda: MACHINE)
+    out, page = tmp_path / "out", tmp_path / "page"
+    assert report.bench(False, [], out, page) == report.bench(False, ["two"], out, page) == 0
+    text = (page / "report.md").read_text()
+    assert "run 1, quick: False" in text and "run 2, quick: False" in text
+    assert text.count("was measured anew on") == 1
+    with pytest.raises(Refusal, match="come with sections of the report, got --quick"):
+        report.bench(True, ["two"], out, page)
+    assert (page / "report.md").read_text() == text
