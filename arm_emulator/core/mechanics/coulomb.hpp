@@ -126,14 +126,20 @@ class Coulomb {
       locked_[j] = modes.locked[j], direction_[j] = modes.direction[j];
       rhs[j] = x[j];
     }
-    if (!modes.lock()) {
-      factors_.factor(W);
-      for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
-      return factors_.solve(x);
-    }
-    factor_unlocked(W);
+    const bool lock = modes.lock();
+    if constexpr (kWidth<X> == 1)
+      if (!lock) {
+        factors_.factor(W);
+        for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
+        return factors_.solve(x);
+      }
+    if (lock)
+      factor_unlocked(W);
+    else
+      factor(W);
     for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
     solve_again(x);
+    if (!lock) return;
     for (int j = 0; j < N; ++j)
       if (any(locked_[j])) held_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), held_[j]);
   }
@@ -200,8 +206,16 @@ class Coulomb {
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)
         free[j][k] = select(locked_[j] | locked_[k], X{} + (j == k ? 1.0 : 0.0), W[j][k]);
-    factors_.factor(free);
+    factor(free);
   }
+  // Lanes without a locked joint get the same bits beside one that has one, and without.
+  ARM_INLINE void factor(Matrix& W) {
+    if constexpr (kWidth<X> == 1)
+      factors_.factor(W);
+    else
+      factor_apart(W);
+  }
+  ARM_APART void factor_apart(Matrix& W) { factors_.factor(W); }
 
   ARM_INLINE static X torque_of_lock(int j, const Matrix& W, const X* rhs, const X* x) {
     X torque = rhs[j];
