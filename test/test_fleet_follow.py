@@ -21,6 +21,7 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.servo.drives import Drives, Target
+from bench.hard_case import EARTH, Rod, chain
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -120,6 +121,28 @@ def test_an_arm_moves_as_with_other_neighbours_and_pieces(scene: Scene) -> None:
     assert np.array_equal(frame.q[~some_arms], whole[~some_arms])
     fleet.follow(servos, 57, out=frame)
     assert np.array_equal(frame.q[some_arms], whole[some_arms])
+
+
+def test_neighbours_whose_joints_stick_change_no_bit(tmp_path: Path) -> None:
+    """Four joints: with three, code for lanes with a locked joint and for others rounded alike."""
+    motor = {"torque_constant": 0.15, "back_emf_constant": 0.15, "resistance": 0.8}
+    motor |= {"inductance": 8e-4, "rotor_inertia": 6e-5}
+    gear = {"ratio": 0.01, "stiffness": 2e4, "damping": 10.0}
+    joint = {"motor": motor, "gear": gear, "friction": {"viscous": 0.1, "coulomb": 1.0}}
+    rods = [Rod(0.3, 1.0, 0.02, axis) for axis in 2 * ("0 0 1", "0 1 0")]
+    file = chain("rods", rods, tmp_path, joint, gravity=EARTH)
+    keys = {"integrator.events": "located", "integrator.scheme": "extrapolated"}
+    scene, rng = load_scene(file, keys), np.random.default_rng(3)
+    q, V = rng.uniform(-1.0, 1.0, (COUNT, 4)), rng.uniform(-12.0, 12.0, (60, COUNT, 4))
+    order, rested = np.roll(np.arange(COUNT), 1), 0
+    fleet, other = Fleet(scene, COUNT, q=q, workers=1), Fleet(scene, COUNT, q=q[order], workers=1)
+    for row in V:
+        fleet.exchange(row)
+        other.exchange(row[order])
+        v = fleet.state.v
+        assert np.array_equal(other.state.v, v[order])
+        rested += int((v == 0.0).any(axis=1).sum())
+    assert 0 < rested < len(V) * COUNT / 2, "some arms have a joint that sticks, others do not"
 
 
 MINE = """
