@@ -22,7 +22,6 @@ from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
-from arm_emulator.identification.synthetic import make_record
 from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.chain import Array
@@ -38,6 +37,7 @@ from arm_emulator.machine.varied_body import of_child
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import truth as three_axis
 from bench.measure import progress
+from oracles.synthetic_record import make_record
 
 TITLE = "Doubtful records"
 SECONDS, PERIOD = 10.0, 4e-3

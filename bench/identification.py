@@ -8,12 +8,12 @@ import numpy as np
 
 from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.found import numbers_found
-from arm_emulator.identification.synthetic import make_record
 from arm_emulator.identification.torque_fit import fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import of_child
 from bench.measure import progress
+from oracles.synthetic_record import make_record
 
 TITLE = "Identification"
 SCENE = "three_axis"

@@ -41,6 +41,7 @@ LONGEST = [
     "test_lanes",
     "test_launch",
     "test_fleet",
+    "test_up",
     "test_campaign",
     "test_part_contract",
     "test_spoiled_files",

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from machines import one_link_urdf, write_scene
 
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.identification.synthetic import make_record
 from arm_emulator.machine.scene import load_scene
+from oracles.synthetic_record import make_record
 
 Rng = np.random.Generator
 

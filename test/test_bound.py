@@ -218,11 +218,6 @@ def test_any_finite_data_sheet_is_refused_or_computed_with() -> None:
 # Motion controller
 
 
-def controller_of(scene: str) -> Controller:
-    run = load_offline_run(scene)
-    return run.controller
-
-
 def begin(controller: Controller, start: np.ndarray, target: Pose) -> None:
     controller.begin(start)
     controller.update(start, target)  # a control law may remember the one before

@@ -10,7 +10,6 @@ from draws import some
 
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.outliers import without_outliers
-from arm_emulator.identification.synthetic import make_record
 from arm_emulator.machine.scene import Scene
 from bench.doubtful_records import (
     EFFECTS,
@@ -22,6 +21,7 @@ from bench.doubtful_records import (
     spoils,
     with_effect,
 )
+from oracles.synthetic_record import make_record
 
 KINDS = [
     "torques scaled up", "time halved", "one torque scaled up", "torques late", "one angle scaled",

@@ -21,11 +21,11 @@ from arm_emulator.identification.free_run_fit import fit_free_runs
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import looked_over
 from arm_emulator.identification.read_run import read_run
-from arm_emulator.identification.synthetic import make_record
 from arm_emulator.identification.torque_fit import fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import off, truth
+from oracles.synthetic_record import make_record
 
 GIVEN = load_scene(DATA / "given.yaml")
 RATIO = GIVEN.gear_ratios

@@ -6,20 +6,17 @@ import contextlib
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 import rclpy
 from draws import some
-from network import PATIENCE, User
-from rclpy.parameter_client import AsyncParameterClient
+from network import PATIENCE
 
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
@@ -119,6 +116,13 @@ def _ignore_ctrl_c() -> None:
 def _heed_ctrl_c() -> None:
     """In the child: whoever runs the tests in the background of a shell ignores SIGINT."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def wait(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {PATIENCE:g} s for {what}"
+        time.sleep(0.02)
 
 
 def test_nodes_refuse_wrong_arguments_in_these_words(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,38 +293,6 @@ def test_a_launcher_that_has_ended_is_gone_before_anybody_waits_for_it() -> None
     launcher.wait()
 
 
-def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text(
-        "/**/motion_controller:\n  ros__parameters: {weight: 0.125}\n"
-        "/**/emulator:\n  ros__parameters: {real_time_factor: 3.0}\n"
-    )
-    words = ("--namespace", "cell1", "--use-sim-time", "--params-file", str(file))
-    with own_domain() as domain:
-        user = User(domain, "/cell1")
-        launcher = start("arm_emulator", "up", *words)
-        try:
-            names = {f"cell1/{name}" for name in ("emulator", "servo", "motion_controller")}
-            user.wait("their health", lambda: names <= set(user.diagnostics))
-            for name in names:
-                assert user.diagnostics[name].hardware_id.startswith("cell1/"), name
-                # Of logical time, which is seconds since 0, not since 1970.
-                user.wait(f"time of {name}", lambda n=name: 0 < user.stamps[n] < 10**6 * 10**9)
-            client = AsyncParameterClient(user.node, "motion_controller")
-            user.wait("its parameters", client.services_are_ready)
-            asked = client.get_parameters(["weight"])
-            user.wait("the weight", asked.done)
-            weight = asked.result().values[0].double_value
-            assert weight == 0.125, "the weight of the file"
-            launcher.send_signal(signal.SIGINT)
-            _, complaint = launcher.communicate(timeout=PATIENCE)
-            assert launcher.returncode == 0, complaint
-        finally:
-            user.close()
-            launcher.kill()
-            launcher.communicate()
-
-
 INTERRUPTED = """
 import atexit, os, signal
 from arm_emulator.ros import node_shell
@@ -377,101 +349,3 @@ def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == code, done.stderr
     assert done.stdout == "ended, but for the middleware\n", "what it states"
-
-
-# ---------------------------------------------------------------------------------- arm_emulator up
-
-
-@contextmanager
-def up(
-    *arguments: str, ignores_ctrl_c: bool = False
-) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process]]]:
-    """Start `arm_emulator up` and wait until its three nodes run the machine.
-
-    Nobody listens any more when they end: Fast DDS may fail in a process that removes its
-    participant just as others leave, and that process would be this one.
-    """
-    with own_domain() as domain:
-        user = User(domain)
-        launcher = start(
-            "arm_emulator", "up", "three_axis", *arguments, ignores_ctrl_c=ignores_ctrl_c
-        )
-        children: list[psutil.Process] = []
-        try:
-            try:
-                user.wait("the run", lambda: user.tick >= 100)
-            finally:
-                user.close()
-            children = psutil.Process(launcher.pid).children(recursive=True)
-            names = sorted(map(node_of, children))
-            assert names == ["emulator", "motion_controller", "servo"], "nodes of `up`"
-            yield launcher, children
-            for child in children:
-                what = f"{child} to end"
-                wait(lambda child=child: not child.is_running() or child.status() == "zombie", what)
-        finally:
-            launcher.kill()
-            for child in children:
-                if child.is_running():
-                    child.kill()
-            launcher.communicate()
-
-
-def node_of(process: psutil.Process) -> str:
-    """Return the name of the node that a process is."""
-    module = next(word for word in process.cmdline() if word.endswith("_node.node"))
-    return module.removesuffix("_node.node")
-
-
-def wait(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {PATIENCE:g} s for {what}"
-        time.sleep(0.02)
-
-
-@pytest.mark.parametrize("stop", some([signal.SIGINT, signal.SIGTERM], 1))
-def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) -> None:
-    with up(ignores_ctrl_c=True) as (launcher, _):
-        launcher.send_signal(stop)
-        printed, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 0, complaint
-        assert printed == "", "what it states"
-        assert "Traceback" not in complaint, complaint
-
-
-@pytest.mark.parametrize("name", some(["servo", "emulator", "motion_controller"], 1))
-def test_up_ends_all_when_one_ends(name: str) -> None:
-    with up() as (launcher, children):
-        next(child for child in children if node_of(child) == name).kill()
-        printed, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 128 + signal.SIGKILL, complaint
-        assert f"{name} ended with exit code {-signal.SIGKILL}; ending the others" in printed, (
-            printed
-        )
-        assert "Traceback" not in complaint, complaint
-
-
-def test_up_that_is_killed_leaves_no_node() -> None:
-    with up("--clock", "realtime", "--start", "free_run") as (launcher, _):
-        launcher.kill()
-        launcher.wait(PATIENCE)
-
-
-def test_up_reports_of_a_node_that_cannot_start() -> None:
-    """The port of the Rerun stream is taken: the emulator states no, and the others end."""
-    with own_domain(), socket_on_a_port() as port:
-        launcher = start("arm_emulator", "up", "three_axis", "--rerun-port", str(port))
-        printed, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 2, complaint
-        assert "emulator ended with exit code 2; ending the others" in printed, printed
-        assert f"{port}" in complaint and "Traceback" not in complaint, complaint
-
-
-@contextmanager
-def socket_on_a_port() -> Iterator[int]:
-    """Take a TCP port."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        yield taken.getsockname()[1]

@@ -75,21 +75,15 @@ def _rpm(value: float) -> float:
     return value * 2.0 * math.pi / 60.0
 
 
-_DYNAMIXEL = "https://emanual.robotis.com/docs/en/dxl/x/"
 STS3215 = Servo(
     "STS3215", 12.0, 30.0 * 0.0980665, _rpm(45.0), 345.0,
     "maker's figures at 12 V in https://robonine.com/"
     "testing-of-feetech-sts3215-servomotor-backlash-repeatability-and-torque",
 )  # fmt: skip
-XL430_W250 = Servo(
-    "XL430-W250", 12.0, 1.5, _rpm(61.0), 258.5, _DYNAMIXEL + "xl430-w250", stall_current=1.4
-)
 XM430_W350 = Servo(
-    "XM430-W350", 12.0, 4.1, _rpm(46.0), 353.5, _DYNAMIXEL + "xm430-w350", stall_current=2.3
-)
-XM540_W270 = Servo(
-    "XM540-W270", 12.0, 10.6, _rpm(30.0), 272.5, _DYNAMIXEL + "xm540-w270", stall_current=4.4
-)
+    "XM430-W350", 12.0, 4.1, _rpm(46.0), 353.5,
+    "https://emanual.robotis.com/docs/en/dxl/x/xm430-w350", stall_current=2.3,
+)  # fmt: skip
 
 _UR = "https://www.universal-robots.com/articles/ur-articles/max-joint-torques"
 _FRANKA = "https://frankarobotics.github.io/docs/robot_specifications.html"

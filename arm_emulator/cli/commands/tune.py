@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -118,75 +118,54 @@ def _check(scene: Scene, servo: ServoConfig) -> None:
 def _print(
     console: Console, scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
 ) -> None:
-    table = _table("gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad",
-                   "integral, s", "observer, rad/s")  # fmt: skip
-    for j, name in enumerate(scene.joint_names):
-        for label, tuned in pair.items():
-            one = tuned.loops.joints[j]
-            table.add_row(
-                *_first(name, label),
-                f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else "",
-                f"{one.position_gain:.3g}",
-                f"{one.velocity_gain:.3g}",
-                f"{one.integral_time:.3g}",
-                f"{one.observer_bandwidth:.3g}",
-            )
-    console.print(table)
-    table = _table("margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
-                   "without payload: gain", "phase, deg")  # fmt: skip
-    for j, name in enumerate(scene.joint_names):
-        for label, tuned in pair.items():
-            m = tuned.margins[j]
-            bare = "-", "-"
-            if tuned.bare is not None:
-                b = tuned.bare[j]
-                bare = f"{b.gain_up:.2f}", f"{math.degrees(b.phase):.0f}"
-            table.add_row(
-                *_first(name, label),
-                f"{m.gain_up:.2f}",
-                f"{math.degrees(m.phase):.0f}",
-                f"{m.delay:.1f}",
-                f"{m.sensitivity:.2f}",
-                *bare,
-            )
-    console.print(table)
-    table = _table("step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
-                   "off on the way, mrad (mm)")  # fmt: skip
-    for j, name in enumerate(scene.joint_names):
-        for label, tuned in pair.items():
-            step = tuned.steps[j]
-            table.add_row(
-                *_first(name, label),
-                f"{1e3 * step.rise:.0f}",
-                f"{100.0 * step.overshoot:.0f} %",
-                f"{1e3 * step.settling:.0f}",
-                f"{1e3 * tuned.run.worst[j]:.3f}",
-            )
-    console.print(table)
-    table = _table("at rest", "a count, mrad (mm)", "swing predicted, counts",
-                   "of the machine, counts")  # fmt: skip
-    for label, tuned in pair.items():
-        swings = predicted_swing(scene, tuned.servo, inertias)
+    swings = {label: predicted_swing(scene, one.servo, inertias) for label, one in pair.items()}
+
+    def gains(label: str, j: int) -> Iterator[str]:
+        one = pair[label].loops.joints[j]
+        yield f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else ""
+        yield f"{one.position_gain:.3g}"
+        yield f"{one.velocity_gain:.3g}"
+        yield f"{one.integral_time:.3g}"
+        yield f"{one.observer_bandwidth:.3g}"
+
+    def margins(label: str, j: int) -> Iterator[str]:
+        m, bare = pair[label].margins[j], pair[label].bare
+        yield f"{m.gain_up:.2f}"
+        yield f"{math.degrees(m.phase):.0f}"
+        yield f"{m.delay:.1f}"
+        yield f"{m.sensitivity:.2f}"
+        yield "-" if bare is None else f"{bare[j].gain_up:.2f}"
+        yield "-" if bare is None else f"{math.degrees(bare[j].phase):.0f}"
+
+    def motion(label: str, j: int) -> Iterator[str]:
+        step = pair[label].steps[j]
+        yield f"{1e3 * step.rise:.0f}"
+        yield f"{100.0 * step.overshoot:.0f} %"
+        yield f"{1e3 * step.settling:.0f}"
+        yield f"{1e3 * pair[label].run.worst[j]:.3f}"
+
+    def rest(label: str, j: int) -> Iterator[str]:
+        count = pair[label].loops.joints[j].count_angle
+        yield f"{1e3 * count:.3g}"
+        yield f"{swings[label][j] / count:.2f}"
+        yield f"{pair[label].run.swing[j] / count:.2f}"
+
+    for cells, title, *columns in (
+        (gains, "gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad", "integral, s",
+         "observer, rad/s"),
+        (margins, "margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
+         "without payload: gain", "phase, deg"),
+        (motion, "step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
+         "off on the way, mrad (mm)"),
+        (rest, "at rest", "a count, mrad (mm)", "swing predicted, counts",
+         "of the machine, counts"),
+    ):  # fmt: skip
+        table = Table(box=None, pad_edge=False, title=title, title_justify="left")
+        for column in ("joint", "gains"):
+            table.add_column(column)
+        for column in columns:
+            table.add_column(column, justify="right")
         for j, name in enumerate(scene.joint_names):
-            count = tuned.loops.joints[j].count_angle
-            table.add_row(
-                name,
-                label,
-                f"{1e3 * count:.3g}",
-                f"{swings[j] / count:.2f}",
-                f"{tuned.run.swing[j] / count:.2f}",
-            )
-    console.print(table)
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(box=None, pad_edge=False, title=title, title_justify="left")
-    table.add_column("joint")
-    table.add_column("gains")
-    for name in columns:
-        table.add_column(name, justify="right")
-    return table
-
-
-def _first(name: str, label: str) -> tuple[str, str]:
-    return (name if label == "present" else ""), label
+            for label in pair:
+                table.add_row(name if label == "present" else "", label, *cells(label, j))
+        console.print(table)
