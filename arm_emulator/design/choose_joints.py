@@ -172,9 +172,12 @@ def choose_joints(
         for joint in limbs.joints
         if joint.kind != "fixed" and joint.name not in names and joint not in along
     }
-    if beside := [joint.name for joint in limbs.joints if joint.moves and joint.name in held]:
-        if joints is None and not tree:
-            guesses.append(f"held beside the arm: {', '.join(beside)} (--tree moves them, too)")
+    beside = [
+        joint.name for joint in limbs.joints
+        if joint.moves and joint.name in held and joint not in way
+    ]  # fmt: skip
+    if beside and joints is None and not tree:
+        guesses.append(f"held beside the arm: {', '.join(beside)} (--tree moves them, too)")
     return Choice(tool, names, held, tuple(guesses))
 
 
@@ -272,7 +275,8 @@ def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> l
         named = _GRIPPER.search(joint.name) is not None
         if branches >= FINGERS or (short and (branches > 1 or named)):
             names = ", ".join(one.name for one in chosen[k:])
-            guesses.append(f"held as a gripper: {names} (--joints names the joints that move)")
+            to_move = "--joints names the joints that move, --tree moves all"
+            guesses.append(f"held as a gripper: {names} ({to_move})")
             return chosen[:k]
     return chosen
 
