@@ -328,7 +328,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
 
 @pytest.mark.parametrize("victim", some(("worker", "ctrl-c", "client"), 2))
 def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
-    """What was written stays, nobody stays behind; `bench.campaign_kills` tries more moments."""
+    """Written runs stay, no process does; `bench.campaign_kills` tries more moments."""
     rng = np.random.default_rng(5)
     file = written(tmp_path, changed(TABLE, "count", 4000))
     after = rng.uniform(0.0, 4.0)

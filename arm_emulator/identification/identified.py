@@ -20,7 +20,7 @@ from arm_emulator.machine.scene import Scene
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be identified, and how.
+    """Numbers to identify, and the way to do so.
 
     Attributes:
         fit, hold: patterns of numbers to identify, and to keep.
@@ -40,7 +40,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Identified:
-    """What a record gave.
+    """Result of a record.
 
     Attributes:
         run: the record, without outliers.

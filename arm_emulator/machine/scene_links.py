@@ -19,7 +19,7 @@ LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
 
 
 class SceneLinks:
-    """What a scene's keys `urdf`, `tool`, `payload`, `locked` and `couplings` make.
+    """Result of a scene's keys `urdf`, `tool`, `payload`, `locked` and `couplings`.
 
     Attributes:
         urdf_file: the description.

@@ -30,7 +30,7 @@ def file(tmp_path):
 
 
 @pytest.mark.parametrize("victim", ("", *some(Cluster.victims, 2)))
-def test_whoever_is_killed_the_digest_is_the_same(tmp_path, file, cluster, victim):
+def test_a_kill_of_any_process_leaves_the_digest_the_same(tmp_path, file, cluster, victim):
     rng = np.random.default_rng(7)
     after = rng.uniform(0.0, 5.0)
     one = one_moment(file, tmp_path / "r", cluster, victim, after, rng)
