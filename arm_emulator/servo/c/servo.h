@@ -212,8 +212,8 @@ void servo_reset(servo* arm);
 /* `applied` is what the motors got in the period that ends now; null: what was asked for. */
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* applied);
-/* Report which brakes are closed at the newest measurement, an entry per joint; null: all are open. A
- * joint with a closed brake is held where it stands, with the torque of its target, so that no
+/* Report which brakes are closed at the newest measurement, an entry per joint; null: all are open.
+ * A joint with a closed brake is held where it stands, with the torque of its target, so that no
  * difference to a target adds up that would be released with the brake. */
 void servo_brakes(servo* arm, const int64_t* closed);
 /* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
