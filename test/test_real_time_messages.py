@@ -27,7 +27,7 @@ def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
     bad = {"nan": np.nan, "inf": -np.inf, "large": 2.0 * float(COMMAND.most)}
     if spoil in bad:
         numbers[draw.randrange(3)] = bad[spoil]
-    ticks = {"stale": answered - 1, "same": answered, "future": newest + 10**6}
+    ticks = {"stale": max(0, answered - 1), "same": max(0, answered), "future": newest + 10**6}
     tick = ticks.get(spoil, draw.randint(answered + 1, newest))
     other = started() + 1 if spoil == "machine" else draw.choice([0, started()])
     names = draw.sample(JOINTS, 3) if draw.random() < 0.1 else JOINTS

@@ -270,3 +270,16 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -
             node.destroy_node()
             servo.destroy_node()
             rclpy.try_shutdown()
+
+
+def test_speeds_from_which_no_way_to_rest_is_found_hold_the_arm() -> None:
+    """A motion of hours is a result of ruckig that Python has no name for."""
+    scene, gains = load_scene("three_axis"), load_gains("three_axis")
+    run = OfflineRun(scene, gains.servo, gains.motion)
+    q, v = scene.start, np.array([-2.3, 247106.0, -1.5])
+    can = np.array([True, False, True])
+    for k, movable in enumerate((can, ~can, can)):
+        asked = run.instructor.instruct(run.controller, k * PERIOD_NS, q, v, movable)
+        np.testing.assert_array_equal(asked.q, q)
+    assert run.instructor.restarts > 0 and "no way to take up the speeds" in run.instructor.trouble
+    assert "\n" not in run.instructor.trouble

@@ -11,6 +11,7 @@ import ruckig
 
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.ruckig_result import found
 
 _BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit
 _HALTS = 1e-3  # share of a speed that counts as no motion
@@ -113,7 +114,7 @@ class SmoothJoints:
         stop, most = self._stop, self._acceleration
         stop.current_position, stop.current_velocity = then.q.tolist(), then.v.tolist()
         stop.current_acceleration = np.clip(then.a, -most, most).tolist()
-        self._otg.calculate(stop, self._ends)
+        found(lambda: self._otg.calculate(stop, self._ends))
         duration = self._ends.duration
         end = np.array(self._ends.at_time(duration)[0])
         count = pieces(end - then.q) if duration > 0.0 else 0
@@ -158,7 +159,7 @@ class SmoothJoints:
         Ruckig 0.19 has 0 among the positions of such a way.
         """
         stop.current_position = [at] * len(self._lower)
-        self._otg.calculate(stop, self._ends)
+        found(lambda: self._otg.calculate(stop, self._ends))
         extrema = self._ends.position_extrema
         return np.array([one.max if at > 0.0 else one.min for one in extrema])
 
@@ -176,9 +177,10 @@ class SmoothJoints:
     def _step(self, v: FloatArray, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
         self._otg.reset()
-        result = self._otg.update(self._in, self._out)
-        if int(result) < 0:
-            raise ArithmeticError(f"no way to take up the speeds {v.tolist()}: {result}")
+        try:
+            found(lambda: self._otg.update(self._in, self._out))
+        except ArithmeticError as error:
+            raise ArithmeticError(f"no way to take up the speeds {v.tolist()}: {error}") from None
 
     def _too_late(self, before: FloatArray) -> npt.NDArray[np.bool_]:
         """Return which joints cannot stop within their limits after the step, (N,).

@@ -12,12 +12,12 @@ import ruckig
 
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.ruckig_result import found
 from arm_emulator.motion.way import WayLimits
 
 FloatArray = npt.NDArray[np.float64]
 
 _MOMENT = 1e-7  # s, over which the jerk is measured: it is constant but for a few jumps
-_FOUND = (ruckig.Result.Working, ruckig.Result.Finished)
 
 
 class TakeOver(Lasting):
@@ -78,12 +78,13 @@ class TakeOver(Lasting):
 
     def _found(self, problem: ruckig.InputParameter) -> bool:
         self._trajectory = ruckig.Trajectory(problem.degrees_of_freedom)
+        law = ruckig.Ruckig(problem.degrees_of_freedom)
         try:
-            result = ruckig.Ruckig(problem.degrees_of_freedom).calculate(problem, self._trajectory)
-        except ruckig.RuckigError:
+            found(lambda: law.calculate(problem, self._trajectory))
+        except ArithmeticError:
             return False
         self.duration = float(self._trajectory.duration)
-        return result in _FOUND
+        return True
 
     def _within(self, low: FloatArray, high: FloatArray) -> bool:
         extremes = self._trajectory.position_extrema

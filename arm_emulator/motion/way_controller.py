@@ -33,6 +33,7 @@ from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.ruckig_result import found
 from arm_emulator.motion.take_over import Rest, TakeOver
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import Way, WayLimits
@@ -443,8 +444,8 @@ def joints_duration(step: FloatArray, limits: WayLimits) -> float:
     problem.max_acceleration = [float((limits.acceleration / size).min())]
     problem.max_jerk = [float((limits.jerk / size).min())]
     try:
-        ruckig.Ruckig(1).calculate(problem, trajectory)
-    except ruckig.RuckigError:  # numbers beyond its range: no step
+        found(lambda: ruckig.Ruckig(1).calculate(problem, trajectory))
+    except ArithmeticError:  # numbers beyond its range: no step
         return 0.0
     return float(trajectory.duration)
 
