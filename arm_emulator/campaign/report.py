@@ -45,6 +45,8 @@ font-size:.9em}td code{word-break:break-word}img{max-width:100%;display:block;ma
 margin-top:.45em}.bar i{position:absolute;top:0;bottom:0;background:#f0b9c1;border-radius:5px}
 .bar b{position:absolute;top:-2px;bottom:-2px;width:3px;background:#d1495b}
 .scroll{overflow-x:auto}.scroll td,.scroll th{white-space:nowrap}.scroll td code{word-break:normal}
+.scroll img{min-width:720px}.scroll td.formula{min-width:15em;white-space:normal}
+p code{overflow-wrap:anywhere}
 footer{color:#8695a1;font-size:.85em;margin-top:3em}
 """
 
@@ -173,8 +175,8 @@ def _of_runs(
     }
     for picture, content in drawn.items():
         data = base64.b64encode(content).decode()
-        yield f"<h2>{titles[picture]}</h2><img alt='{titles[picture]}' "
-        yield f"src='data:image/png;base64,{data}'>"
+        yield f"<h2>{titles[picture]}</h2><div class=scroll><img alt='{titles[picture]}' "
+        yield f"src='data:image/png;base64,{data}'></div>"
     yield from _worst(campaign, columns, ranks)
     if campaign.search is None:
         yield from _quantiles(summary)
@@ -202,7 +204,8 @@ def _card(value: str, text: str, kind: str = "") -> str:
 
 
 def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
-    yield "<h2>Requirements</h2><table><tr><th>requirement<th>must hold<th class=n>fails"
+    yield "<h2>Requirements</h2><div class=scroll><table><tr><th>requirement<th>must hold"
+    yield "<th class=n>fails"
     sampled = campaign.search is None  # the share of runs that a search chose means nothing
     yield "<th class=n>share<th>confidence interval" if sampled else ""
     yield "<th class=n>least margin<th class=n>in run</tr>"
@@ -212,7 +215,7 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         given = campaign.requirements.get(one.name, "")
         text = given if isinstance(given, str) else str(given.get("python", ""))
         bad = " bad" if one.hits else ""
-        yield f"<tr><td><b>{html.escape(one.name)}</b><td>"
+        yield f"<tr><td><b>{html.escape(one.name)}</b><td class=formula>"
         yield f"<code>{html.escape(text)}</code>" if text else ""
         yield f"<td class='n{bad}'>{one.hits}"
         yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
@@ -220,7 +223,7 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         unit = html.escape(units.get(f"{ROBUSTNESS}{one.name}", ""))
         yield f"<td class='n{bad}'>{one.least:.4g} {unit}" if known else "<td>"
         yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"
-    yield "</table>"
+    yield "</table></div>"
 
 
 def _bar(one: Share, scale: float) -> str:
@@ -266,7 +269,7 @@ def _quantiles(summary: Summary) -> Iterable[str]:
     if not summary.quantiles:
         return
     heads = sorted({one.q for one in summary.quantiles})
-    yield "<h2>Quantiles</h2><table><tr><th>"
+    yield "<h2>Quantiles</h2><div class=scroll><table><tr><th>"
     yield "".join(f"<th class=n>{100 * q:g} %" for q in heads) + "</tr>"
     for column in dict.fromkeys(one.column for one in summary.quantiles):
         yield f"<tr><td>{html.escape(column)}"
@@ -274,4 +277,4 @@ def _quantiles(summary: Summary) -> Iterable[str]:
             low_high = f"{one.low:.5g} to {one.high:.5g}"
             yield f"<td class=n title='{low_high}'>{one.value:.4g}"
         yield "</tr>"
-    yield "</table>"
+    yield "</table></div>"
