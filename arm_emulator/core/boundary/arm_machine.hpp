@@ -3,7 +3,6 @@
 
 #include <time.h>
 
-#include <array>
 #include <cstddef>
 
 #include "arm.h"

@@ -149,8 +149,8 @@ void arm_power(arm_machine* machine, int on) {
   machine->powered = on != 0;
   for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
   if constexpr (Scene::inputs > 0) {
-    static constexpr std::array<double, Scene::inputs * arm_machine::N> nothing{};
-    if (!on) machine->machine.put_further(nothing.data());
+    static constexpr double nothing[Scene::inputs * arm_machine::N] = {};
+    if (!on) machine->machine.put_further(nothing);
   }
 }
 

@@ -79,7 +79,7 @@ class ControlledGroup {
       double given[N];
       for (int j = 0; j < N; ++j) given[j] = rows_.value[j * lanes + k - first_];
       if (fleet_.machine[k]->check_finite(given, "value")) {
-        fleet_.refused = k;
+        fleet_.put_refused(k);
         return false;
       }
     }
@@ -95,7 +95,7 @@ class ControlledGroup {
                     control_.joint);
     for (int k = first_; k < end_; ++k)
       if (fleet_.machine[k]->check_commands(control_.joint + k * N, nullptr)) {
-        fleet_.refused = k;
+        fleet_.put_refused(k);
         return false;
       }
     fleet_.exchange(g_, control_.joint, nullptr, -1);

@@ -28,7 +28,7 @@ int check_changes(const arm_fleet& fleet, int first, int arms, const arm_fleet_w
   for (int k = first; way.change && k < first + arms; ++k)
     for (std::int64_t c = way.first_change[k]; c < way.first_change[k + 1]; ++c)
       if (check_change(fleet.machine[k], way.change[c])) {
-        fleet.refused = k;
+        fleet.put_refused(k);
         return ARM_REFUSED;
       }
   return ARM_OK;

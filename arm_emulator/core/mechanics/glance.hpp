@@ -2,8 +2,6 @@
 // (`reads`), from which a scene's unit has a struct per kind: `field`, and `of(now, row)`.
 #pragma once
 
-#include <array>
-
 namespace arm {
 
 // Place of a quantity in arm.h: a field of its own, or among the readings.
@@ -16,16 +14,20 @@ struct Glance {
   const Machine& machine;
   const double *current, *motor_angle, *motor_speed;  // A, rad, rad/s
 
+  struct OfJoints {
+    double of[N];
+    double operator[](int j) const { return of[j]; }
+  };
   // Torques of the gears on their links [N m or N].
-  std::array<double, N> gear_torques() const {
-    std::array<double, N> torques;
-    machine.gear_torques(torques.data());
+  OfJoints gear_torques() const {
+    OfJoints torques;
+    machine.gear_torques(torques.of);
     return torques;
   }
   // Temperatures of the motors' windings [degC].
-  std::array<double, N> winding_temperatures() const {
-    std::array<double, N> temperatures;
-    machine.winding_temperatures(temperatures.data());
+  OfJoints winding_temperatures() const {
+    OfJoints temperatures;
+    machine.winding_temperatures(temperatures.of);
     return temperatures;
   }
 };

@@ -2,8 +2,6 @@
 // included, up to rounding: the equations of motion as they are solved.
 #pragma once
 
-#include <algorithm>
-
 #include "mechanics/drive_torques.hpp"
 #include "mechanics/modes.hpp"
 
@@ -16,7 +14,7 @@ class TorqueTerms {
   static constexpr int extras = [] {
     int most = 0;
     any_drive<S>([&](const auto& drive) {
-      most = std::max(most, drive.extra_count);
+      if (drive.extra_count > most) most = drive.extra_count;
       return false;
     });
     return most;
