@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import pytest
 
@@ -77,10 +77,27 @@ LONGEST = [
 ]
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Begin to import at another file in each worker of pytest-xdist.
+
+    All of them import all files, and what they import is translated at its first import: by one of
+    them, not by all at the same time.
+    """
+    report = yield
+    worker, workers = (os.environ.get(f"PYTEST_XDIST_WORKER{end}", "") for end in ("", "_COUNT"))
+    if worker and isinstance(collector, pytest.Dir):
+        first = len(report.result) * int(worker.removeprefix("gw")) // int(workers)
+        report.result = [*report.result[first:], *report.result[:first]]
+    return report
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that take longest."""
+    """Begin with the files that take longest; the others follow by name."""
     turn = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: turn.get(item.path.stem, len(turn)))
+    items.sort(key=lambda item: (turn.get(item.path.stem, len(turn)), item.path))
 
 
 @pytest.fixture(autouse=True)

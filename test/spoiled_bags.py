@@ -57,10 +57,11 @@ def bag_odd(rng: Rng, file: Path) -> None:
             _write_chunks(file, [_packed_zeros("zstd")] * 50)
             return
         case 3:
-            _write_chunks(file, [(*_packed_zeros("lz4")[:2], bytes(100))])
+            _write_chunks(file, [(*_packed_zeros("lz4")[:2], *_heading(bytes(100)))])
             return
         case 4:
-            _write_chunks(file, [(str(rng.choice(["lz4", "bz2", "", "zstd"])), packed, inner)])
+            compression = str(rng.choice(["lz4", "bz2", "", "zstd"]))
+            _write_chunks(file, [(compression, packed, *_heading(inner))])
             return
         case 5:
             size = int(rng.choice(np.array([0, 1, 2**31, 2**40, 2**63, 2**64 - 1], dtype=object)))
@@ -85,20 +86,26 @@ def bag_odd(rng: Rng, file: Path) -> None:
             writer.add_message(writer.register_channel("/a", "cdr", schema, qos), 1, b"", 1)
             writer.finish()
             return
-    _write_chunks(file, [("zstd", zstandard.compress(inner), inner)])
+    _write_chunks(file, [("zstd", zstandard.compress(inner), *_heading(inner))])
+
+
+def _heading(inner: bytes) -> tuple[int, int]:
+    """CRC and size that a chunk states of what is in it."""
+    return zlib.crc32(inner), len(inner)
 
 
 @cache
-def _packed_zeros(compression: str) -> tuple[str, bytes, bytes]:
+def _packed_zeros(compression: str) -> tuple[str, bytes, int, int]:
     zeros = bytes(1 << 28)
     pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
-    return compression, pack(zeros), zeros
+    return compression, pack(zeros), *_heading(zeros)
 
 
-def _write_chunks(file: Path, chunks: list[tuple[str, bytes, bytes]]) -> None:
+def _write_chunks(file: Path, chunks: list[tuple[str, bytes, int, int]]) -> None:
+    """Write chunks: compression, packed bytes, CRC, size."""
     with file.open("wb") as stream:
         stream.write(MCAP0_MAGIC)
-        for compression, packed, inner in chunks:
+        for compression, packed, crc, size in chunks:
             builder = RecordBuilder()
-            Chunk(compression, packed, 1, 0, zlib.crc32(inner), len(inner)).write(builder)
+            Chunk(compression, packed, 1, 0, crc, size).write(builder)
             stream.write(builder.end())
