@@ -351,12 +351,10 @@ struct arm_fleet {
     return rows ? rows + first : nullptr;
   }
 
-  // The arm that refused last, of any thread; -1: none. Builtins: <atomic> takes a fifth of a second
-  // in every fleet that is compiled.
+  // The arm that refused last, of any thread; -1: none. Builtins: <atomic> takes a fifth of a
+  // second in every fleet that is compiled.
   std::int32_t refused() const { return __atomic_load_n(&refused_, __ATOMIC_RELAXED); }
-  void put_refused(std::int32_t arm) const {
-    __atomic_store_n(&refused_, arm, __ATOMIC_RELAXED);
-  }
+  void put_refused(std::int32_t arm) const { __atomic_store_n(&refused_, arm, __ATOMIC_RELAXED); }
 
   // OK if check(machine, arm) is for all arms of a mask.
   template <class Check>

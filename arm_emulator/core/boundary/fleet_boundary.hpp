@@ -50,9 +50,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   return result;
 }
 
-std::int32_t arm_fleet_refused(const arm_fleet* fleet) {
-  return fleet ? fleet->refused() : -1;
-}
+std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused() : -1; }
 
 int arm_fleet_reset(arm_fleet* fleet, const std::uint8_t* mask, const double* q, const double* v) {
   constexpr int N = arm_fleet::N;
