@@ -20,6 +20,7 @@ from arm_emulator import Plant, Refusal, Scene, load_scene, sensitivities
 from arm_emulator.analysis.sensitivities import QUANTITIES, differentiable, numbers_of
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.varied import Varied
 from oracles.mixtures import PERIOD, commands, drawn_alone, write_mixture, write_scene
 
 Array = NDArray[np.float64]
@@ -42,15 +43,14 @@ def inner(scene: Scene) -> list[str]:
     ]
 
 
-def differences(scene: Scene, rows: Array, names: list[str], share: float) -> list[Array]:
+def differences(plant: Plant, rows: Array, varied: tuple[Varied, ...], share: float) -> list[Array]:
     """Derivatives after the last row, (N, n), of the quantities in their order."""
-    varied = tuple(numbers_of(scene)[name] for name in names)
-    plant, ends = Plant(differentiable(scene, varied)), []
+    ends = []
     for one in varied:
         for point in POINTS:
             plant.set_parameter(one.name, one.value * (1.0 + share * point))
             plant.reset()
-            plant.run(rows, scene.steps_per_period)
+            plant.run(rows, plant.scene.steps_per_period)
             ends.append([getattr(plant.state, name) for name in QUANTITIES])
         plant.set_parameter(one.name, one.value)
     widths = share * np.array([one.value for one in varied])
@@ -62,12 +62,14 @@ def compare(scene: Scene, rows: Array) -> None:
     names = inner(scene)
     of = sensitivities(scene, rows, names)
     assert of.names == tuple(names)
-    values = np.abs([numbers_of(scene)[name].value for name in names])
-    tries = [differences(scene, rows, names, share) for share in SHARES]
-    plant = Plant(scene)
+    varied = tuple(numbers_of(scene)[name] for name in names)
+    values = np.abs([one.value for one in varied])
+    plant = Plant(differentiable(scene, varied))
     assert np.abs(plant.run(rows, scene.steps_per_period) - of.q).max() < 1e-11, "the same motion"
-    for quantity, *by in zip(QUANTITIES, *tries, strict=True):
-        got, size = of.by[quantity][-1], np.abs(getattr(plant.state, quantity)).max()
+    sizes = [np.abs(getattr(plant.state, quantity)).max() for quantity in QUANTITIES]
+    tries = [differences(plant, rows, varied, share) for share in SHARES]
+    for quantity, size, *by in zip(QUANTITIES, sizes, *tries, strict=True):
+        got = of.by[quantity][-1]
         off = np.min([np.abs(one - got) for one in by], axis=0)
         # 1e-6 of the number's effect, what rounding leaves of differences, and by how much these
         # disagree: an event that passes the end of a step changes the scheme's error.

@@ -204,8 +204,10 @@ class Repetition:
             )
 
     def _set_varied(self) -> None:
+        now = self._session.plant.parameters
         for name, value in self._reported.parameters.items():
-            self._session.set_varied(name, value)
+            if now.get(name) != value:
+                self._session.set_varied(name, value)
 
     def _on_state(self, state: MotorState) -> None:
         session, tick = self._session, int(state.tick)
@@ -311,7 +313,7 @@ class Repetition:
         if commands and self._lockstep and led:
             self.tally.commands += 1
             fits = (self._could_be(applied, one) for one in commands)
-            if not changed_on_the_way(session) and not any(fits):
+            if not any(fits) and not changed_on_the_way(session):
                 row, joint = np.argwhere(applied != commands[-1])[0].tolist()
                 raise Difference(
                     f"run {self.tally.runs}, tick {session.tick}, "
