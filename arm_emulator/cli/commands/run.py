@@ -25,8 +25,8 @@ from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given
 from arm_emulator.build.c_header import CData
-from arm_emulator.cli.case_bag import check_new_bag
 from arm_emulator.cli.command import command
+from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
