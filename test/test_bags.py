@@ -262,9 +262,8 @@ def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_pa
     config = Path(__file__).resolve().parents[1] / "config"
     shutil.copytree(config / "urdf", tmp_path / "urdf")
     text = (config / "three_axis.yaml").read_text()
-    assert "resistance: 1.0" in text
     other = tmp_path / "three_axis.yaml"
-    other.write_text(text.replace("resistance: 1.0", "resistance: 1.01"))
+    other.write_text(f"{text}\npayload: 2.0  # as in examples/my_tests.py\n")
     code, printed = run("check-bag", recording[0], "--scene", other)
     assert code == 1
     assert "the first difference: run " in printed

@@ -194,7 +194,7 @@ def test_gains_hold_the_machine_in_motion() -> None:
     [
         ("torque", {"torque_bandwidth": 0.0, "resistance": 1.0},
          "torque_bandwidth must be given: the scene's motor takes a torque, got nothing"),
-        ("dc", {"torque_bandwidth": 100.0, "torque_constant": 1.0},
+        ("pmsm", {"torque_bandwidth": 100.0, "torque_constant": 1.0},
          "torque_bandwidth must be absent: the scene's motor takes a voltage, got 100 Hz"),
         ("torque", {"torque_bandwidth": 0.0, "current_bandwidth": 100.0},
          "current_bandwidth must be absent: the scene's motor takes a torque, got 100 Hz"),

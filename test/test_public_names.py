@@ -74,7 +74,7 @@ def test_the_import_loads_neither_numpy_nor_ros() -> None:
 
 def _values(volts: float) -> dict[str, Any]:
     """Return every kind of record that has arrays, of a machine under a constant command."""
-    plant = Plant(load_scene("three_axis", {"supply_voltage": 40.0 + volts}))
+    plant = Plant(load_scene("three_axis", {"joints.waist.start": volts}))
     plant.exchange([volts, 0.0, 0.0])
     plant.exchange([volts, 0.0, 0.0])
     fleet = Fleet("three_axis", 2)
