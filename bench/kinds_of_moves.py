@@ -137,7 +137,7 @@ KINDS: dict[str, tuple[Ask, float, int]] = {
 }
 
 
-def draw(folder: Path) -> Path:
+def picture(folder: Path) -> Path:
     """Draw all kinds: where the tool goes, link speeds over limits, distance from the reference."""
     figure = new_figure(15.0, 7.0)
     axes = figure.subplots(3, len(KINDS))

@@ -21,7 +21,7 @@ SIZE: Any = {"width": 1000, "height": 620}
 DRAG = "xpath=//*[text()='Drag a handle in the picture']/following::input[1]"
 
 
-def draw(folder: Path) -> Path:
+def picture(folder: Path) -> Path:
     """Draw the page into a folder, and return the picture's path.
 
     Raises:

@@ -70,7 +70,7 @@ def record(rrd: Path) -> tuple[float, float]:
     return begin * 1e-9, end * 1e-9
 
 
-def draw(out: Path) -> Path:
+def picture(out: Path) -> Path:
     """Draw the picture into a folder and return its file."""
     begin, end = record(out / "square.rrd")
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES

@@ -52,7 +52,7 @@ def in_chromium(url: str, size: Any = SIZE) -> Iterator[Any]:
         browser.close()
 
 
-def draw(folder: Path) -> Path:
+def picture(folder: Path) -> Path:
     """Draw the page into a folder, and return the picture's path.
 
     Raises:

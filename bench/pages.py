@@ -74,7 +74,7 @@ def _command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Pa
 
 def _bench(name: str) -> Callable[[Path], Path]:
     """Return what makes a picture by a bench that draws at once."""
-    return lambda scratch: importlib.import_module(f"bench.{name}").draw(scratch)
+    return lambda scratch: importlib.import_module(f"bench.{name}").picture(scratch)
 
 
 def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:

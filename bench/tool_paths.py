@@ -139,7 +139,7 @@ def report(figures: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def draw(folder: Path) -> Path:
+def picture(folder: Path) -> Path:
     """Draw one path of each kind: where the tool goes, speeds over limits, distance from it."""
     figure = new_figure(9.0, 7.0)
     axes = figure.subplots(3, len(KINDS))

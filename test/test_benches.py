@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,16 @@ def test_every_bench_can_be_imported(name: str) -> None:
         importlib.import_module(f"bench.{name}")
     except ModuleNotFoundError as error:
         assert error.name in OF_PEERS, error
+
+
+@pytest.mark.parametrize("name", report.SECTIONS + report.BY_NAME)
+def test_a_section_measures_reports_and_draws_its_figures(name: str) -> None:
+    section = importlib.import_module(f"bench.{name}")
+    assert isinstance(section.TITLE, str)
+    inspect.signature(section.run).bind(True)
+    inspect.signature(section.report).bind({})
+    if hasattr(section, "draw"):
+        inspect.signature(section.draw).bind({}, ROOT)
 
 
 def test_the_published_report_is_made_of_its_figures() -> None:

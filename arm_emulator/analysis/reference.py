@@ -8,7 +8,7 @@ frames, nor the elimination of the motors, nor a fixed step.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -138,6 +138,19 @@ def _motor_of(joint: Joint) -> DcMotor | None:
     return joint.motor
 
 
+def _check_smooth(scene: Scene, motors: Sequence[DcMotor | None]) -> None:
+    """Refuse parts that make the right-hand side jump."""
+    for joint, motor in zip(scene.joints, motors, strict=True):
+        limited = motor is not None and motor.current_limit is not None and motor.inductance > 0.0
+        for quantity, there in (
+            ("friction.coulomb", joint.friction.coulomb > 0.0),
+            ("motor.current_limit", limited and joint.find(CurrentLoop) is None),
+        ):
+            if there:
+                where = f"joints.{joint.name}.{quantity}"
+                raise Refusal("reference", where, "be absent", "there", "a smooth machine")
+
+
 class ReferenceMachine:
     """The right-hand side of a scene's equations of motion.
 
@@ -153,20 +166,8 @@ class ReferenceMachine:
         self.N = len(scene.joints)
         motors = [_motor_of(joint) for joint in scene.joints]
         gears = [joint.gear for joint in scene.joints]
-        for joint, motor in zip(scene.joints, motors, strict=True) if smooth else ():
-            for quantity, absent in (
-                ("friction.coulomb", joint.friction.coulomb == 0.0),
-                (
-                    "motor.current_limit",
-                    motor is None
-                    or motor.current_limit is None
-                    or motor.inductance == 0.0
-                    or joint.find(CurrentLoop) is not None,
-                ),
-            ):
-                if not absent:
-                    where = f"joints.{joint.name}.{quantity}"
-                    raise Refusal("reference", where, "be absent", "there", "a smooth machine")
+        if smooth:
+            _check_smooth(scene, motors)
         self.motor = np.array([motor is not None for motor in motors])
         self.R, self.L, self.Kt, self.Kb, self.Mm = np.array(
             [

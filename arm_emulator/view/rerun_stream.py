@@ -132,14 +132,7 @@ class RerunStream:
         )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")
-        sinks: list[rr.FileSink | rr.GrpcServerSink] = []
-        if file is not None:
-            sinks.append(rr.FileSink(str(file)))
-        if port is not None:
-            # The default address would be every interface of the machine.
-            server = rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=server_memory)
-            sinks.append(server)
-            self.url = server.uri
+        sinks = self._sinks(file, port, server_memory)
         recording.set_sinks(*sinks, default_blueprint=self._batches.blueprint(q_start, targets))
         self._batches.send_static(recording)
 
@@ -154,6 +147,22 @@ class RerunStream:
         self._thread.start()
         # Before Rerun's own handler, which does not know this queue.
         atexit.register(self.close)
+
+    def _sinks(
+        self, file: str | Path | None, port: int | None, server_memory: str
+    ) -> list[rr.FileSink | rr.GrpcServerSink]:
+        """Return where the recording goes."""
+        import rerun as rr
+
+        sinks: list[rr.FileSink | rr.GrpcServerSink] = []
+        if file is not None:
+            sinks.append(rr.FileSink(str(file)))
+        if port is not None:
+            # The default address would be every interface of the machine.
+            server = rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=server_memory)
+            sinks.append(server)
+            self.url = server.uri
+        return sinks
 
     @property
     def open(self) -> bool:
