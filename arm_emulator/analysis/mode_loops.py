@@ -109,10 +109,9 @@ class ModeLoops:
     Args:
         scene: the machine; every joint has a motor.
         servo: names the scene's joints, in any order.
-        plant: a machine of the scene, used for its links; None: a new one.
     """
 
-    def __init__(self, scene: Scene, servo: ServoConfig, plant: Plant | None = None) -> None:
+    def __init__(self, scene: Scene, servo: ServoConfig) -> None:
         known = {joint.name: joint for joint in servo.joints}
         joints = [known[name] for name in scene.joint_names]
         self._N, self._delay, self._period = len(joints), late(scene), servo.period
@@ -120,7 +119,7 @@ class ModeLoops:
         self._servos = {
             loop: [LinearServo(joint, servo.period, loop) for joint in joints] for loop in Loop
         }
-        plant = plant or Plant(scene)
+        plant = Plant(scene)
         stand = [(q, loaded) for loaded in contacts(plant) for q in poses(scene, POSES)]
         self._poses = [q for q, _ in stand]
         motions = [SmallMotions(plant, *one) for one in stand]
@@ -216,9 +215,7 @@ _KNOWN: dict[_Key, list[Withheld]] = {}
 _MOST_KNOWN = 64
 
 
-def withheld_modes(
-    scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...], plant: Plant | None = None
-) -> list[Withheld]:
+def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) -> list[Withheld]:
     """Return the modes that drives of this scene do not offer, with the reasons.
 
     Empty if a joint has no motor, or if small motions cannot be computed for numerical range.
@@ -232,7 +229,7 @@ def withheld_modes(
             del _KNOWN[next(iter(_KNOWN))]
         try:
             with np.errstate(all="ignore"):
-                _KNOWN[key] = ModeLoops(scene, servo, plant).withheld(modes)
+                _KNOWN[key] = ModeLoops(scene, servo).withheld(modes)
         except (ArithmeticError, np.linalg.LinAlgError):
             _KNOWN[key] = []
     return _KNOWN[key]

@@ -110,7 +110,6 @@ class ServoLoops:
         servo: ServoConfig,
         at: list[Array] | None = None,
         delay: int = 0,
-        plant: Plant | None = None,
     ) -> None:
         self.scene = scene
         known = {joint.name: joint for joint in servo.joints}
@@ -118,7 +117,7 @@ class ServoLoops:
         self.servo = servo
         self.delay = delay = delay + late(scene)
         self.poses = poses(scene) if at is None else at
-        plant = plant or Plant(scene)
+        plant = Plant(scene)
         self._motions = [
             SmallMotions(plant, q, loaded) for loaded in contacts(plant) for q in self.poses
         ]

@@ -12,6 +12,7 @@ from arm_emulator.base.refusal import Refusal
 FloatArray = npt.NDArray[np.float64]
 
 _STEPS = Number.within("step_response", "", 1e3)
+SMALL = 0.02  # of the way: errors below count no more
 
 
 def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> FloatArray:
@@ -54,12 +55,12 @@ def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: i
     return errors[1:]
 
 
-def convergence_factor(errors: npt.ArrayLike, down_to: float = 0.02) -> float:
+def convergence_factor(errors: npt.ArrayLike) -> float:
     """Return the factor by which an instruction makes the error smaller, in the mean.
 
     Args:
-        errors: in parts of the way after each instruction, (K,).
-        down_to: part until which the errors count.
+        errors: in parts of the way after each instruction, (K,). Those after the first one below
+            `SMALL` do not count.
 
     Raises:
         Refusal: errors that are not finite.
@@ -67,6 +68,6 @@ def convergence_factor(errors: npt.ArrayLike, down_to: float = 0.02) -> float:
     sizes = np.abs(_STEPS.numbers("convergence_factor", errors))
     if sizes.ndim != 1 or len(sizes) == 0 or not np.isfinite(sizes).all():
         raise Refusal("convergence_factor", "errors", "be a row of finite numbers", errors)
-    small = np.flatnonzero(sizes < down_to)
+    small = np.flatnonzero(sizes < SMALL)
     last = int(small[0]) if len(small) else len(sizes) - 1
     return float(sizes[last] ** (1.0 / (last + 1)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,12 +24,9 @@ class SignalHistory:
     Args:
         line: timeline of a run with `session`, at its first tick; afterwards at the last.
         last: its last tick.
-        done: is called with each tick that is reached.
     """
 
-    def __init__(
-        self, line: Timeline[Any], last: int, done: Callable[[int], None] = lambda tick: None
-    ) -> None:
+    def __init__(self, line: Timeline[Any], last: int) -> None:
         every = max(1, -(-last // MOST))
         row = RecordRow(line.run.session.plant)
         rows, ticks = [row.take()], [line.tick]
@@ -38,7 +34,6 @@ class SignalHistory:
             line.advance(min(every, last - line.tick))
             rows.append(row.take())
             ticks.append(line.tick)
-            done(line.tick)
         self.ticks = np.array(ticks)
         self._rows = np.concatenate(rows)
         self.groups: dict[str, list[Column]] = {}

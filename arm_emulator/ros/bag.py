@@ -29,6 +29,9 @@ except ImportError as error:  # a stock ROS 2 machine has none
     ) from None
 
 
+WINDOW = 10_000  # messages: largest difference of the orders of reception and publication
+
+
 class BagMessage(NamedTuple):
     """A message as it was sent."""
 
@@ -94,17 +97,16 @@ class Bag:
             except OSError as error:
                 raise Refusal(str(file), "the bag", "be readable", error.strerror) from None
 
-    def as_published(self, topics: Collection[str], window: int = 10_000) -> Iterator[BagMessage]:
+    def as_published(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Yield messages in the order of publication: an answer after its question.
 
         Args:
             topics: their names.
-            window: largest difference from the order of reception [messages].
         """
         heap: list[tuple[int, int, BagMessage]] = []
         for number, message in enumerate(self.messages(topics)):
             heapq.heappush(heap, (message.published or message.received, number, message))
-            if len(heap) > window:
+            if len(heap) > WINDOW:
                 yield heapq.heappop(heap)[2]
         while heap:
             yield heapq.heappop(heap)[2]

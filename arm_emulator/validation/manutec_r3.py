@@ -75,20 +75,18 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     return motion, modes, data["pi_state"][0], data["regulator_state"][0]
 
 
-def simulate(period: float = 5e-5, steps: int = 1, scheme: str = SCHEMES[0],
-             events: str = "located") -> Motion:  # fmt: skip
+def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "located") -> Motion:
     """Compute the whole motion.
 
     Args:
-        period: of the controllers [s].
-        steps: of the integrator in a period.
+        period: of the controllers, and step of the integrator [s].
         scheme: of the integrator.
         events: located, or at the ends of steps.
 
     Raises:
         Diverged: the scheme does not hold at this step.
     """
-    integrator = {"scheme": scheme, "dt": period / steps, "events": events}
+    integrator = {"scheme": scheme, "dt": period, "events": events}
     scene = load_scene("manutec_r3", {"servo_period": period, "integrator": integrator})
     header = Header(CONTROLLERS.with_suffix(".h"), (BOUNDARY,))
     plant = Plant(scene, core=library_with(scene, "controllers", CONTROLLERS.read_text(), header))

@@ -34,7 +34,6 @@ def take_screenshot(
     *,
     at: float | None = None,
     size: tuple[int, int] = (1600, 900),
-    patience: float = 180.0,
 ) -> None:
     """Show a recording in an invisible viewer and write what it shows.
 
@@ -43,12 +42,11 @@ def take_screenshot(
         png: the picture to write.
         at: moment on the time line `t` [s]; None is its end.
         size: width and height of the viewer's window [points].
-        patience: longest wait for the viewer [s].
 
     Raises:
         Refusal: no such recording, a moment outside of it, or the viewer cannot start.
     """
-    (picture,) = take_screenshots(rrd, [at], size=size, patience=patience)
+    (picture,) = take_screenshots(rrd, [at], size=size)
     png = Path(png)
     png.parent.mkdir(parents=True, exist_ok=True)
     png.write_bytes(picture)
