@@ -63,78 +63,106 @@ def url_of(log: Path) -> str:
     return found[1] if found else ""
 
 
+def served(browser: Any, log: Path) -> str:
+    """Return the address that the emulator prints, once it has."""
+    waited = browser.new_page()  # gives a clock that lets playwright go on
+    for _ in range(PATIENCE // 100):
+        if url := url_of(log):
+            break
+        waited.wait_for_timeout(100)
+    waited.close()
+    return url
+
+
+def pause_and_step(page: Any) -> int:
+    """Pause the machine and let single ticks pass; return the tick at which it was paused."""
+    press(page, "Pause")
+    tick = paused_at(page)
+    press(page, "+1")
+    shows(page, f"tick {tick + 1},")
+    page.locator("body").press("ArrowRight")
+    shows(page, f"tick {tick + 2},")
+    return tick
+
+
+def change_the_machine(page: Any) -> None:
+    """Do all that can be done to the machine."""
+    page.get_by_role("tab", name="Machine").click()
+    press(page, "off")
+    shows(page, "power off: motors at 0 V")
+    press(page, "on")
+    shows(page, "power on")
+    press(page, "save")
+    shows(page, "here kept")
+    fill(page, "Varied numbers", "0.75")
+    shows(page, "joints.elbow.friction.viscous = 0.75")
+    fill(page, "Varied numbers", "-1")
+    shows(page, "must be")
+    fill(page, "Faults (0: off)", "0.5")
+    shows(page, "faults.elbow.gear_breaks = 0.5")
+    fill(page, "Faults (0: off)", "0")
+    shows(page, "faults.elbow.gear_breaks = 0 ")
+    press(page, "restore")
+    shows(page, "here restored")
+    press(page, "Read")
+    sync_api.expect(box(page, "Gain")).to_have_value(re.compile("joints"), timeout=PATIENCE)
+    fill(page, "Value", "7.5")
+    shows(page, "= 7.5")
+
+
+def push_and_aim(page: Any) -> None:
+    page.get_by_role("tab", name="Push").click()
+    fill(page, "Force [N], world axes", "3", 2)
+    press_until(page, "Push", "forearm is pushed with 0, 3, 0 N")
+    page.get_by_role("tab", name="Target").click()
+    press(page, "Copy the tool's pose")
+    fill(page, "Position [m], world axes", "0.4", 1)
+    press_until(page, "Send the tool there", "the tool is sent to 0.4")
+    box(page, "Times real time").click()
+    page.get_by_role("option", name="0.25", exact=True).click()
+    shows(page, "0.25 times real time")
+
+
+def go_to_a_breakpoint(page: Any, tick: int) -> int:
+    """Let time go on, and the arm move, from a tick on; return where the machine is paused."""
+    page.get_by_role("tab", name="Events").click()
+    fill(page, "Stop when", "v.elbw > 1")
+    press_until(page, "Set the breakpoint", "condition must name signals")
+    fill(page, "Stop when", f"tick >= {tick + 700}")
+    press_until(page, "Set the breakpoint", "stops where tick >=")
+    press(page, "Play")
+    shows(page, f"stopped: tick >= {tick + 700}")
+    page.wait_for_function(f"/tick {tick + 700},/.test(document.body.innerText)")
+    press(page, "Play")
+    page.wait_for_function("/tool target \\d+ moving/.test(document.body.innerText)")
+    press(page, "Pause")
+    return paused_at(page)
+
+
+def look_back(page: Any, tick: int) -> None:
+    """Go to the moment of an event, by its button, and back to the present tick."""
+    page.get_by_role("button", name="set varied").first.click()
+    shows(page, "in the past")
+    assert tick_of(page) < tick
+    press(page, "Live")
+    shows(page, f"tick {tick},")
+
+
 def test_the_bag_repeats_all_that_is_done_on_the_page(
     browser: Any, scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     bag, log = tmp_path / "bag", tmp_path / "log"
     streams = {"page_port": 0, "record": bag}
     with own_domain(), Bringup(str(scene), emulator=streams, log=log) as network:
-        waited = browser.new_page()  # gives a clock that lets playwright go on
-        for _ in range(PATIENCE // 100):
-            if url := url_of(log / "emulator.log"):
-                break
-            waited.wait_for_timeout(100)
-        waited.close()
+        url = served(browser, log / "emulator.log")
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(url.partition("?")[0])
         page = opened(browser, url, play="Pause")
-        press(page, "Pause")
-        tick = paused_at(page)
-        press(page, "+1")
-        shows(page, f"tick {tick + 1},")
-        page.locator("body").press("ArrowRight")
-        shows(page, f"tick {tick + 2},")
-        # All that can be done to the machine.
-        page.get_by_role("tab", name="Machine").click()
-        press(page, "off")
-        shows(page, "power off: motors at 0 V")
-        press(page, "on")
-        shows(page, "power on")
-        press(page, "save")
-        shows(page, "here kept")
-        fill(page, "Varied numbers", "0.75")
-        shows(page, "joints.elbow.friction.viscous = 0.75")
-        fill(page, "Varied numbers", "-1")
-        shows(page, "must be")
-        fill(page, "Faults (0: off)", "0.5")
-        shows(page, "faults.elbow.gear_breaks = 0.5")
-        fill(page, "Faults (0: off)", "0")
-        shows(page, "faults.elbow.gear_breaks = 0 ")
-        press(page, "restore")
-        shows(page, "here restored")
-        press(page, "Read")
-        sync_api.expect(box(page, "Gain")).to_have_value(re.compile("joints"), timeout=PATIENCE)
-        fill(page, "Value", "7.5")
-        shows(page, "= 7.5")
-        page.get_by_role("tab", name="Push").click()
-        fill(page, "Force [N], world axes", "3", 2)
-        press_until(page, "Push", "forearm is pushed with 0, 3, 0 N")
-        page.get_by_role("tab", name="Target").click()
-        press(page, "Copy the tool's pose")
-        fill(page, "Position [m], world axes", "0.4", 1)
-        press_until(page, "Send the tool there", "the tool is sent to 0.4")
-        box(page, "Times real time").click()
-        page.get_by_role("option", name="0.25", exact=True).click()
-        shows(page, "0.25 times real time")
-        # Time goes on, and the arm moves.
-        page.get_by_role("tab", name="Events").click()
-        fill(page, "Stop when", "v.elbw > 1")
-        press_until(page, "Set the breakpoint", "condition must name signals")
-        fill(page, "Stop when", f"tick >= {tick + 700}")
-        press_until(page, "Set the breakpoint", "stops where tick >=")
-        press(page, "Play")
-        shows(page, f"stopped: tick >= {tick + 700}")
-        page.wait_for_function(f"/tick {tick + 700},/.test(document.body.innerText)")
-        press(page, "Play")
-        page.wait_for_function("/tool target \\d+ moving/.test(document.body.innerText)")
-        press(page, "Pause")
-        tick = paused_at(page)
-        # Every event is a button that leads to its moment; there is a way back.
-        page.get_by_role("button", name="set varied").first.click()
-        shows(page, "in the past")
-        assert tick_of(page) < tick
-        press(page, "Live")
-        shows(page, f"tick {tick},")
+        tick = pause_and_step(page)
+        change_the_machine(page)
+        push_and_aim(page)
+        tick = go_to_a_breakpoint(page, tick)
+        look_back(page, tick)
         page.get_by_role("tab", name="Plot").click()
         page.locator(".uplot canvas").first.wait_for()
         page.screenshot(path=tmp_path / "live.png")
