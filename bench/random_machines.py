@@ -32,7 +32,7 @@ from oracles.random_machines import FALLS, Verdict, judge
 def table(verdicts: list[Verdict]) -> Table:
     """Return how many machines meet each claim, by scheme."""
     out = Table("scheme", "machines", "with events", "events", "diverged", "error in order",
-                "balance in order", "below 1e-9 at 1 us", "worst there")  # fmt: skip
+                "balance in order", "balanced at 1 us", "worst there")  # fmt: skip
     for scheme in SCHEMES:
         own = [verdict for verdict in verdicts if verdict.scheme == scheme]
         if not own:
