@@ -21,6 +21,43 @@ from arm_emulator_msgs.msg import MotorCommand, MotorState
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
 
 
+class _Sender:
+    """Writes what a network in lock-step sends, 1 us apart."""
+
+    def __init__(self, writer: BagWriter, session: Session) -> None:
+        kinds = {name: f"arm_emulator_msgs/msg/{one.__name__}" for name, one in TYPES.items()}
+        kinds["/tool_target"] = "geometry_msgs/msg/PoseStamped"
+        self._numbers = {
+            topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
+            for topic, kind in kinds.items()
+        }
+        self._writer, self._session = writer, session
+        self._names = list(session.scene.joint_names)
+        self._clock = 10**18
+
+    def send(self, topic: str, message: Any) -> None:
+        self._clock += 1000
+        data = serialize_message(message)
+        self._writer.write(self._numbers[topic], self._clock, self._clock, data)
+
+    def report(self) -> None:
+        session = self._session
+        state = MotorState(
+            header=Header(stamp=stamp(session.logical_ns)),
+            tick=session.tick,
+            joint_names=self._names,
+            powered=session.powered,
+            encoder_counts=session.measured.encoder_counts,
+            current=session.state.current,
+            applied=session.measured.applied,
+        )
+        self.send("/motor_states", state)
+
+    def command(self, tick: int, voltage: list[float]) -> None:
+        message = MotorCommand(tick=tick, joint_names=self._names, command=voltage)
+        self.send("/motor_commands", message)
+
+
 def synthetic(
     folder: Path,
     powers: list[bool],
@@ -35,61 +72,25 @@ def synthetic(
     session = Session(load_scene("three_axis"), "lockstep", "first_answer")
     names = list(session.scene.joint_names)
     rng = np.random.default_rng(7)
-    clock = 10**18
     with BagWriter(folder) as writer:
-        numbers = {
-            topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
-            for topic, kind in (
-                *((name, f"arm_emulator_msgs/msg/{one.__name__}") for name, one in TYPES.items()),
-                ("/tool_target", "geometry_msgs/msg/PoseStamped"),
-            )
-        }
-
-        def send(topic: str, message: Any) -> None:
-            nonlocal clock
-            clock += 1000
-            writer.write(numbers[topic], clock, clock, serialize_message(message))
-
-        def report() -> None:
-            send(
-                "/motor_states",
-                MotorState(
-                    header=Header(stamp=stamp(session.logical_ns)),
-                    tick=session.tick,
-                    joint_names=names,
-                    powered=session.powered,
-                    encoder_counts=session.measured.encoder_counts,
-                    current=session.state.current,
-                    applied=session.measured.applied,
-                ),
-            )
-
+        sender = _Sender(writer, session)
         for _ in range(runs):
             session.reset()
             session.powered = True
-            report()
+            sender.report()
             if p_WT is not None:
                 x, y, z = p_WT
-                send("/tool_target", PoseStamped(pose=Pose(position=Point(x=x, y=y, z=z))))
+                sender.send("/tool_target", PoseStamped(pose=Pose(position=Point(x=x, y=y, z=z))))
             for powered in powers:
                 if session.tick >= first:
                     voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()
-                    send(
-                        "/motor_commands",
-                        MotorCommand(tick=session.tick + 1000, joint_names=names, command=voltage),
-                    )
-                    send(
-                        "/motor_commands",
-                        MotorCommand(tick=session.tick, joint_names=names, command=voltage),
-                    )
+                    sender.command(session.tick + 1000, voltage)
+                    sender.command(session.tick, voltage)
                     session.offer(session.tick, names, voltage)
                 session.powered = powered
                 session.advance()
-                report()
-                report()  # as an unanswered state is reported again
+                sender.report()
+                sender.report()  # as an unanswered state is reported again
             # Underway when the reset comes: refused.
-            send(
-                "/motor_commands",
-                MotorCommand(tick=session.tick, joint_names=names, command=[1.0] * 3),
-            )
+            sender.command(session.tick, [1.0] * 3)
     return folder
