@@ -24,8 +24,10 @@ from arm_emulator import Kinematics, Pose, Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.no_way import NoWay
+from arm_emulator.motion.target_ways import joints_duration
 from arm_emulator.motion.way import Way
-from arm_emulator.motion.way_controller import WayController, joints_duration
+from arm_emulator.motion.way_controller import WayController
 from bench.measure import progress
 from bench.motion import Array
 from oracles.any_arm import arms
@@ -138,12 +140,16 @@ def examine(law: WayController, rng: np.random.Generator, seen: Seen) -> None:
     R_WT, p_WT = kinematics.forward(end)
     target = Pose(p_WT, R_WT)
     begun = time.process_time()
-    law.update(law.coming.q, target)
-    seen.planning.append(time.process_time() - begun)
-    for _ in range(60):
-        if not law.seeking:
-            break
+    try:
         law.update(law.coming.q, target)
+        seen.planning.append(time.process_time() - begun)
+        for _ in range(60):
+            if not law.seeking:
+                break
+            law.update(law.coming.q, target)
+    except NoWay:
+        seen.ways["refused"] += 1
+        return
     motion = law.motion
     seen.ways[law.way.split(":")[0] or "none"] += 1
     judge(law, motion, rng, seen)
@@ -186,7 +192,7 @@ def compare(law: WayController, motion: Way, seen: Seen) -> None:
 
     limits, curve = law.limits, motion.curve
     grid = np.linspace(0.0, 1.0, GRID + 1)
-    if len(curve.breaks) == 2:
+    if curve.coefficients.shape[:2] == (1, 2):  # a line of the joints
         step = curve.derivatives(np.zeros(1))[1, 0]
         least = joints_duration(step, limits)
         if least > 0.0 and not motion.loaded:

@@ -13,8 +13,8 @@ from documents import page_of
 NUMBERS: list[tuple[str, str, str, float]] = [
     ("motion", "uses {} of the description's speed limits", "way_controller.SPEED_SHARE", 1),
     ("motion", "deviates by more than {} rad", "way_controller.LOST", 1),
-    ("motion", "would take more than {} times and", "way_controller.MUCH_LONGER", 1),
-    ("motion", "times and {} s longer", "way_controller.LONGER", 1),
+    ("motion", "would take more than {} times and", "target_ways.MUCH_LONGER", 1),
+    ("motion", "times and {} s longer", "target_ways.LONGER", 1),
     ("motion", "rises to its limit in {} ms", "way_controller.JERK_TIME", 1e3),
     ("motion", "or in {} motion periods", "way_controller.JERK_PERIODS", 1),
     ("motion", "from the line by at most {} of the reach", "tool_line.OFF_THE_LINE", 1),

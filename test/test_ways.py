@@ -17,6 +17,7 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import AlongLimits, Way, WayLimits
 from arm_emulator.motion.way_controller import LOST, WayController
@@ -195,10 +196,14 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
         target = pose_of(arm, end)
         controller = law_of(arm, PERIOD)
         controller.begin(start)
-        for _ in range(100):
-            controller.update(controller.coming.q, target)
-            if controller.way:
-                break
+        try:
+            for _ in range(100):
+                controller.update(controller.coming.q, target)
+                if controller.way:
+                    break
+        except NoWay as refused:
+            assert "past its end" in str(refused) and not controller.way
+            continue
         assert controller.way
         times = np.linspace(0.0, controller.motion.duration, 400)
         p = np.array([arm.forward(controller.motion.at(t).q)[1] for t in times])
@@ -212,7 +217,11 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
             announced = "past its end" in controller.way
             assert announced or past < 1.1e-3, f"{past}: {controller.way}"
             assert past > 0.9e-3 or not announced, f"{past}: {controller.way}"
-        assert past < 1e-9 or "joints' line" in controller.way
+            assert past < 3.1e-3
+        elif controller.way.startswith("along an arc of the joints"):
+            assert past < 1.1e-3, f"{past}: {controller.way}"
+        else:
+            assert past < 1e-9, f"{past}: {controller.way}"
     assert free
 
 

@@ -12,6 +12,7 @@ from arm_emulator.motion.collisions import collisions_of
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.obstacles import OBSTACLES
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
@@ -22,10 +23,6 @@ _FIRST, _MOST = 33, 2000  # configurations of a way
 
 Angles = Callable[[FloatArray], FloatArray]
 """Angles of the joints (K, N) at parts of a way (K,), 0 to 1."""
-
-
-class WouldTouch(Refusal):
-    """Raised for a motion on which parts would touch."""
 
 
 class CollisionGuard:
@@ -92,7 +89,7 @@ class CollisionGuard:
             angles: of the joints on it.
 
         Raises:
-            WouldTouch: with the pair and the place.
+            NoWay: with the pair and the place.
         """
         found = self.along(angles)
         if found is None:
@@ -104,7 +101,7 @@ class CollisionGuard:
             suppress_small=True,
         )
         got = f"{touching} would touch at {part:.0%} of it, the tool at {place} m"
-        raise WouldTouch(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
+        raise NoWay(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
 
     def _apart(self, angles: Angles) -> tuple[FloatArray, FloatArray]:
         """Return parts of a way (K,), and angles there (K, N), no farther apart than is tested."""

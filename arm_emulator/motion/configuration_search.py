@@ -10,6 +10,7 @@ import numpy.typing as npt
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.spread import spread
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -22,10 +23,9 @@ class ConfigurationSearch:
 
     Before these, joints that stand at a limit are tried a turn farther back.
 
-    The angles are evenly spread and the same for every target (an additive sequence with the powers
-    of the generalised golden ratio: Roberts 2018, The unreasonable effectiveness of quasirandom
-    sequences). Joints that turn farther than half a turn either way begin within half a turn of
-    where they are. Joints that do not move the tool stay.
+    The angles are evenly spread and the same for every target. Joints that turn farther than half a
+    turn either way begin within half a turn of where they are. Joints that do not move the tool
+    stay.
 
     Args:
         kinematics: of the arm.
@@ -34,12 +34,7 @@ class ConfigurationSearch:
     def __init__(self, kinematics: Kinematics) -> None:
         self._to_tool = kinematics.to_tool
         self._goal = JointGoal(kinematics.of_tool)
-        n = int(self._to_tool.sum())
-        ratio = 2.0
-        for _ in range(64):  # the root of x^(n+1) = x + 1
-            ratio = (1.0 + ratio) ** (1.0 / (n + 1))
-        powers = ratio ** -np.arange(1.0, n + 1.0)
-        self._parts = np.mod(0.5 + np.outer(np.arange(1.0, STARTS + 1.0), powers), 1.0)
+        self._parts = spread(STARTS, int(self._to_tool.sum()))
         self._starts: list[FloatArray] = []
 
     def begin(self, target: Pose, q: FloatArray) -> None:
@@ -61,22 +56,21 @@ class ConfigurationSearch:
         return not self._starts
 
     def search(self, steps: int) -> FloatArray | None:
-        """Take so many steps; return joint angles that reach the target once they are found."""
+        """Take so many steps; return joint angles that reach the target if any are found."""
         if self.over:
             return None
         goal = self._goal
         goal.approach(steps)
         self._left -= steps
+        found = None
         if goal.reached:
-            self._starts = []
             found = self._all.copy()
             found[self._to_tool] = goal.q
-            return found
-        if goal.settled or self._left <= 0:
+        if found is not None or goal.settled or self._left <= 0:
             self._starts.pop(0)
             if self._starts:
                 self._begin_next()
-        return None
+        return found
 
     def _whole_turns(self, q: FloatArray) -> list[FloatArray]:
         """Return where joints at a limit are after a turn back: all of them, and each alone."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.collision_guard import WouldTouch
 from arm_emulator.motion.coming_orders import ComingOrders, check_wait
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
@@ -20,6 +19,7 @@ from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, Kind, Reports, State
 from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
+from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.orders import Order, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
@@ -350,10 +350,10 @@ class Instructor:
             if self._hold is None:
                 self._hold = q
             return Instruction(self._hold)
-        before = None if laws.guard is None else taken.order.reference(time_ns)
         try:
             instruction = taken.order.instruct(laws, time_ns, q)
-        except WouldTouch as reason:
+        except NoWay as reason:  # nothing has changed
+            before = taken.order.reference(time_ns)
             assert before is not None
             moved = bool((before.v != 0.0).any())
             state = State.ABORTED if moved else State.REFUSED

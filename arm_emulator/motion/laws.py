@@ -42,6 +42,8 @@ class Laws:
         self.feedforward = Feedforward(controller.kinematics, config)
         watched = config.watches_collisions
         self.guard = CollisionGuard(controller.kinematics, config) if watched else None
+        if self._ways is not None:
+            self._ways.guard = self.guard
 
     @property
     def ways(self) -> WayController:

@@ -80,7 +80,8 @@ class Order(Protocol):
         """Return the joint targets of this motion period.
 
         Raises:
-            WouldTouch: a motion that would begin now leads to a collision.
+            NoWay: a motion that would begin now leads to a collision, or far past its end. Nothing
+                has changed then.
         """
 
     def reference(self, now_ns: int) -> Reference | None:
@@ -98,7 +99,6 @@ class TargetOrder:
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
         self.stamp_ns, self.pose = stamp_ns, pose
         self._held: FloatArray | None = None
-        self._checked: object = None  # the newest motion that was checked for collisions
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -121,11 +121,6 @@ class TargetOrder:
         if self._held is not None:
             return Instruction(self._held)
         instruction = self._law.update(q, self.pose)
-        if laws.guard is not None and self._law is laws.ways:
-            motion = laws.ways.motion
-            if motion is not self._checked:
-                self._checked = motion
-                laws.guard.check(self.kind.topic, angles_over(motion))
         if self._law.coming is None and self._arrival.stalls(now_ns):
             # Eq. (6) would never give up.
             self._held = q

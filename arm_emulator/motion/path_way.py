@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.joint_arc import QUIETLY_PAST, joint_arc, past_end
 from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.take_over import Rest
+from arm_emulator.motion.target_ways import FARTHEST_PAST
 from arm_emulator.motion.timed_distance import TimedDistance
 from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along
 from arm_emulator.motion.tool_path import WHERE, ToolPath
@@ -115,7 +117,14 @@ def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
         line = joints_along(law.arm, q, begin, to, goal.q)
     if not isinstance(line, JointCurve):
         assert goal is not None
-        return Way(JointCurve.line(q, goal.q), law.limits, law.arm, where=WHERE)
+        curve = JointCurve.line(q, goal.q)
+        past = past_end(law.arm, curve)
+        if past > QUIETLY_PAST:
+            curve = joint_arc(law.arm, q, goal.q) or curve
+            if past > FARTHEST_PAST and past_end(law.arm, curve) > FARTHEST_PAST:
+                rule = f"be where a way leads at most {FARTHEST_PAST * 1e3:g} mm past it"
+                raise Refusal(WHERE, "poses[0]", rule, f"one with {past * 1e3:.3g} mm")
+        return Way(curve, law.limits, law.arm, where=WHERE)
     turned = float(np.linalg.norm(off[3:])) if kinematics.turns_tool else 0.0
     length = max(float(np.linalg.norm(to.p_WT - p_WT)), limits.per_turn * turned)
     along = AlongLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)

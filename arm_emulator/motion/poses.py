@@ -28,12 +28,17 @@ class Poses:
         return Poses(self.p[places], self.R[places])
 
 
-def along_a_line(begin: Pose, end: Pose, parts: FloatArray) -> Poses:
-    """Return poses at shares (K,) of a straight way that turns evenly about one axis."""
+def along_a_line(begin: Pose, end: Pose, parts: FloatArray, other_way: bool = False) -> Poses:
+    """Return poses at shares (K,) of a straight way that turns evenly about one axis.
+
+    Half a turn at most, or the other way round: what is left of a whole one.
+    """
     p = begin.p_WT + parts[:, None] * (end.p_WT - begin.p_WT)
     turn = pin.log3(end.R_WT @ begin.R_WT.T)
     angle = math.hypot(*turn)
     axis = pin.skew(turn / angle if angle > 0.0 else turn)
+    if other_way:
+        angle -= 2.0 * math.pi
     once, angles = axis @ begin.R_WT, parts[:, None, None] * angle
     twice = axis @ once
     return Poses(p, begin.R_WT + np.sin(angles) * once + 2.0 * np.sin(0.5 * angles) ** 2 * twice)

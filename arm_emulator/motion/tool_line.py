@@ -23,6 +23,7 @@ def joints_along(
     end: Pose,
     goal: FloatArray | None,
     turns: bool = True,
+    other_way: bool = False,
 ) -> JointCurve | str:
     """Return the joints' curve along a line of the tool, or why no such curve exists.
 
@@ -33,11 +34,12 @@ def joints_along(
         end: pose of the tool at the end.
         goal: angles of the joints at the end (N,); None: those that the line reaches.
         turns: whether the tool turns evenly; else it turns as the joints go to the goal.
+        other_way: whether it turns the other way round, by more than half a turn.
     """
     why = ""
     for nodes in NODES:
         halves = np.arange(1, 2 * nodes + 1) / (2 * nodes)  # and nodes, in turns
-        every = along_a_line(begin, end, halves)
+        every = along_a_line(begin, end, halves, other_way)
         poses, wanted = every[1::2], every[::2]
         q = arm.trace(start, poses.p, poses.R, goal, turns)
         if len(q) <= nodes:

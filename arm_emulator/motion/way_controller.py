@@ -1,7 +1,8 @@
 """Tool targets along planned ways.
 
 A target that comes while the arm rests is reached along the tool's line, or along the joints' line
-where that of the tool is not possible or takes much longer. One that comes while the arm moves is
+where that of the tool is not possible or takes much longer; where the tool would go past its end
+on that, along an arc of the joints beside it. One that comes while the arm moves is
 reached from that motion, jerk-limited (`TakeOver`). All of them are planned to their end within the
 limits of speed, acceleration and jerk, those from rest within the torques of the description too;
 so nothing goes past its end.
@@ -20,21 +21,22 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import ruckig
 
 from arm_emulator.base.given import as_kind
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
 from arm_emulator.motion.instruction import Instruction
+from arm_emulator.motion.joint_arc import past_end
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.no_way import NoWay, PastEnd
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.ruckig_result import found
 from arm_emulator.motion.take_over import Rest, TakeOver
+from arm_emulator.motion.target_ways import FARTHEST_PAST, TargetWays
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import Way, WayLimits
 
@@ -54,10 +56,7 @@ _FAR_STEPS = 30  # of the joint goal, for them
 _LONGEST_SEARCH = 0.3  # s, for which the arm waits until a target is taken as beyond reach
 _SEARCH_TIME = 3e-3  # s of logical time for a step of the search
 BEYOND_REACH = "the target is beyond reach"  # as far as is known
-MUCH_LONGER = 1.5  # times the joints' line takes, and
-LONGER = 0.1  # s: then the joints' line is taken
-QUIETLY_PAST = 1e-3  # m past its end, that a way of the joints may take the tool without a word
-_LOOKS = np.linspace(0.0, 1.0, 65)  # along such a way
+WHERE = "tool_target"
 _STILL = 1e-9  # rad/s, rad/s2 and per reach
 _SAME = 1e-9  # m, and of a rotation's entries: the same target once more
 
@@ -98,6 +97,8 @@ class WayController:
         """Limit of the last answer, as text; empty: none."""
         self.way = ""
         """Kind of the way to the target and the reason, as text; empty: unknown yet."""
+        self.guard: CollisionGuard | None = None
+        """Checks motions before they begin; None: nobody does."""
         self._began = False
         self._target: Pose | None
         self._forget()
@@ -176,6 +177,7 @@ class WayController:
 
         Raises:
             Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
+            NoWay: parts would touch on the way, or the tool would go far past its end.
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
@@ -185,14 +187,24 @@ class WayController:
         if target is not self._target and not _same(target, self._target):
             self._aim(target, now)
         self._target = target
-        if self._seeking:
-            self._seek(now, notices)
-        elif not self._goal.reached and (self._goal.settled or self._looking):
-            self._look_elsewhere(now, notices)
+        try:
+            self._find_way(now, notices)
+        except NoWay:
+            self._forget()  # the same target is a new one
+            raise
         if not self._seeking and not self._goal.reached:
             notices.append(self._unreachable())
         self.notices = tuple(notices)
         return self.go_on(q, target)
+
+    def _find_way(self, now: Reference, notices: list[str]) -> None:
+        """Search the joint angles of the target, and set out."""
+        if self._seeking:
+            self._seek(now, notices)
+        elif self._past_end is not None or (
+            not self._goal.reached and (self._goal.settled or self._looking)
+        ):
+            self._look_elsewhere(now, notices)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion that begins with the joints' commanded motion, from now on."""
@@ -233,6 +245,7 @@ class WayController:
     def _forget(self) -> None:
         self._target = None
         self._seeking, self._looking, self._waits = 0, False, 0
+        self._past_end: PastEnd | None = None  # why the way to the first joint angles is not gone
 
     def _follow(self, motion: Motion, way: str) -> None:
         self._motion, self._time, self._coming, self.way = motion, 0.0, None, way
@@ -264,7 +277,7 @@ class WayController:
         if not self._is_still(now) and not self.kinematics.to_tool.all():
             stop = self.stopping(now)
             self._goal.hold(stop.at(stop.duration).q)
-        self._looking, self._waits = False, 0
+        self._looking, self._waits, self._past_end = False, 0, None
         self._seeking = 1
         self._followed: JointCurve | str = ""
         if self._is_still(now) and not self.kinematics.redundant:
@@ -305,7 +318,11 @@ class WayController:
             if self.kinematics.redundant:
                 line = self._tool_line(now, self._target, goal.q)
         if goal.reached:
-            self._set_out(now, line, notices)
+            try:
+                self._set_out(now, line, notices)
+            except PastEnd as reason:
+                self._past_end = reason
+                self._search_begins(now)
         elif goal.settled or self._seeking == _LONGEST_SEEK:
             # Another configuration may reach it, and is better taken from here.
             self._seeking = 0
@@ -322,60 +339,47 @@ class WayController:
         """Go to the joint goal from a motion."""
         kinematics = self.kinematics
         way = TakeOver(now, self._goal.q, self.limits, kinematics.lower, kinematics.upper)
+        self._permit(way)
         self._follow(way, "from its motion along a way of the joints: the target came on the way")
         if way.stops:  # from rest it goes on
             self._seeking = max(1, self._seeking)
 
     def _set_out(self, now: Reference, line: JointCurve | str, notices: list[str]) -> None:
-        """Go to the joint goal from rest, along the tool's line or the reason why not."""
+        """Go to the joint goal from rest, along the tool's line or the reason why not.
+
+        Raises:
+            NoWay: parts would touch, or the tool would go far past its end. Nothing has changed.
+        """
+        assert self._target is not None
+        refused: NoWay | None = None
+        ways = TargetWays(self.arm, self.limits, now.q, self._target)
         end = self._goal.q
-        least = joints_duration(end - now.q, self.limits)
-        straight: Way | None = None
-        if isinstance(line, JointCurve):
-            straight = self._way(line, notices)
-            if straight.duration <= MUCH_LONGER * least + LONGER:
-                self._follow(straight, "along the tool's line")
-                return
-        joints = self._way(JointCurve.line(now.q, end), notices)
-        longest = MUCH_LONGER * joints.duration + LONGER
-        if straight is not None:
-            if straight.duration <= longest:
-                self._follow(straight, "along the tool's line")
-                return
-            line = (
-                f"the tool's passes near a singular pose and would take {straight.duration:.3g} s "
-                f"instead of {joints.duration:.3g} s"
-            )
-        free = self._turning_with_the_joints(now, end)
-        if isinstance(free, JointCurve):
-            straight = self._way(free, notices)
-            if straight.duration <= longest:
-                self._follow(straight, f"along the tool's line, turning as the joints do: {line}")
-                return
-        past = self._past(now.q, end)
-        if past > QUIETLY_PAST:
-            line = f"{line}; the tool goes {past * 1e3:.3g} mm past its end on the way"
-        self._follow(joints, f"along the joints' line: {line}")
+        for one in ways.to(end, line):
+            if refused is not None and one.end is end and self._touches(end):
+                continue  # wherever it comes from
+            try:
+                self._permit(one.way)
+            except NoWay as reason:
+                refused = refused or reason
+                continue
+            notices += ways.notices
+            if one.end is not end:
+                self._goal.take(one.end)
+            self._follow(one.way, one.words)
+            return
+        if refused is not None:
+            raise refused
+        past = past_end(self.arm, JointCurve.line(now.q, end)) * 1e3
+        rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
+        valid = "a target on the way, or a joint trajectory"
+        raise PastEnd(WHERE, "the way", rule, f"{past:.3g} mm on all that were found", valid)
 
-    def _turning_with_the_joints(self, now: Reference, end: FloatArray) -> JointCurve | str:
-        """Return the joints' curve to their angles at the end on which the tool goes straight."""
-        if self.kinematics.to_tool.sum() <= POSITION_ROWS:
-            return "the tool's place alone determines the joints"
-        p, R = self.arm.forward(np.stack([now.q, end]))
-        return joints_along(self.arm, now.q, Pose(p[0], R[0]), Pose(p[1], R[1]), end, False)
+    def _touches(self, q: FloatArray) -> bool:
+        return self.guard is not None and bool(self.guard.collisions.first(q))
 
-    def _past(self, start: FloatArray, end: FloatArray) -> float:
-        """Return how far the tool goes past its end along its line, on the joints' line [m]."""
-        p = self.arm.forward(start + _LOOKS[:, None] * (end - start))[0]
-        line = p[-1] - p[0]
-        return float(((p - p[-1]) @ line).max()) / max(float(np.linalg.norm(line)), 1e-9)
-
-    def _way(self, curve: JointCurve, notices: list[str]) -> Way:
-        try:
-            return Way(curve, self.limits, self.arm)
-        except Refusal as reason:  # the arm exceeds the torques of its description there
-            notices.append(str(reason))
-            return Way(curve, self.limits)
+    def _permit(self, motion: Motion) -> None:
+        if self.guard is not None:
+            self.guard.check(WHERE, angles_over(motion))
 
     def _look_elsewhere(self, now: Reference, notices: list[str]) -> None:
         """Search for a configuration that reaches; while it takes long, at the nearest point."""
@@ -388,8 +392,17 @@ class WayController:
         self._waits -= 1
         if found is not None:
             self._goal.take(found)
-            self._set_out(now, "another configuration reaches the target", notices)
-        elif self._waits == 0 or (self._waits > 0 and self._elsewhere.over):
+            try:
+                self._set_out(now, "another configuration reaches the target", notices)
+            except PastEnd as reason:
+                self._past_end = self._past_end or reason
+            else:
+                self._looking, self._past_end = False, None
+        elif self._past_end is not None and self._elsewhere.over:
+            raise self._past_end
+        elif self._past_end is None and (
+            self._waits == 0 or (self._waits > 0 and self._elsewhere.over)
+        ):
             self._looking, self._waits = False, 0
             self._set_out(now, BEYOND_REACH, notices)
             self._seeking = 0 if self._goal.settled else _LONGEST_SEEK  # goes on on the way
@@ -433,21 +446,6 @@ def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
     if config.jerk_limit > 0.0:
         jerk = np.full_like(acceleration, config.jerk_limit)
     return WayLimits(speed, acceleration, jerk, kinematics.effort_limit)
-
-
-def joints_duration(step: FloatArray, limits: WayLimits) -> float:
-    """Return the duration of a line of the joints without torque limits [s]."""
-    size = np.maximum(np.abs(step), 1e-12)
-    problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
-    problem.target_position = [1.0]
-    problem.max_velocity = [float((limits.speed / size).min())]
-    problem.max_acceleration = [float((limits.acceleration / size).min())]
-    problem.max_jerk = [float((limits.jerk / size).min())]
-    try:
-        found(lambda: ruckig.Ruckig(1).calculate(problem, trajectory))
-    except ArithmeticError:  # numbers beyond its range: no step
-        return 0.0
-    return float(trajectory.duration)
 
 
 def _same(one: Pose, other: Pose | None) -> bool:

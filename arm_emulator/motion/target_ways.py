@@ -1,0 +1,153 @@
+"""Ways from rest to a target, the best first.
+
+The tool's line; the same, turning the other way round or as the joints do; an arc of the joints
+where the tool would go past its end on their line; their line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import ruckig
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.joint_arc import QUIETLY_PAST, joint_arc, past_end
+from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.kinematics import POSITION_ROWS
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.ruckig_result import found
+from arm_emulator.motion.tool_line import joints_along
+from arm_emulator.motion.way import Way, WayLimits
+
+FloatArray = npt.NDArray[np.float64]
+
+MUCH_LONGER = 1.5  # times the joints' line takes, and
+LONGER = 0.1  # s: then the joints' line is taken
+FARTHEST_PAST = 3e-3  # m past its end, that a way may take the tool
+LEAST_TURN = 0.5 * math.pi  # rad, whose other way round may be gone
+
+
+@dataclass(frozen=True, eq=False)
+class TargetWay:
+    """A way to a target."""
+
+    way: Way
+    words: str
+    """Kind and reason, as text."""
+    end: FloatArray
+    """Joint angles where it ends (N,)."""
+
+
+class TargetWays:
+    """Ways of an arm within limits.
+
+    Args:
+        arm: the arm.
+        limits: of its joints.
+        start: its joints at rest (N,).
+        target: pose of the tool.
+
+    Attributes:
+        notices: limits that no way keeps, as text.
+    """
+
+    def __init__(self, arm: ArmTree, limits: WayLimits, start: FloatArray, target: Pose) -> None:
+        self._arm, self._limits, self._start, self._target = arm, limits, start, target
+        R_WT, p_WT = arm.kinematics.forward(start)
+        self._begin = Pose(p_WT, R_WT)
+        self.notices: list[str] = []
+
+    def to(self, end: FloatArray, line: JointCurve | str) -> Iterator[TargetWay]:
+        """Yield the ways to joint angles (N,) that reach the target.
+
+        Args:
+            end: the angles.
+            line: the joints along the tool's line; or why there is no such curve.
+        """
+        along = JointCurve.line(self._start, end)
+        joints: Way | None = None
+        slow, other_last = None, True
+        if isinstance(line, JointCurve):
+            straight = self._way(line)
+            longest = MUCH_LONGER * joints_duration(end - self._start, self._limits) + LONGER
+            if straight.duration > longest:
+                joints = self._way(along)
+                longest = MUCH_LONGER * joints.duration + LONGER
+            if straight.duration <= longest:
+                yield TargetWay(straight, "along the tool's line", end)
+                line = "parts would touch on the tool's"
+                yield from self._turning_the_other_way(line)
+                other_last = False
+            else:
+                assert joints is not None
+                slow = straight
+                line = (
+                    "the tool's passes near a singular pose and would take "
+                    f"{straight.duration:.3g} s instead of {joints.duration:.3g} s"
+                )
+        joints = joints or self._way(along)
+        free = self._turning_with_the_joints(end)
+        if isinstance(free, JointCurve):
+            straight = self._way(free)
+            if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
+                words = f"along the tool's line, turning as the joints do: {line}"
+                yield TargetWay(straight, words, end)
+        past = past_end(self._arm, along)
+        if past > QUIETLY_PAST:
+            line = f"{line}; on the joints' line the tool goes {past * 1e3:.3g} mm past its end"
+            arc = joint_arc(self._arm, self._start, end)
+            if arc is not None:
+                yield TargetWay(self._way(arc), f"along an arc of the joints: {line}", end)
+        if past <= FARTHEST_PAST:
+            yield TargetWay(joints, f"along the joints' line: {line}", end)
+        if slow is not None:
+            yield TargetWay(slow, "along the tool's line, slowly: no other way is free", end)
+        if other_last:
+            yield from self._turning_the_other_way("no other way is free")
+
+    def _turning_the_other_way(self, why: str) -> Iterator[TargetWay]:
+        """Yield the tool's line, turning the other way round, if that exists."""
+        kinematics = self._arm.kinematics
+        turn = kinematics.tool_error(self._start, self._target)[POSITION_ROWS:]
+        if np.linalg.norm(turn) < LEAST_TURN:
+            return
+        ends = self._begin, self._target
+        curve = joints_along(self._arm, self._start, *ends, None, other_way=True)
+        if isinstance(curve, JointCurve):
+            words = f"along the tool's line, turning the other way round: {why}"
+            yield TargetWay(self._way(curve), words, curve.end)
+
+    def _turning_with_the_joints(self, end: FloatArray) -> JointCurve | str:
+        """Return the joints' curve to their angles at the end on which the tool goes straight."""
+        if self._arm.kinematics.to_tool.sum() <= POSITION_ROWS:
+            return "the tool's place alone determines the joints"
+        p, R = self._arm.forward(np.stack([self._start, end]))
+        begin, to = (Pose(p[k], R[k]) for k in range(2))
+        return joints_along(self._arm, self._start, begin, to, end, False)
+
+    def _way(self, curve: JointCurve) -> Way:
+        try:
+            return Way(curve, self._limits, self._arm)
+        except Refusal as reason:  # the arm exceeds the torques of its description there
+            self.notices.append(str(reason))
+            return Way(curve, self._limits)
+
+
+def joints_duration(step: FloatArray, limits: WayLimits) -> float:
+    """Return the duration of a line of the joints without torque limits [s]."""
+    size = np.maximum(np.abs(step), 1e-12)
+    problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    problem.target_position = [1.0]
+    problem.max_velocity = [float((limits.speed / size).min())]
+    problem.max_acceleration = [float((limits.acceleration / size).min())]
+    problem.max_jerk = [float((limits.jerk / size).min())]
+    try:
+        found(lambda: ruckig.Ruckig(1).calculate(problem, trajectory))
+    except ArithmeticError:  # numbers beyond its range: no step
+        return 0.0
+    return float(trajectory.duration)
