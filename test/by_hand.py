@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import random
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+import yaml
 from in_process import InProcess
 from network import JOINTS, PATIENCE
 from rclpy.serialization import deserialize_message
@@ -22,6 +25,30 @@ CLOCKS = ("lockstep", "realtime")
 QUANTITIES = ("position", "velocity", "motor_position", "motor_velocity", "current")
 RATIO = {joint.name: joint.gear.ratio for joint in load_scene("three_axis").joints}
 Call = Callable[[str, Any], Any]  # of a service
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The three-axis arm with sensors, and with numbers that can be set while it runs."""
+    folder, config = (
+        tmp_path_factory.mktemp("varied"),
+        Path(__file__).resolve().parents[1] / "config",
+    )
+    shutil.copytree(config / "urdf", folder / "urdf")
+    scene = yaml.safe_load((config / "three_axis.yaml").read_text())
+    joints = scene["joints"]
+    joints["waist"]["encoder"] |= {"index": "latch", "missed": 0.01, "noise": 1e-3}
+    joints["shoulder"]["link_encoder"] = {"kind": "absolute", "counts_per_turn": 4096, "bits": 12}
+    joints["shoulder"]["torque_sensor"] = {"noise": 0.1, "delay": 2}
+    joints["elbow"]["current_sensor"] = {"noise": 0.05, "offset": 0.0, "delay": 1}
+    numbers = ["joints.*.motor.resistance", "joints.*.gear.stiffness"]
+    sensors = {"missed": "waist.encoder", "offset": "elbow.current_sensor"}
+    scene["varied"] = numbers + [f"joints.{place}.{key}" for key, place in sensors.items()]
+    faults = "waist.encoder_misses_edges", "elbow.gear_breaks", "elbow.current_sensor_gain"
+    scene["faults"] = list(faults)
+    scene["imus"] = {"hand": {"link": "forearm", "gyroscope": {"noise": 1e-3}}}
+    (folder / "three_axis.yaml").write_text(yaml.safe_dump(scene))
+    return folder / "three_axis.yaml"
 
 
 def sound_set_state(draw: random.Random) -> SetState.Request:

@@ -55,6 +55,7 @@ LONGEST = [
     "test_search",
     "test_predicted_rest",
     "test_by_hand",
+    "test_by_hand_bags",
     "test_servo_loop",
     "test_arm_loops",
     "test_new",
