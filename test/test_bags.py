@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from network import PATIENCE, RECORD_QOS, User, network, user
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
+from rewritten_bags import changed, flip, rewrite, without
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
@@ -33,8 +34,6 @@ from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag, BagMessage
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
@@ -159,63 +158,6 @@ def test_a_recorded_run_is_equal_to_the_last_bit(
 def messages(bag: Path) -> list[Any]:
     kinds = {**TYPES, "/emulator/joint_states": JointState}
     return [deserialize_message(m.data, kinds[m.topic]) for m in Bag(bag).messages(kinds)]
-
-
-def rewrite(
-    bag: Path,
-    copy: Path,
-    change: Callable[[BagMessage], bytes | None],
-    reports_changes: bool = False,
-) -> Path:
-    """Write a copy in which `change` gives each message's bytes, None to leave it out.
-
-    With `reports_changes` it has a topic of changes by hand, on which none came.
-    """
-    original = Bag(bag)
-    with BagWriter(copy) as writer:
-        numbers = {}
-        if reports_changes:
-            writer.add_topic(Topic("/emulator/events", "arm_emulator_msgs/msg/MachineEvent"))
-        for name, topic in original.topics.items():
-            new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
-            numbers[name] = writer.add_topic(new)
-        for one in original.messages():
-            data = change(one)
-            if data is not None:
-                writer.write(numbers[one.topic], one.received, one.published, data)
-    return copy
-
-
-def flip(
-    topic: str, kind: Any, tick: int, quantity: str, bit: int = 0
-) -> Callable[[BagMessage], bytes]:
-    """Flip a bit, the lowest by default, of the elbow's value in a tick's messages."""
-
-    def change(one: BagMessage) -> bytes:
-        if one.topic != topic:
-            return one.data
-        message = deserialize_message(one.data, kind)
-        at = getattr(message, "tick", None)
-        if at is None:
-            at = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) // 10**6
-        if at != tick:
-            return one.data
-        values = getattr(message, quantity)
-        bits = np.frombuffer(values, dtype=np.int64)
-        bits[2] ^= 1 << bit
-        return serialize_message(message)
-
-    return change
-
-
-def without(topics: Iterable[str], lost: Callable[[int], bool]) -> Callable[[BagMessage], Any]:
-    """Leave out messages of topics by their ticks."""
-
-    def change(one: BagMessage) -> bytes | None:
-        tick = one.topic in topics and deserialize_message(one.data, TYPES[one.topic]).tick
-        return None if one.topic in topics and lost(int(tick)) else one.data
-
-    return change
 
 
 STATES, COMMANDS, TRUTH = "/motor_states", "/motor_commands", "/emulator/joint_states"
@@ -381,20 +323,6 @@ def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:
     assert "8 ticks at 0 V before the first command" in printed
 
 
-def changed_state(tick: int, change: Callable[[Any], None]) -> Callable[[BagMessage], bytes]:
-    """Change every motor state of a tick."""
-
-    def of(one: BagMessage) -> bytes:
-        if one.topic != "/motor_states":
-            return one.data
-        message = deserialize_message(one.data, MotorState)
-        if message.tick == tick:
-            change(message)
-        return serialize_message(message)
-
-    return of
-
-
 def _set(name: str, value: Any) -> Callable[[Any], None]:
     return lambda message: setattr(message, name, value)
 
@@ -421,7 +349,12 @@ def test_nothing_of_a_state_is_passed_over_in_silence(
     edit: Callable[[Any], None], reports_changes: bool, exit_code: int, words: str, tmp_path: Path
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 15, runs=1)
-    copy = rewrite(bag, tmp_path / "copy", changed_state(7, edit), reports_changes)
+    copy = rewrite(
+        bag,
+        tmp_path / "copy",
+        changed(STATES, MotorState, lambda state: state.tick == 7, edit),
+        reports_changes,
+    )
     code, printed = run("check-bag", copy, "--scene", "three_axis")
     assert code == exit_code and words in printed, printed
 

@@ -14,8 +14,8 @@ from by_hand import CLOCKS, ByHand, events_of, go_on, session_of, varied
 from draws import some
 from in_process import in_process
 from network import User, user
-from rclpy.serialization import deserialize_message, serialize_message
-from test_bags import rewrite
+from rclpy.serialization import deserialize_message
+from rewritten_bags import changed, rewrite
 from test_recording import begun, end, network_of, recorder
 
 from arm_emulator import Refusal
@@ -80,16 +80,7 @@ def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
 
 def spoil(which: int, change: Callable[[MachineEvent], None]) -> Callable[[BagMessage], bytes]:
     """Change one event of a bag, by its number."""
-
-    def rewritten(one: BagMessage) -> bytes:
-        if one.topic != "/emulator/events":
-            return one.data
-        event = deserialize_message(one.data, MachineEvent)
-        if event.number == which:
-            change(event)
-        return serialize_message(event)
-
-    return rewritten
+    return changed("/emulator/events", MachineEvent, lambda event: event.number == which, change)
 
 
 def test_a_spoiled_event_is_named(
