@@ -2,9 +2,9 @@
 
 A table stands on its page between two comments,
 
-    <!-- tool_line: measured by make pages -->
+    <!-- tool_paths: measured by make pages -->
     ...
-    <!-- end tool_line -->
+    <!-- end tool_paths -->
 
 and what stands between them is the report of the bench of that name. Pictures are files in
 docs/pictures. Nothing else on a page is changed.

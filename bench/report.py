@@ -36,7 +36,6 @@ SECTIONS = (
 # docs/concepts/motion.md, docs/validation/assumed.md, docs/validation/validation.md and
 # docs/how_to/identify.md.
 BY_NAME = (
-    "tool_line",
     "feedforward",
     "tool_paths",
     "hard_places",
