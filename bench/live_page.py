@@ -21,6 +21,8 @@ from statistics import median
 from typing import Any
 
 from arm_emulator.base.process import processor_time
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import need_wheel
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
 from bench.lockstep import listener
@@ -92,6 +94,10 @@ def main() -> None:
     parser.add_argument("--chromium", action="store_true", help="draw the page")
     parser.add_argument("--rate", type=float, default=0.0, help="times real time, of --minutes")
     given = parser.parse_args()
+    try:
+        need_wheel("live_page", "viser", "viser")
+    except Refusal as refusal:
+        parser.error(str(refusal))
     browser = drawing if given.chromium else taking
     if given.minutes:
         soak(given.scene, given.minutes, browser, given.rate)
