@@ -53,8 +53,8 @@ _STEPS = 6  # of the joint goal per motion period
 _LONGEST_SEEK = 20  # periods, for which the arm waits
 _FAR, _NEARER = 1.0, 0.8  # rad, and parts of it: then nearer joint angles are looked for
 _FAR_STEPS = 30  # of the joint goal, for them
-_LONGEST_SEARCH = 0.3  # s, for which the arm waits until a target is taken as beyond reach
-_SEARCH_TIME = 3e-3  # s of logical time for a step of the search
+_LONGEST_SEARCH = 0.7  # s, for which the arm waits until a target is taken as beyond reach
+_SEARCH_TIME = 0.5e-3  # s of logical time for a step of the search
 BEYOND_REACH = "the target is beyond reach"  # as far as is known
 WHERE = "tool_target"
 _STILL = 1e-9  # rad/s, rad/s2 and per reach
@@ -387,7 +387,7 @@ class WayController:
             if self._time > self._motion.duration:
                 self._search_begins(now)
             return
-        # As many per time whatever the period: it takes some 5 s.
+        # As many per time whatever the period: all are tried within 0.7 s.
         found = self._elsewhere.search(max(3, round(self.period / _SEARCH_TIME)))
         self._waits -= 1
         if found is not None:
