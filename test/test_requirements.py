@@ -1,4 +1,4 @@
-"""Requirements: robustness that runs along, against brute force over whole traces and rtamt."""
+"""Requirements: robustness that runs along, against brute force over whole traces."""
 
 from __future__ import annotations
 
@@ -152,37 +152,6 @@ def test_a_sample_that_is_no_number_decides_where_it_is_asked_for():
         elif math.isnan(found):
             seen += 1
     assert seen > 100
-
-
-def test_rtamt_agrees():
-    rtamt = pytest.importorskip("rtamt", reason="rtamt is not installed: pip install rtamt")
-    for k in range(10_000 if FULL else 100):
-        text, _, rows, cuts = drawn_case([99, k])
-        count = len(rows["a"])
-        if count < 2:  # which rtamt does not take
-            continue
-        spec = rtamt.StlDiscreteTimeSpecification()
-        spec.set_sampling_period(10, "ms", 0.0)
-        plain = {name: name.replace(".", "_") for name in NAMES}
-        for name in plain.values():
-            spec.declare_var(name, "float")
-        spec.declare_var("out", "float")
-        spec.spec = f"out = {for_rtamt(text, count)}".replace("b.c", "b_c")
-        spec.parse()
-        trace = {plain[name]: row.tolist() for name, row in rows.items()}
-        value = spec.evaluate({"time": [k * PERIOD for k in range(count)], **trace})[0][1]
-        assert fed(text, rows, cuts) == pytest.approx(value, abs=1e-12), text
-
-
-def for_rtamt(text, count):
-    import re
-
-    text = re.sub(r"\[([\d.]+), end\]", rf"[\1, {2 * count * PERIOD:.2f}]", text)
-
-    def milliseconds(found):
-        return f"[{round(float(found[1]) * 1e3)}ms:{round(float(found[2]) * 1e3)}ms]"
-
-    return re.sub(r"\[([\d.]+), ([\d.]+)\]", milliseconds, text)
 
 
 def test_long_windows_over_a_long_trace():
