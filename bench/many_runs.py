@@ -1,12 +1,14 @@
 """Runs of two campaigns by all cores: closed loops of ur5, and three_axis with a fault each.
 
 `--count` runs of each are simulated, judged and written, as `arm_emulator campaign` does. Their
-time is scaled to a million; some of the runs are compared with single ones.
+time is scaled to a million; some of the runs are compared with single ones. `judging` is the share
+of a run that its requirements and measures take, in this process, in turns with and without them.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import resource
 import tempfile
@@ -18,13 +20,15 @@ import numpy as np
 import yaml
 
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
+from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.crew import Crew
 from arm_emulator.campaign.executor import LocalPool, run_campaign, seconds_per_run
+from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.results import MEASURE, ROBUSTNESS, Results, digest_of
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.scene import load_scene
 
-MILLION, COMPARED = 1_000_000, 20
+MILLION, COMPARED, PAIRS = 1_000_000, 20, 15
 ASKED = {"loops": 120.0, "faults": 180.0}  # s for a million on two cores
 LOOPS = {
     "scene": "ur5",
@@ -71,7 +75,8 @@ def run(name: str, data: Mapping[str, object], count: int, workers: int, folder:
     million = wall * MILLION / count
     return (
         f"| {name} | {count} | {wall:.1f} | {1e6 * spent / count:.0f} | {million:.0f} | "
-        f"{ASKED[name]:.0f} | {off(campaign, columns):.1e} | {digest_of(columns)[:12]} |"
+        f"{ASKED[name]:.0f} | {off(campaign, columns):.1e} | {100.0 * judging(campaign):.1f} % | "
+        f"{digest_of(columns)[:12]} |"
     )
 
 
@@ -86,11 +91,26 @@ def off(campaign: Campaign, columns: dict[str, np.ndarray]) -> float:
     return most
 
 
+def judging(campaign: Campaign) -> float:
+    """Return the share of a run that its requirements and measures take: a median of pairs."""
+    free = dataclasses.replace(campaign, requirements={}, measures={})
+    both = [runs_of(one) for one in (campaign, free)]
+    cases = [drawn_case(campaign.variation, index) for index in range(both[0].width)]
+    spent = np.zeros((PAIRS + 1, 2))  # the first pair warms up
+    for row in spent:
+        for k, one in enumerate(both):
+            began = time.process_time()
+            list(one.runs(cases))
+            row[k] = time.process_time() - began
+    return float(np.median(1.0 - spent[1:, 1] / spent[1:, 0]))
+
+
 def report(count: int, workers: int, only: str) -> str:
     """Simulate both, and return a table in Markdown."""
     rows = [
-        "| runs of 1 s | count | wall s | us of CPU each | s a million | asked | off | digest |",
-        "|---|---|---|---|---|---|---|---|",
+        "| runs of 1 s | count | wall s | us of CPU each | s a million | asked | off | judging | "
+        "digest |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)

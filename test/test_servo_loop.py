@@ -301,11 +301,8 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
 
 @pytest.mark.parametrize("counts", some([64, 16, 1024], 1))
 @pytest.mark.parametrize("seed", range(1))
-def test_the_limit_cycle_of_a_resting_link_is_predicted(seed: int, counts: int) -> None:
-    """By a joint alone, against a whole arm in gravity; ur5's gears and limits.
-
-    With 16 counts per turn each count asks for more current than the limit, and there is no rest.
-    """
+def test_a_link_rests_within_counts_as_predicted(seed: int, counts: int) -> None:
+    """By a joint alone, against a whole arm in gravity; ur5's gears and limits."""
     rng = np.random.default_rng([seed, 10])
     scene = load_scene("ur5")  # as others compile it: the coarse encoders are read off its motors
     servo = load_gains(find_config("ur5", ".yaml")).servo
@@ -331,11 +328,5 @@ def test_the_limit_cycle_of_a_resting_link_is_predicted(seed: int, counts: int) 
         plant = joint_plant(motor, gear, 3.0, 8.0, servo.period)
         predicted = swing_at_rest(servo.joints[j], plant, 48.0) / servo.joints[j].count_angle
         words = f"{scene.joint_names[j]}: {counts_swung[j]:.2f} counts, predicted {predicted:.2f}"
-        if counts == 16:
-            assert predicted > 1.5, words
-            assert counts_swung[j] < 1.6 * predicted, words
-        else:
-            assert predicted < 1.5, words
-            assert counts_swung[j] < 1.5, words
-    if counts == 16:
-        assert counts_swung[:3].max() > 1.5, f"{counts_swung} counts"
+        assert predicted < 1.5, words
+        assert counts_swung[j] < 1.5, words
