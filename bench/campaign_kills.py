@@ -1,8 +1,8 @@
 """A campaign whose workers, scheduler and client are killed at random moments, here and on Dask.
 
 Each moment is drawn over the time that the campaign takes if nobody is killed, from its folder's
-first sign to its report; the last line counts those before, amid and after its parts. What was written must stay, nobody may stay behind, and the digest in
-the end must be the same.
+first sign to its report; the last line counts those before, amid and after its parts. What was
+written must stay, nobody may stay behind, and the digest in the end must be the same.
 """
 
 from __future__ import annotations
