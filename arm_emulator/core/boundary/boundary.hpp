@@ -149,7 +149,7 @@ void arm_power(arm_machine* machine, int on) {
   machine->powered = on != 0;
   for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
   if constexpr (Scene::inputs > 0) {
-    static constexpr double nothing[Scene::inputs * arm_machine::N] = {};
+    static constexpr double nothing[Scene::inputs * arm_machine::N + 1] = {};  // never empty
     if (!on) machine->machine.put_further(nothing);
   }
 }
