@@ -81,8 +81,7 @@ class SensitiveMachine:
         self._varied = tuple(possible[one] for one in self.names if one in possible)
         self._core = sensitivity_library_of(differentiable(scene, self._varied))
         seeded = [*(one.name for one in self._varied), *starts]
-        places = [seeded.index(one) for one in self.names]
-        self._parts = [places[k : k + DIRECTIONS] for k in range(0, len(places), DIRECTIONS)]
+        self._places = [seeded.index(one) for one in self.names]
 
     def run(
         self,
@@ -123,30 +122,36 @@ class SensitiveMachine:
         if motors is not None:
             pairs = zip(("theta_m", "omega_m"), motors, strict=True)
             given |= {name: ANY_STATE.row(WHERE, one, N) for name, one in pairs}
-        ends = np.cumsum([len(self._varied), N])
+        places = np.array(self._places, dtype=int)
+        parts = max(1, -(-len(places) // DIRECTIONS))
+        seeds = np.zeros((parts, len(self._varied) + 2 * N, DIRECTIONS))
+        which = np.arange(len(places))
+        seeds[which // DIRECTIONS, places, which % DIRECTIONS] = 1.0
+        of_names = np.split(seeds, np.cumsum([len(self._varied), N]), axis=1)
+        slopes = np.empty((len(rows), len(QUANTITIES), N, parts * DIRECTIONS))
 
-        def follow(places: Sequence[int]) -> Array:
-            seeds = np.zeros((len(self._varied) + 2 * N, DIRECTIONS))
-            seeds[places, np.arange(len(places))] = 1.0
+        def follow(some: slice) -> Array:
+            quantities = np.empty(slopes.shape[:-1])
             names = ("parameter_seeds", "q_seeds", "v_seeds")
-            of = dict(zip(names, np.split(seeds, ends), strict=True))
-            out = np.empty((len(rows), len(QUANTITIES), N, 1 + DIRECTIONS))
+            of = {n: np.ascontiguousarray(o[some]) for n, o in zip(names, of_names, strict=True)}
             request = SENSITIVITY.new(
-                "arm_sensitive_run", step=dt, rows=len(rows), steps=steps, out=out, **given, **of
-            )
+                "arm_sensitive_run", step=dt, rows=len(rows), steps=steps,
+                parts=some.stop - some.start, values=quantities,
+                slopes=slopes.ravel()[some.start * DIRECTIONS :], stride=slopes.shape[-1],
+                **given, **of,
+            )  # fmt: skip
             done = self._core.arm_run_with_sensitivities(request)
             if done < len(rows):
                 got = f"a divergence after {done * steps * dt:g} s"
                 raise Refusal(WHERE, "motion", "stay within bounds", got)
-            return out
+            return quantities
 
-        parts = self._parts or [[]]
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            outs = list(pool.map(follow, parts))
-        slopes = np.concatenate(
-            [out[..., 1 : 1 + len(some)] for out, some in zip(outs, parts, strict=True)], axis=-1
-        )
-        motion = {name: outs[0][:, k, :, 0] for k, name in enumerate(QUANTITIES)}
+        threads = min(len(os.sched_getaffinity(0)), parts)
+        ends = np.linspace(0, parts, threads + 1).astype(int).tolist()
+        with ThreadPoolExecutor(threads) as pool:
+            at_ends, *_ = pool.map(follow, map(slice, ends, ends[1:]))
+        motion = {name: at_ends[:, k] for k, name in enumerate(QUANTITIES)}
+        slopes = slopes[..., : len(places)]
         t = np.arange(1.0, len(rows) + 1.0) * (steps * dt)
         by = {name: slopes[:, k] for k, name in enumerate(QUANTITIES)}
         return Sensitivities(self.names, t, **motion, by=by)

@@ -27,6 +27,12 @@ FLAGS = (
 )
 
 
+# The same machine of plain numbers in a library for sensitivities, under names of its own.
+OF_LEADER = (
+    "#undef ARM_DIRECTIONS\n#define ARM_RECORDS\n#define arm leading\n#define Scene Leader\n"
+)
+
+
 def library_of(scene: Scene) -> Library:
     """Return the scene's compiled machine, compiling it if no cached library fits.
 
@@ -84,7 +90,9 @@ def sensitivity_library_of(scene: Scene) -> Library:
     about = f"derivatives of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "boundary/sensitivity.hpp")
     unit = _unit(f"{scene.name}-derivatives", source, (SENSITIVITY,), scene.where, about)
-    return library(replace(unit, flags=(*FLAGS, f"-DARM_DIRECTIONS={DIRECTIONS}")))
+    leader = OF_LEADER + scene_unit(scene, "boundary/leader.hpp")
+    flags = (*FLAGS, f"-DARM_DIRECTIONS={DIRECTIONS}")
+    return library(replace(unit, flags=flags, beside=leader))
 
 
 def real_time_library() -> Library:

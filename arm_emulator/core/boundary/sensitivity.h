@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* A seed is a row of `arm_directions()` numbers: how much the number before it changes along each
-   direction. Outputs have the value and then its derivative along each direction. */
+   direction. Of several parts of the directions all seeds of one stand before those of the next. */
 typedef struct arm_sensitive_run {
   double step;                   /* s */
   const double* parameters;      /* varied numbers of the scene */
@@ -23,9 +23,13 @@ typedef struct arm_sensitive_run {
   const double* commands; /* rows of the joints' commands, each held for `steps` */
   int64_t rows;
   int64_t steps;
+  int64_t parts;
   /* For each row of commands its end: of every joint q, v, then motor current [A], angle [rad]
-     and speed [rad/s]. */
-  double* out;
+     and speed [rad/s], of each its value and, side by side, the derivatives of all parts: the one
+     of these, and a row of `stride` numbers of those, for each joint. */
+  double* values;
+  double* slopes;
+  int64_t stride;
 } arm_sensitive_run;
 
 int32_t arm_directions(void);

@@ -1,8 +1,13 @@
 // sensitivity.h of one scene, compiled with ARM_DIRECTIONS (numerics/real.hpp).
 #pragma once
 
+#include <memory>
+#include <vector>
+
+#include "boundary/leader_calls.hpp"
 #include "boundary/sensitivity.h"
 #include "machine/machine.hpp"
+#include "schemes/follower.hpp"
 
 namespace {
 
@@ -21,12 +26,108 @@ struct Seeded {
   }
 };
 
-double* write(double* to, const Real* numbers) {
-  for (int j = 0; j < Scene::N; ++j) {
-    *to++ = numbers[j].value;
-    for (int d = 0; d < ARM_DIRECTIONS; ++d) *to++ = numbers[j].by[d];
+// A part of the directions, to begin with.
+struct Begin {
+  using Numbers = arm::Numbers<Scene>;
+  Seeded<Scene::parameters> parameters;
+  Seeded<Scene::N> q, v;
+
+  Begin(const arm_sensitive_run& run, std::int64_t part)
+      : parameters(run.parameters, run.parameter_seeds + part * Scene::parameters * ARM_DIRECTIONS),
+        q(run.q, run.q_seeds + part * Scene::N * ARM_DIRECTIONS),
+        v(run.v, run.v_seeds + part * Scene::N * ARM_DIRECTIONS) {}
+
+  arm::State<Scene> state(const arm_sensitive_run& run) const {
+    const Numbers numbers(parameters.at);
+    auto x = arm::at_rest_behind(numbers, q.at, v.at);
+    if (run.theta_m && run.omega_m) arm::put_motors(numbers, run.theta_m, run.omega_m, x);
+    return x;
   }
-  return to;
+};
+
+// Put down a part's derivatives at the end of a row, and the values.
+void write(const arm_sensitive_run& run, std::int64_t part, std::int64_t row,
+           const arm::Numbers<Scene>& numbers, const arm::State<Scene>& x) {
+  constexpr int N = Scene::N;
+  Real of[5][N];
+  numbers.for_each_drive([&](const auto& drive, int j) {
+    const auto at = arm::input_of(drive, j, x, 0.0);
+    of[0][j] = x.q[j], of[1][j] = x.v[j];
+    of[2][j] = drive.current(at);
+    of[3][j] = drive.motor_angle(at);
+    of[4][j] = drive.motor_speed(at);
+  });
+  double* value = run.values + row * 5 * N;
+  double* slope = run.slopes + row * 5 * N * run.stride + part * ARM_DIRECTIONS;
+  for (const auto& quantity : of)
+    for (const Real& one : quantity) {
+      *value++ = one.value;
+      for (int d = 0; d < ARM_DIRECTIONS; ++d) slope[d] = one.by[d];
+      slope += run.stride;
+    }
+}
+
+// Machines that decide for themselves.
+template <class S>
+std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
+  const Begin begin(run, part);
+  arm::Machine<S> machine(run.step, -1, begin.parameters.at);
+  machine.put(begin.state(run), true);
+  const double* command = run.commands;
+  for (std::int64_t row = 0; row < run.rows; ++row) {
+    Real u[Scene::N];
+    for (Real& one : u) one = *command++;
+    if (machine.advance(u, run.steps) >= 0) return row;
+    write(run, part, row, machine.numbers_now(), machine.state());
+  }
+  return run.rows;
+}
+
+// Those that follow one whose values decide.
+template <class S>
+std::int64_t run_following(const arm_sensitive_run& run) {
+  using Follower = arm::Follower<S>;
+  const std::unique_ptr<arm_leader, void (*)(arm_leader*)> leader(arm_leader_new(&run),
+                                                                  arm_leader_delete);
+  std::vector<std::unique_ptr<Follower>> followers;
+  for (std::int64_t part = 0; part < run.parts; ++part) {
+    const Begin begin(run, part);
+    followers.push_back(
+        std::make_unique<Follower>(run.step, begin.parameters.at, begin.state(run)));
+  }
+  const std::vector<Real> parameters(run.parameters, run.parameters + S::parameters);
+  const arm::Numbers<S> values(parameters.data());
+  std::vector<typename Follower::Common> common;
+  for (std::int64_t row = 0; row < run.rows; ++row) {
+    const double* command = run.commands + row * Scene::N;
+    if (!arm_leader_advance(leader.get(), command, run.steps)) return row;
+    std::int64_t count;
+    const auto* pieces =
+        static_cast<const typename Follower::Piece*>(arm_leader_pieces(leader.get(), &count));
+    common.resize(count);
+    for (auto& of_piece : common) of_piece.known = false;
+    for (std::int64_t part = 0; part < run.parts; ++part) {
+      Follower& one = *followers[part];
+      one.command(command);
+      for (std::int64_t k = 0; k < count; ++k)
+        one.follow(pieces[k], pieces[k + 1], values, common[k]);
+      one.end_row(pieces[count]);
+      write(run, part, row, one.numbers(), one.state());
+    }
+  }
+  return run.rows;
+}
+
+template <class S>
+std::int64_t run_all(const arm_sensitive_run& run) {
+  if constexpr (arm::Machine<S>::locates) {
+    return run_following<S>(run);
+  } else {
+    std::int64_t done = run.rows;
+    for (std::int64_t part = 0; part < run.parts && done == run.rows; ++part)
+      done = run_alone<S>(run, part);
+    return done;
+  }
 }
 
 }  // namespace
@@ -36,30 +137,7 @@ double* write(double* to, const Real* numbers) {
 std::int32_t arm_directions() { return ARM_DIRECTIONS; }
 
 std::int64_t arm_run_with_sensitivities(const arm_sensitive_run* run) {
-  constexpr int N = Scene::N;
-  const Seeded<Scene::parameters> numbers(run->parameters, run->parameter_seeds);
-  arm::Machine<Scene> machine(run->step, -1, numbers.at);
-  machine.reset(Seeded<N>(run->q, run->q_seeds).at, Seeded<N>(run->v, run->v_seeds).at);
-  if (run->theta_m && run->omega_m) {
-    arm::State<Scene> at = machine.state();
-    machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
-      auto put = arm::input_of(drive, j, at, 0.0);
-      drive.put_motor(put, 0.0, run->theta_m[j], run->omega_m[j]);
-      arm::put_states(drive, j, 0, put, at);
-    });
-    machine.put(at, true);
-  }
-  const double* command = run->commands;
-  double* out = run->out;
-  for (std::int64_t row = 0; row < run->rows; ++row) {
-    Real u[N], current[N], angle[N], speed[N];
-    for (Real& one : u) one = *command++;
-    if (machine.advance(u, run->steps) >= 0) return row;
-    machine.report(current, angle, speed);
-    for (const Real* one : {machine.state().q, machine.state().v}) out = write(out, one);
-    for (const Real* one : {current, angle, speed}) out = write(out, one);
-  }
-  return run->rows;
+  return run_all<Scene>(*run);
 }
 
 #pragma GCC visibility pop

@@ -129,15 +129,19 @@ class Machine {
   }
 
   // Set the links to (q, v) and the motors to match, at time 0, without current or gear torque.
-  void reset(const Real* q, const Real* v) {
-    State<S> at = {};
-    numbers_.for_each_drive([&](const auto& drive, int j) {
-      const auto behind = drive.at_rest_behind(q[j], v[j]);
-      for (int k = 0; k < drive.states; ++k) at.z[k][j] = behind.z[k];
-      at.q[j] = q[j];
-      at.v[j] = v[j];
-    });
+  void reset(const Real* q, const Real* v) { put(at_rest_behind(numbers_, q, v), true); }
+
+  // Put the motors at these angles [rad] and speeds [rad/s], without current, at time 0.
+  ARM_ONCE void put_motors(const double* angle, const double* speed) {
+    State<S> at = x_;
+    arm::put_motors(numbers_, angle, speed, at);
     put(at, true);
+  }
+  // Where the parts of steps are noted.
+  void note_in(auto* pieces)
+    requires(locates)
+  {
+    threads_.stepper().note_in(pieces);
   }
 
   // Take `steps` steps with the commands held, clamped as the drives do. Returns -1, or the joint

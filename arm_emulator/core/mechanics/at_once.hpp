@@ -17,6 +17,28 @@ void follow_at_once(const Numbers<S>& n, State<S>& x, const Real* u) {
   });
 }
 
+// The links at (q, v) and the motors to match, without current or gear torque.
+template <class S>
+State<S> at_rest_behind(const Numbers<S>& n, const Real* q, const Real* v) {
+  State<S> at = {};
+  n.for_each_drive([&](const auto& drive, int j) {
+    const auto behind = drive.at_rest_behind(q[j], v[j]);
+    for (int k = 0; k < drive.states; ++k) at.z[k][j] = behind.z[k];
+    at.q[j] = q[j];
+    at.v[j] = v[j];
+  });
+  return at;
+}
+// Put the motors at these angles [rad] and speeds [rad/s], without current.
+template <class S>
+void put_motors(const Numbers<S>& n, const double* angle, const double* speed, State<S>& x) {
+  n.for_each_drive([&](const auto& drive, int j) {
+    auto at = input_of(drive, j, x, 0.0);
+    drive.put_motor(at, 0.0, angle[j], speed[j]);
+    put_states(drive, j, 0, at, x);
+  });
+}
+
 // Whether a drive whose nonlinear parts depend on the motor's states has an algebraic state, or may
 // have one if it is varied.
 template <class S>

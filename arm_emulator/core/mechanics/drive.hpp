@@ -140,14 +140,19 @@ struct Drive {
     if (driven && k < Motor::states) return !std::is_same_v<LinearOf<Motor>, Motor>;
     return !is_linear && !(elastic && k == tm);
   }
-  // Difference between `rates` and those of the linear drive.
+  // Difference between `rates` and those of the linear drive, which may be known.
   template <class X>
-  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
+  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held,
+                                                  const Linear& linear) const {
     DriveRates<states, X> all = rates(x, held);
-    const DriveRates<states, X> of_linear = linear().rates(x, held);
+    const DriveRates<states, X> of_linear = linear.rates(x, held);
     for (int k = 0; k < states; ++k) all.f[k] -= of_linear.f[k];
     all.g -= of_linear.g;
     return all;
+  }
+  template <class X>
+  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
+    return rest(x, held, linear());
   }
 
   // Dry friction at the link, with that of a rotor that turns with it. Load friction follows the

@@ -42,14 +42,15 @@ struct FromTheTip {
     });
   }
 
-  ARM_INLINE void solve(X* x) const {
+  template <class Y>
+  ARM_INLINE void solve(Y* x) const {
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
         if constexpr (Pattern::couples(i, k)) x[i] -= U[k][i] * x[k];
       });
     });
     for_each<N>([&](auto k) __attribute__((always_inline)) {
-      X sum = x[k] * inverse_D[k];
+      Y sum = x[k] * inverse_D[k];
       for_each<k>([&](auto i) __attribute__((always_inline)) {
         if constexpr (Pattern::couples(i, k)) sum -= U[k][i] * x[i];
       });
@@ -78,13 +79,14 @@ struct InRows {
     });
   }
 
-  ARM_INLINE void solve(X* x) const {
+  template <class Y>
+  ARM_INLINE void solve(Y* x) const {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each_from<N>(next(j),
                        [&](auto k) __attribute__((always_inline)) { x[k] -= L[j][k] * x[j]; });
     });
     for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
-      X sum = x[j] * inverse_D[j];
+      Y sum = x[j] * inverse_D[j];
       for_each_from<N>(next(j),
                        [&](auto k) __attribute__((always_inline)) { sum -= L[j][k] * x[k]; });
       x[j] = sum;
@@ -92,7 +94,42 @@ struct InRows {
   }
 };
 
+template <int N, class X, class Pattern>
+using Factors = std::conditional_t<Pattern::from_the_tip, FromTheTip<N, X, Pattern>, InRows<N, X>>;
+
 template <int N, class X = Real, class Pattern = Full<N>>
-using Cholesky = std::conditional_t<Pattern::from_the_tip, FromTheTip<N, X, Pattern>, InRows<N, X>>;
+struct Cholesky : Factors<N, X, Pattern> {};
+
+// Of numbers with derivatives. Those of x follow from M dx = db - dM x: only values are factored.
+template <int N, int directions, class Pattern>
+struct Cholesky<N, Dual<directions>, Pattern> {
+  using X = Dual<directions>;
+  using Row = typename X::Row;
+  Factors<N, double, Pattern> of_values;
+  Row dM[N][N];  // row <= column
+
+  ARM_INLINE void factor(const Symmetric<N, X>& M) {
+    alignas(64) Symmetric<N, double> values = {};
+    for (int j = 0; j < N; ++j)
+      for (int k = j; k < N; ++k) values[j][k] = M[j][k].value, dM[j][k] = M[j][k].by;
+    of_values.factor(values);
+  }
+  ARM_INLINE void solve(X* x) const {
+    double values[N];
+    Row by[N];
+    for (int j = 0; j < N; ++j) values[j] = x[j].value, by[j] = x[j].by;
+    of_values.solve(values);
+    for (int j = 0; j < N; ++j) {
+      by[j] -= dM[j][j] * values[j];
+      for (int k = j + 1; k < N; ++k) {
+        if (!Pattern::couples(j, k)) continue;
+        by[j] -= dM[j][k] * values[k];
+        by[k] -= dM[j][k] * values[j];
+      }
+    }
+    of_values.solve(by);
+    for (int j = 0; j < N; ++j) x[j] = {values[j], by[j]};
+  }
+};
 
 }  // namespace arm

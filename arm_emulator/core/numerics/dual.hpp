@@ -124,19 +124,13 @@ ARM_INLINE constexpr X constant(const X& x) {
   return value_of(x);
 }
 
-// A zero of g, of which the value is known, with its derivatives (implicit function theorem):
-// dt = -dg / (dg/dt). g is called last with the result.
+// Whether any derivative differs from 0.
+constexpr bool has_derivatives(double) { return false; }
 template <int directions>
-Dual<directions> zero_of(const Dual<directions>& known, auto&& g) {
-  Dual<directions> t = known.value;
-  const auto dg = g(t).by;
-  t.by[0] = 1.0;
-  const double slope = g(t).by[0] - dg[0];
-  t = known.value;
-  if (slope != 0.0) t.by = -dg / slope;
-  g(t);
-  return t;
+bool has_derivatives(const Dual<directions>& x) {
+  bool found = false;
+  for (int d = 0; d < directions; ++d) found = found || x.by[d] != 0.0;
+  return found;
 }
-ARM_INLINE double zero_of(double known, auto&&) { return known; }
 
 }  // namespace arm

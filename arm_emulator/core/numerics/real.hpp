@@ -15,4 +15,11 @@ using Real = double;
 // Whether they carry derivatives.
 inline constexpr bool kDifferentiates = !std::is_same_v<Real, double>;
 
+// Whether machines keep what their motions were made of (schemes/pieces.hpp).
+#ifdef ARM_RECORDS
+inline constexpr bool kRecords = true;
+#else
+inline constexpr bool kRecords = false;
+#endif
+
 }  // namespace arm

@@ -5,6 +5,56 @@
 
 namespace arm {
 
+// For each input of a step a row of numbers.
+template <int inputs, int row, class Number>
+struct TableRows {
+  Number at[inputs][row] = {};
+
+  void put(int input, int j, int lane, const Real& number) { set_lane(at[input][j], lane, number); }
+  Number number(int input, int j) const { return at[input][j]; }
+};
+// Of numbers with derivatives: of each joint the entries that are not zero, and whose derivatives
+// are not. Most joints' tables depend on nothing.
+template <int inputs, int row, int directions>
+struct TableRows<inputs, row, Dual<directions>> {
+  using Number = Dual<directions>;
+  struct Entry {
+    int input;
+    double value;
+  };
+  struct Slope {
+    int input;
+    typename Number::Row by;
+  };
+  Entry entries[row][inputs] = {};
+  Slope slopes[row][inputs] = {};
+  int entry_count[row] = {}, slope_count[row] = {};
+
+  // In the order of inputs, beginning with the first.
+  void put(int input, int j, int, const Number& number) {
+    if (input == 0) entry_count[j] = slope_count[j] = 0;
+    if (number.value != 0.0) entries[j][entry_count[j]++] = {input, number.value};
+    if (has_derivatives(number)) slopes[j][slope_count[j]++] = {input, number.by};
+  }
+  Number number(int input, int j) const {
+    Number found = 0.0;
+    for (int e = 0; e < entry_count[j]; ++e)
+      if (entries[j][e].input == input) found.value = entries[j][e].value;
+    for (int e = 0; e < slope_count[j]; ++e)
+      if (slopes[j][e].input == input) found.by = slopes[j][e].by;
+    return found;
+  }
+  // The sum of the products with the inputs before `end`.
+  ARM_INLINE Number answer(int j, int end, auto&& x) const {
+    Number sum = 0.0;
+    for (int e = 0; e < entry_count[j] && entries[j][e].input < end; ++e)
+      sum += entries[j][e].value * x(entries[j][e].input);
+    for (int e = 0; e < slope_count[j] && slopes[j][e].input < end; ++e)
+      sum.by += value_of(x(slopes[j][e].input)) * slopes[j][e].by;
+    return sum;
+  }
+};
+
 // The tables of all joints, side by side in vectors. `Make` makes a joint's table of its linear
 // drive.
 template <class S, class X, class Make>
@@ -18,8 +68,7 @@ class DriveTables : public ServedDrives<S, X> {
   static constexpr std::integral_constant<int, -1> link = {};
   using Number = std::conditional_t<own, X, Real>;
 
-  // For each input a row of numbers.
-  using Numbers = Number[In::count][row];
+  using Numbers = TableRows<In::count, row, Number>;
 
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker)
       : Served(numbers), make_(maker) {
@@ -31,6 +80,7 @@ class DriveTables : public ServedDrives<S, X> {
   }
   // All numbers have changed.
   void fill() {
+    this->take_linear();
     for (int lane = 0; lane < (own ? kWidth<X> : 1); ++lane) fill_lane(lane);
   }
   // The same for one lane. All parts are in their usual modes.
@@ -53,7 +103,7 @@ class DriveTables : public ServedDrives<S, X> {
     const Modes& modes = this->served(j);
     Input end = start;
     for (int k = 0; k < TheDrive::states; ++k) {
-      const auto number = [&](int input) { return dz[k][input][j]; };
+      const auto number = [&](int input) { return dz[k].number(input, j); };
       for (int m = 0; m < TheDrive::states; ++m) end.z[k] += number(m) * start.z[m];
       end.z[k] += number(In::q) * start.q + number(In::v) * start.v + number(In::u) * start.u;
       for (int m = 0; m < TheDrive::modes; ++m)
@@ -63,8 +113,9 @@ class DriveTables : public ServedDrives<S, X> {
       const auto rest =
           drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.held());
       for (int k = 0; k < TheDrive::states; ++k) {
-        for (int r = 0; r < TheDrive::states; ++r) end.z[k] += dz[k][In::rest + r][j] * rest.f[r];
-        end.z[k] += dz[k][In::rest + K][j] * rest.g;
+        for (int r = 0; r < TheDrive::states; ++r)
+          end.z[k] += dz[k].number(In::rest + r, j) * rest.f[r];
+        end.z[k] += dz[k].number(In::rest + K, j) * rest.g;
       }
     }
     return end;
@@ -105,10 +156,14 @@ class DriveTables : public ServedDrives<S, X> {
   template <int inputs>
   ARM_INLINE static auto answer_of(const Numbers& numbers, const Inputs& x, int g, auto k) {
     typename arm::Row<N, X>::Vector out = {};
-    for_each<inputs, kMostInputs>([&](auto input) __attribute__((always_inline)) {
-      if (matters(input) && (k < 0 || enters(k, input)))
-        out += group_of(numbers[input], g) * x[input].at[g];
-    });
+    if constexpr (kDifferentiates) {
+      return numbers.answer(g, inputs, [&](int input) -> const X& { return x[input].at[g]; });
+    } else {
+      for_each<inputs, kMostInputs>([&](auto input) __attribute__((always_inline)) {
+        if (matters(input) && (k < 0 || enters(k, input)))
+          out += group_of(numbers.at[input], g) * x[input].at[g];
+      });
+    }
     return out;
   }
 
@@ -137,11 +192,12 @@ class DriveTables : public ServedDrives<S, X> {
   }
   void copy(const DriveTable<K, M, R>& table, int j, int lane) {
     for (int input = 0; input < In::count; ++input) {
-      set_lane(rhs_1[input][j], lane, table.rhs_1[input]);
-      set_lane(rhs_2[input][j], lane, table.rhs_2[input]);
-      for (int k = 0; k < K; ++k) set_lane(dz[k][input][j], lane, table.dz[k][input]);
+      if (kDifferentiates && input > 0 && !matters(input)) continue;
+      rhs_1.put(input, j, lane, table.rhs_1[input]);
+      rhs_2.put(input, j, lane, table.rhs_2[input]);
+      for (int k = 0; k < K; ++k) dz[k].put(input, j, lane, table.dz[k][input]);
       if constexpr (!linear)
-        for (int k = 0; k < K; ++k) set_lane(k_z[k][input][j], lane, table.k_z[k][input]);
+        for (int k = 0; k < K; ++k) k_z[k].put(input, j, lane, table.k_z[k][input]);
     }
     set_lane(diagonal[j], lane, table.diagonal);
   }

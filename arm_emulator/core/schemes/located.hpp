@@ -14,6 +14,7 @@
 
 #include "mechanics/energy_flow.hpp"
 #include "mechanics/modes.hpp"
+#include "schemes/pieces.hpp"
 #include "schemes/scheme.hpp"
 
 namespace arm {
@@ -47,6 +48,14 @@ class Located {
   // The links' part at x.
   const Dynamics& links_at(const State<S>& x) { return memo_.at(n_, x); }
 
+  // Where the parts of steps are noted, or null.
+  using Pieces = arm::Pieces<N, State<S>::K>;
+  void note_in(Pieces* pieces)
+    requires(kRecords)
+  {
+    noted_.in = pieces;
+  }
+
   // Meter for the smooth parts of steps, or null.
   void watch(EnergyMeter<S>* by) { meter_ = by; }
 
@@ -65,6 +74,7 @@ class Located {
     } else {
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, h_);
+      note(PieceEnd::step, x, modes, h_, true);
       x = y;
     }
     exchange.give(x);
@@ -100,6 +110,7 @@ class Located {
         part.step(y, u, links, nobody);
         follow_at_once(n_, y, u);
         if (meter_) meter_->part(x, y, u, modes, left);
+        note(PieceEnd::unlocated, x, modes, left);
         x = y;
         break;
       }
@@ -113,12 +124,31 @@ class Located {
       const Real t = fails ? first_event(x, y, u, modes, links, left) : left;
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, t);
+      note(fails ? PieceEnd::event : PieceEnd::step, x, modes, t);
       x = y;
       left -= t;
       links = memo_.at(n_, x);
       modes = Modes<S>(n_, x, u, links);
     }
     whole_.remember(start, x, u);
+    note(PieceEnd::cut, x, modes, 0.0);
+  }
+
+  void note([[maybe_unused]] PieceEnd end, [[maybe_unused]] const State<S>& x,
+            [[maybe_unused]] const Modes<S>& modes, [[maybe_unused]] Real length,
+            [[maybe_unused]] bool whole = false) {
+    if constexpr (kRecords) {
+      if (!noted_.in) return;
+      auto& piece = noted_.in->emplace_back();
+      piece.end = end, piece.failing = noted_.failing, piece.length = length, piece.whole = whole;
+      for (int j = 0; j < N; ++j) {
+        piece.locked[j] = modes.friction.locked[j];
+        piece.direction[j] = modes.friction.direction[j];
+        piece.held[j] = modes.drive[j].held();
+        for (int k = 0; k < State<S>::K; ++k) piece.z[k][j] = x.z[k][j];
+        piece.q[j] = x.q[j], piece.v[j] = x.v[j];
+      }
+    }
   }
 
   // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
@@ -155,19 +185,7 @@ class Located {
       share = first < 0 ? 0.5 : next_share(last, other, before, first);
     }
     const Real t = last.holds() ? other.t : last.t;
-    if constexpr (kDifferentiates) {
-      const int failing = (last.holds() ? other : last).failing();
-      return zero_of(t, [&](const Real& length) {
-        y = x;
-        part_.retime(length, modes);
-        part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
-        memo_.forget();  // it may have these values with other derivatives
-        Trial end;
-        end.take(length, modes, y, u, memo_);
-        memo_.forget();
-        return end.each[failing];
-      });
-    }
+    if constexpr (kRecords) noted_.failing = (last.holds() ? other : last).failing();
     return t;
   }
   // An end of a step, and how far it is from each condition of the modes.
@@ -223,6 +241,11 @@ class Located {
   Part part_;  // of a step
   LinksMemo<S> memo_;
   EnergyMeter<S>* meter_ = nullptr;
+  struct Noted {
+    Pieces* in = nullptr;
+    int failing = -1;
+  };
+  [[no_unique_address]] std::conditional_t<kRecords, Noted, Nothing> noted_;
 };
 
 }  // namespace arm

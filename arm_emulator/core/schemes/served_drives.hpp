@@ -69,7 +69,11 @@ class ServedDrives {
   // That at x, in the modes that are in use.
   ARM_INLINE Rest rest_at(const State<S, X>& x, const X (&u)[row]) const {
     Rest rest;
-    if constexpr (own) {
+    if constexpr (kDifferentiates) {
+      [&]<int... j>(std::integer_sequence<int, j...>) {
+        (add_rest<j>(x, u, rest), ...);
+      }(std::make_integer_sequence<int, N>{});
+    } else if constexpr (own) {
       for (int lane = 0; lane < width; ++lane)
         n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
           if constexpr (!Drive::is_linear) put_rest(drive, j, lane, x, u, rest);
@@ -129,6 +133,10 @@ class ServedDrives {
     });
   }
 
+  // All numbers have changed.
+  void take_linear() {
+    if constexpr (kDifferentiates) linear_ = linear_of(n_.drives());
+  }
   void note(int j, const Modes& modes) {
     now_[j] = modes;
     put_offsets(j);
@@ -188,12 +196,45 @@ class ServedDrives {
       put(drive.rest(at, 0));
   }
 
+  // The same of joint j, of numbers with derivatives: copies of drives take longer than what is
+  // done with them.
+  template <int j>
+  ARM_APART void add_rest(const State<S, X>& x, const X (&u)[row], Rest& rest) const {
+    const auto& drive = std::get<j>(n_.drives());
+    using Drive = std::remove_cvref_t<decltype(drive)>;
+    if constexpr (!Drive::is_linear) {
+      typename Drive::template Input<X> at;
+      for_each<Drive::states, kMostStates>([&](auto k) { at.z[k] = x.z[k][j]; });
+      at.q = x.q[j], at.v = x.v[j], at.u = u[j];
+      unsigned held = 0;
+      if constexpr (modal) {
+        for_each<Drive::modes, kMostStates>([&](auto m) { at.offset[m] = now_[j].at[m].offset; });
+        held = now_[j].held();
+      }
+      const auto put = [&](const auto& is) __attribute__((always_inline)) {
+        for_each<Drive::states, kMostStates>([&](auto k) {
+          if constexpr (Drive::bends(k)) rest.at[k][j] = is.f[k];
+        });
+        rest.at[K][j] = is.g;
+      };
+      if (held)
+        put(drive.rest(at, held, std::get<j>(linear_)));
+      else
+        put(drive.rest(at, 0, std::get<j>(linear_)));
+    }
+  }
+  static auto linear_of(const auto& drives) {
+    return std::apply([](const auto&... drive) { return std::tuple{drive.linear()...}; }, drives);
+  }
+
   void put_offsets(int j) {
     for (int m = 0; m < M; ++m) offsets_[m][j] = now_[j].at[m].offset;
   }
 
   Modes now_[N];
   alignas(64) X offsets_[modal ? M : 1][row] = {};
+  using Linears = decltype(linear_of(S::drives(nullptr)));
+  [[no_unique_address]] std::conditional_t<kDifferentiates, Linears, Nothing> linear_;
 };
 
 }  // namespace arm

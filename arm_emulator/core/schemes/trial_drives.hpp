@@ -21,6 +21,7 @@ class TrialDrives : public ServedDrives<S, Real> {
   }
   // All numbers have changed. All parts are in their usual modes; `retime` is due.
   void fill() {
+    this->take_linear();
     this->n_.for_each_drive([&](const auto& drive, int j) { put(drive, j, Modes{}); });
   }
   // Put joint j into these modes; `retime` is due.
