@@ -171,10 +171,10 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page.get_by_role("button", name="Play").wait_for()
     assert 0 < tick_of(page) < LAST, "slow enough to be stopped on the way"
     choose(page, "Signal", "current")
-    until(page, lambda: shown.page.plotted[1][-1] != 0.0)
     last = RecordedMachine.of(shown.machine.path, scene)
     last.advance(LAST)
-    assert shown.page.plotted[1][-1] == last.session.state.current[0]
+    current = last.session.state.current[0]
+    until(page, lambda: shown.page.plotted[1][-1] == current)
     page.close()
 
 
