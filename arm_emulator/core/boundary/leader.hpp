@@ -13,7 +13,11 @@ struct arm_leader {
 
   explicit arm_leader(const arm_sensitive_run* run) : machine(run->step, -1, run->parameters) {
     machine.reset(run->q, run->v);
-    if (run->theta_m && run->omega_m) machine.put_motors(run->theta_m, run->omega_m);
+    if (run->theta_m && run->omega_m) {
+      arm::State<Scene> at = machine.state();
+      arm::put_motors(machine.numbers_now(), run->theta_m, run->omega_m, at);
+      machine.put(at, true);
+    }
     [this]<class Machine>(Machine& of) {
       if constexpr (Machine::locates) of.note_in(&pieces);
     }(machine);

@@ -131,12 +131,6 @@ class Machine {
   // Set the links to (q, v) and the motors to match, at time 0, without current or gear torque.
   void reset(const Real* q, const Real* v) { put(at_rest_behind(numbers_, q, v), true); }
 
-  // Put the motors at these angles [rad] and speeds [rad/s], without current, at time 0.
-  ARM_ONCE void put_motors(const double* angle, const double* speed) {
-    State<S> at = x_;
-    arm::put_motors(numbers_, angle, speed, at);
-    put(at, true);
-  }
   // Where the parts of steps are noted.
   void note_in(auto* pieces)
     requires(locates)

@@ -157,10 +157,7 @@ class Follower {
     }
   }
   void finish(const Dynamics& links) {
-    struct Nobody {
-      void take(Dynamics&) {}
-      void give(const State<S>&) {}
-    } nobody;
+    Nobody nobody;
     Dynamics own = links;
     Method part(left_, n_);
     part.reset(x_);

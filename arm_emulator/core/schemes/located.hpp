@@ -229,12 +229,6 @@ class Located {
            (before.t - last.t) / (other.t - last.t) * at / (past - at) * there / (past - there);
   }
 
-  // Replaces the exchange with the thread of the links.
-  struct Nobody {
-    void take(Dynamics&) {}
-    void give(const State<S>&) {}
-  };
-
   Real h_;
   const Numbers<S>& n_;
   Method whole_;

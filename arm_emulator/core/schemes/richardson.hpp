@@ -9,6 +9,7 @@
 
 #include "mechanics/usual.hpp"
 #include "schemes/linearly_implicit.hpp"
+#include "schemes/scheme.hpp"
 
 namespace arm {
 
@@ -51,10 +52,6 @@ class RichardsonScheme {
   }
 
  private:
-  struct Nobody {
-    void take(Dynamics&) {}
-    void give(const State<S, X>&) {}
-  };
   ARM_APART static void take(Steps& steps, State<S, X>& x, const X (&u)[row], Dynamics& links) {
     Nobody nobody;
     steps.step(x, u, links, nobody);

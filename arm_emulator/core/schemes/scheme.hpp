@@ -18,4 +18,10 @@ struct AnyScheme {
 template <class S, class X>
 using MethodOf = typename S::Scheme::template Method<S, X>;
 
+// Replaces the exchange with the thread of the links.
+struct Nobody {
+  void take(const auto&) {}
+  void give(const auto&) {}
+};
+
 }  // namespace arm
