@@ -19,7 +19,6 @@ from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way import AlongLimits, Way, WayLimits
 from arm_emulator.motion.way_controller import LOST, WayController
 from arm_emulator.runs.offline import load_offline_run
 
@@ -460,30 +459,3 @@ def test_targets_at_200_hz_and_reversals_move_the_machine_within_its_limits() ->
     assert (peak < kinematics.velocity_limit).all(), "faster than the description allows"
     # The gears' wind-up under the arm's weight: 0.75 mm.
     assert np.linalg.norm(kinematics.tool_error(session.state.q, home)[:3]) < 1e-3
-
-
-@pytest.mark.parametrize("case", some(range(40), 8))
-def test_ways_keep_limits_where_the_third_derivative_of_their_curve_steps(case: int) -> None:
-    """Splines through random nodes, whose jerk steps in each of them, with ramps of any length.
-
-    So wild a curve exceeds an acceleration between two checks now and then: 1 of 40, by 0.64 %.
-    """
-    rng = np.random.default_rng(case)
-    nodes, joints = int(rng.integers(4, 50)), int(rng.integers(1, 8))
-    curve = JointCurve.spline(np.cumsum(rng.normal(size=(nodes + 1, joints)), axis=0))
-    speed, acceleration = rng.uniform(0.3, 6.0, (2, joints))
-    unlimited = np.full(joints, np.inf)
-    limits = WayLimits(speed, acceleration, acceleration / rng.uniform(0.02, 0.5), unlimited)
-    along = None
-    if case % 2:
-        ends = np.sort(rng.random(3)) + np.array([0.0, 0.0, 1.0])
-        length, top, most, jerk = rng.uniform(0.3, 3.0, 4)
-        along = AlongLimits(length, top, most, jerk, ends, rng.uniform(0.0, 5.0, 3))
-    way = Way(curve, limits, along=along)
-    rows = [way.at(t) for t in np.linspace(0.0, way.duration, 4000)]
-    for key, limit in (("v", speed), ("a", acceleration), ("jerk", limits.jerk)):
-        assert (np.abs([getattr(one, key) for one in rows]) / limit).max() <= 1.0 + 1e-2
-    if along is not None:
-        places = np.array([way.place(t) for t in np.linspace(0.0, way.duration, 4000)])
-        rate = np.gradient(places, way.duration / 3999)
-        assert rate.max() * along.length <= along.speed * (1.0 + 1e-3)

@@ -84,6 +84,13 @@ class Rows:
     thirds: FloatArray
     """|tc c + td c' + te c''| sqrt(c) <= 1, (3, P, G)."""
 
+    def within(self, factors: FloatArray) -> Rows:
+        """Return limits of which c may take parts (pieces,) in each piece, 1 or less."""
+        k = np.repeat(factors, len(POINTS))
+        still, moving = self.firsts[:1], self.firsts[1:]
+        firsts = np.concatenate([still, moving / k[:, None]])
+        return Rows(self.most * k, firsts, self.thirds / (k**1.5)[:, None])
+
 
 class Timing:
     """sigma over time.

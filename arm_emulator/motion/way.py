@@ -1,8 +1,8 @@
 """A planned way of the joints: a curve and its timing.
 
 Its timing is the one of least duration within the limits of speed, acceleration, jerk and torque,
-from rest to rest. The result is checked at more places, and slowed down if it exceeds a limit
-there.
+from rest to rest. The result is checked at more places. Where it exceeds a limit there, it is
+slowed down.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ FloatArray = npt.NDArray[np.float64]
 FEWEST_PIECES = 24  # of the timing
 MOST_PIECES = 400  # of a way in which the ramps decide how many it has
 IN_A_RAMP = 12  # pieces of it
+MOST_TIMINGS = 4  # that are found for a way
+CLOSE = 0.94  # factor of c with which a timing is slowed down as a whole
 MARGIN = 1.002  # of time: for what lies between the checks
 JERK_MARGIN = 1.01  # likewise, of the jerk, which steps
-_CHECKED = 5  # places in a piece where limits are held against it, see cpp/limits.hpp
+_CHECKED, _CHECKED_AGAIN = 5, 17  # places in a piece where limits are held against it
 _LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
 
 
@@ -107,12 +109,7 @@ class Way(Lasting):
         self._ramps = Ramps(ramp)
         given = self._given()
         sigma = places(pieces)
-        found = least_duration(pieces, self._rows(sigma, given))
-        if isinstance(found, int):
-            raise self._too_heavy(sigma[found], where)
-        # Factor of duration with which the way keeps every limit at every check.
-        slower = way_library().way_excess(*given, pieces, pointer(found), JERK_MARGIN) * MARGIN
-        self._timing = Timing(found / slower**2)
+        self._timing = self._found(pieces, sigma, self._rows(sigma, given), given, where)
         self.duration = self._timing.duration
 
     @property
@@ -153,6 +150,28 @@ class Way(Lasting):
         # Two checks or more in each piece of the curve, whose third derivative steps.
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
+
+    def _found(
+        self, pieces: int, sigma: FloatArray, rows: Rows, given: tuple[Any, ...], where: str
+    ) -> Timing:
+        """Return the quickest timing found that keeps every limit at every check.
+
+        Where one exceeds limits between the places for which it was found, it is found again with
+        tighter ones there, and slowed down as a whole by the rest.
+        """
+        keeps, timings, looks = np.empty(pieces), list[Timing](), _CHECKED
+        law = way_library()
+        for _ in range(MOST_TIMINGS):
+            found = least_duration(pieces, rows)
+            if isinstance(found, int):
+                raise self._too_heavy(sigma[found], where)
+            law.way_keeps(*given, pieces, pointer(found), looks, JERK_MARGIN, pointer(keeps))
+            least = float(keeps.min())
+            timings.append(Timing(found * least / MARGIN**2))
+            if least > CLOSE:
+                break
+            rows, looks = rows.within(keeps), _CHECKED_AGAIN
+        return min(timings, key=lambda one: one.duration)
 
     def _rows(self, sigma: FloatArray, given: tuple[Any, ...]) -> Rows:
         """Return the limits at places (P,), in parts of them; those of torque with an arm."""

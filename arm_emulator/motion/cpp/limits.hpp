@@ -13,8 +13,8 @@ namespace way {
 
 constexpr int DERIVATIVES = 4;  // the curve itself among them
 constexpr double LEAST = 1e-12;
-constexpr double CHECKS[] = {1e-9, 0.25, 0.5, 0.75, 1.0 - 1e-9};  // places in a piece of a timing
-constexpr double BESIDE = 1e-7;                                   // of sigma
+constexpr double WITHIN = 1e-9;      // of a piece of a timing: its ends are looked at from inside
+constexpr double BESIDE = 1e-7;      // of sigma
 constexpr double LEAST_ROOM = 1e-6;  // of a limit, beside what the weight takes
 
 // Coordinates and their first three derivatives by sigma at a place.
@@ -172,7 +172,7 @@ inline bool overloaded(const way_arm& arm, const way_limits& limits, const Joint
   return false;
 }
 
-// By how much a timing exceeds limits at the places where it is looked at.
+// By how much a timing exceeds limits at the places where it is looked at, piece by piece.
 struct Excess {
   const way_arm* arm;
   const way_curve& curve;
@@ -180,10 +180,10 @@ struct Excess {
   double ramp;
   int32_t intervals;
   const double* coefficients;
-  double slower = 1.0;  // factor of c that keeps speeds, accelerations and torques
-  double jerk = 0.0;    // the largest, in parts of its limit
+  double jerk_margin;
+  double* keeps;  // (intervals), factors of c
 
-  void look(double sigma) {
+  void look(double sigma) const {
     const double n = intervals, u = sigma * n;
     const int64_t piece = std::clamp<int64_t>(static_cast<int64_t>(u), 0, intervals - 1);
     const double *x = coefficients + piece, t = u - static_cast<double>(piece);
@@ -193,16 +193,19 @@ struct Excess {
     const bool loaded = arm && overloaded(*arm, limits, at, c, d);
     RowsAt rows;
     rows_at(loaded ? arm : nullptr, limits, curve.columns, at, &rows);
-    slower = std::max(slower, c / rows.most);
+    double excess = c / rows.most, jerk = 0.0;
     for (int32_t i = 0; i < rows.firsts; ++i) {
       const double moving = rows.first[1][i] * c + rows.first[2][i] * d;
       const double fixed = moving < 0.0 ? -rows.first[0][i] : rows.first[0][i];
-      slower = std::max(slower, std::fabs(moving) / std::max(1.0 - fixed, LEAST_ROOM));
+      excess = std::max(excess, std::fabs(moving) / std::max(1.0 - fixed, LEAST_ROOM));
     }
     for (int32_t i = 0; i < rows.thirds; ++i) {
       const double third = rows.third[0][i] * c + rows.third[1][i] * d + rows.third[2][i] * e;
       jerk = std::max(jerk, std::sqrt(c) * std::fabs(third));
     }
+    if (jerk_margin * jerk > 1.0)
+      excess = std::max(excess, std::pow(jerk_margin * jerk, 2.0 / 3.0));
+    keeps[piece] = std::min(keeps[piece], 1.0 / excess);
   }
 };
 

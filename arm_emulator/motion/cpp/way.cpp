@@ -72,11 +72,16 @@ void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limi
   }
 }
 
-double way_excess(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
-                  int32_t intervals, const double* coefficients, double jerk_margin) {
-  way::Excess excess{arm, *curve, *limits, ramp, intervals, coefficients};
+void way_keeps(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
+               int32_t intervals, const double* coefficients, int32_t looks, double jerk_margin,
+               double* keeps) {
+  std::fill_n(keeps, intervals, 1.0);
+  const way::Excess excess{arm, *curve, *limits, ramp, intervals, coefficients, jerk_margin, keeps};
   for (int32_t m = 0; m < intervals; ++m)
-    for (const double within : way::CHECKS) excess.look((m + within) / intervals);
+    for (int32_t k = 0; k < looks; ++k) {
+      const double within = std::clamp(k / (looks - 1.0), way::WITHIN, 1.0 - way::WITHIN);
+      excess.look((m + within) / intervals);
+    }
   // Third derivatives step at the ends of the ramps and at the breaks of the curve.
   auto beside = [&](double sigma) {
     excess.look(sigma - way::BESIDE);
@@ -85,7 +90,6 @@ double way_excess(const way_arm* arm, const way_curve* curve, const way_limits* 
   beside(ramp);
   beside(1.0 - ramp);
   for (int32_t k = 1; k < curve->pieces; ++k) beside(way::ramps_inverse(ramp, curve->breaks[k]));
-  return std::sqrt(std::max(excess.slower, std::pow(jerk_margin * excess.jerk, 2.0 / 3.0)));
 }
 
 int64_t way_work(int32_t intervals, int32_t firsts, int32_t thirds) {

@@ -94,10 +94,11 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
 void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
               int32_t count, const double* sigma, double* most, double* firsts, double* thirds);
 
-/* Factor of the duration with which the timing keeps all limits at more places, 1 or more.
- * jerk_margin: factor of jerks. */
-double way_excess(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
-                  int32_t intervals, const double* coefficients, double jerk_margin);
+/* Factors of c, 1 or less, with which the timing keeps all limits at `looks` evenly spread places of
+ * each piece, both ends among them, `keeps` (intervals). jerk_margin: factor of jerks. */
+void way_keeps(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
+               int32_t intervals, const double* coefficients, int32_t looks, double jerk_margin,
+               double* keeps);
 
 int64_t way_work(int32_t intervals, int32_t firsts, int32_t thirds);
 int32_t way_time(int32_t intervals, const double* most, int32_t firsts, const double* firsts_0,
