@@ -1,13 +1,15 @@
 """A campaign whose workers, scheduler and client are killed at random moments, here and on Dask.
 
-Each moment is drawn over the time that the campaign takes if nobody is killed, from its folder's
-first sign to its report; the last line counts those before, amid and after its parts. What was
-written must stay, nobody may stay behind, and the digest in the end must be the same.
+Each moment is drawn over the time in which the parts of the results are written if nobody is
+killed; it counts from the part before it, so that a busy machine moves it along with the parts. The
+last line counts those before, amid and after the parts. What was written must stay, nobody may stay
+behind, and the digest in the end must be the same.
 """
 
 from __future__ import annotations
 
 import argparse
+import bisect
 import contextlib
 import json
 import os
@@ -38,7 +40,7 @@ CAMPAIGN = {
     "scenario": {"seconds": 0.2, "targets": [{"at": 0.0, "elbow": 1.0}]},
     "vary": {"joints.*.friction.viscous": "nominal * lognormal(1, 0.3)"},
     "requirements": {"near": "always abs(error.*) < 0.3"},
-    "count": 100_000,
+    "count": 60_000,
 }
 LONGEST = 600.0  # s that a client may take, on a busy machine
 ENDING = 60.0  # s until the processes of a client that was killed must have ended
@@ -130,6 +132,11 @@ class Cluster:
         self._processes[k].kill()
         self._processes[k].wait()
 
+    @property
+    def processes(self) -> list[int]:
+        """Its processes, by number."""
+        return [one.pid for one in self._processes]
+
     def end(self) -> None:
         """End all processes."""
         for k in range(len(self._processes)):
@@ -147,13 +154,11 @@ class Moment:
         digest: in the end; empty: the campaign has not come to its end.
         parts: files of results when it happened, and at the end.
         words: last words of a campaign without a digest.
-        seconds: that the campaign took, from the first sign of its folder.
     """
 
     digest: str
     parts: tuple[int, int]
     words: str
-    seconds: float
 
     @property
     def when(self) -> str:
@@ -188,49 +193,79 @@ def works(client: Process, into: Path) -> bool:
     return client.poll() is None
 
 
+def parts_in(into: Path) -> set[Path]:
+    """Return the files of results that are written."""
+    return set((into / "parts").glob("*.parquet"))
+
+
+def times_of_parts(file: Path, into: Path, place: Place) -> list[float]:
+    """Return when each part of a campaign appears if nobody is killed [s]."""
+    client, times = begun(file, into, place), list[float]()
+    works(client, into)
+    began = time.monotonic()
+    while client.poll() is None and time.monotonic() - began < LONGEST:
+        fresh = len(parts_in(into)) - len(times)
+        times += [time.monotonic() - began] * fresh
+        time.sleep(0.01)
+    client.communicate()
+    return times
+
+
+def drawn_moment(times: list[float], rng: np.random.Generator) -> tuple[int, float]:
+    """Return a moment amid the parts: those that are there, and the time since the last [s]."""
+    at = rng.uniform(times[0], times[-1])
+    parts = bisect.bisect_right(times, at)
+    return parts, at - times[parts - 1]
+
+
 def one_moment(
-    file: Path, into: Path, place: Place, victim: str, after: float, rng: np.random.Generator
+    file: Path,
+    into: Path,
+    place: Place,
+    victim: str,
+    after: float,
+    rng: np.random.Generator,
+    parts: int = 0,
 ) -> Moment:
-    """Kill somebody so many seconds after a campaign has begun its work; see it to its end.
+    """Kill somebody at a moment of a campaign's work; see it to its end.
 
     Args:
         file: of the campaign.
         into: a new folder.
         place: where its runs are simulated.
-        victim: of `place.victims`; empty: nobody.
-        after: time of the kill [s].
+        victim: of `place.victims`.
+        after: time of the kill since there were so many parts; 0: since it has begun [s].
         rng: chooses a worker.
+        parts: see `after`.
     """
-
-    def parts() -> set[Path]:
-        return set((into / "parts").glob("*.parquet"))
-
     client = begun(file, into, place)
     works(client, into)
-    began, before = time.monotonic(), set[Path]()
+    before = set[Path]()
     try:
-        if victim:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                client.wait(after)
-            processes, before = [client.pid, *below(client.pid)], parts()
-            place.kill(victim, client, rng)
-            if victim in ("client", "ctrl-c"):
-                client.communicate(timeout=LONGEST)
-                until = time.monotonic() + ENDING
-                while any(map(runs, processes)) and time.monotonic() < until:
-                    time.sleep(0.05)
-                if any(map(runs, processes)):
-                    return Moment("", (len(before), 0), "somebody stays behind", 0.0)
-                client = begun(file, into, place)
+        until = time.monotonic() + LONGEST
+        while len(parts_in(into)) < parts and client.poll() is None and time.monotonic() < until:
+            time.sleep(0.01)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            client.wait(after)
+        processes, before = [client.pid, *below(client.pid)], parts_in(into)
+        place.kill(victim, client, rng)
+        if victim in ("client", "ctrl-c"):
+            client.communicate(timeout=LONGEST)
+            until = time.monotonic() + ENDING
+            while any(map(runs, processes)) and time.monotonic() < until:
+                time.sleep(0.05)
+            if any(map(runs, processes)):
+                return Moment("", (len(before), 0), "somebody stays behind")
+            client = begun(file, into, place)
         out, wrong = client.communicate(timeout=LONGEST)
     except subprocess.TimeoutExpired:
         os.killpg(client.pid, signal.SIGKILL)
-        return Moment("", (len(before), 0), f"hung: {client.communicate()[1][-600:]}", 0.0)
-    facts, last = json.loads(out) if out.strip() else {}, parts()
+        return Moment("", (len(before), 0), f"hung: {client.communicate()[1][-600:]}")
+    facts, last = json.loads(out) if out.strip() else {}, parts_in(into)
     words = "" if before <= last else "parts are lost"
     digest = "" if words else facts.get("digest", "")
     words = words or facts.get("refused", "") or wrong[-1500:]
-    return Moment(digest, (len(before), len(last)), words, time.monotonic() - began)
+    return Moment(digest, (len(before), len(last)), words)
 
 
 def main() -> None:
@@ -249,18 +284,20 @@ def main() -> None:
         places: dict[str, Place] = {name: made() for name, made in PLACES.items()}
         kinds = [(name, victim) for name, place in places.items() for victim in place.victims]
         try:
-            took = {
-                name: one_moment(file, folder / name, place, "", 0.0, rng).seconds
-                for name, place in places.items()
+            times = {
+                name: times_of_parts(file, folder / name, place) for name, place in places.items()
             }
+            for name, some in times.items():
+                print(f"{name}: {len(some)} parts from {some[0]:.1f} to {some[-1]:.1f} s")
             for moment in range(given.moments):
                 name, victim = kinds[moment % len(kinds)]
-                after, into = rng.uniform(0.0, took[name]), folder / f"{moment}"
-                one = one_moment(file, into, places[name], victim, after, rng)
+                (parts, after), into = drawn_moment(times[name], rng), folder / f"{moment}"
+                one = one_moment(file, into, places[name], victim, after, rng, parts)
                 survived[f"{name} {victim}"] += one.digest == wanted
                 when[one.when] += 1
                 good = "same digest" if one.digest == wanted else f"{one}"
-                print(f"{moment}: {name} {victim}, {after:.1f} s, {one.when}: {good}", flush=True)
+                at = f"{after:.2f} s after part {parts}"
+                print(f"{moment}: {name} {victim}, {at}, {one.when}: {good}", flush=True)
         finally:
             for place in places.values():
                 place.end()

@@ -20,8 +20,8 @@ from bench.bare import BARE, odd_parts
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "docs" / "validation" / "report"
-# Packages of requirements-bench.txt that a bench is about; others import theirs when they measure.
-OF_PEERS = {"openturns"}
+# Packages of peers that a bench is about; others import theirs when they measure.
+OF_PEERS = {"fmpy", "openturns"}
 MODULES = sorted(file.stem for file in (ROOT / "bench").glob("[!_]*.py"))
 SHIPPED = sorted(file.stem for file in config_folder().glob("*.yaml"))
 
