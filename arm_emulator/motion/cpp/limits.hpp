@@ -114,8 +114,9 @@ struct RowsAt {
 
 inline double square(double x) { return x * x; }
 
+// `same`: rows still has those of a place of the same torques.
 inline void rows_at(const way_arm* arm, const way_limits& limits, int32_t n, const Joints& at,
-                    RowsAt* rows) {
+                    RowsAt* rows, bool same = false) {
   rows->most = HUGE_VAL, rows->firsts = rows->thirds = 0;
   auto first = [&](double zero, double c, double d) {
     const int32_t k = rows->firsts++;
@@ -134,7 +135,9 @@ inline void rows_at(const way_arm* arm, const way_limits& limits, int32_t n, con
   }
   if (limits.asked > 0.0)
     rows->most = std::min(rows->most, 1.0 / square(std::max(limits.asked * at.s[1], LEAST)));
-  if (arm) {
+  if (arm && same) {
+    for (int32_t j = 0; j < n; ++j) rows->firsts += limits.torque[j] < HUGE_VAL;
+  } else if (arm) {
     const double still[MOST_JOINTS] = {};
     double weight[MOST_JOINTS], rate[MOST_JOINTS], change[MOST_JOINTS];
     const Frames frames = frames_at(*arm, at.f[0]);
@@ -183,14 +186,15 @@ struct Excess {
   double jerk_margin;
   double* keeps;  // (intervals), factors of c
 
-  void look(double sigma) const {
+  // `torques`: with those; they do not step where a third derivative does.
+  void look(double sigma, bool torques) const {
     const double n = intervals, u = sigma * n;
     const int64_t piece = std::clamp<int64_t>(static_cast<int64_t>(u), 0, intervals - 1);
     const double *x = coefficients + piece, t = u - static_cast<double>(piece);
     const double k0 = 0.5 * (x[0] + x[1]), k1 = x[1] - x[0], k2 = 0.5 * (x[0] - 2.0 * x[1] + x[2]);
     const double c = k0 + t * (k1 + t * k2), d = n * (k1 + 2.0 * t * k2), e = 2.0 * n * n * k2;
     const Joints at = joints_at(curve, ramp, sigma);
-    const bool loaded = arm && overloaded(*arm, limits, at, c, d);
+    const bool loaded = arm && torques && overloaded(*arm, limits, at, c, d);
     RowsAt rows;
     rows_at(loaded ? arm : nullptr, limits, curve.columns, at, &rows);
     double excess = c / rows.most, jerk = 0.0;

@@ -61,9 +61,11 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
 
 void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
               int32_t count, const double* sigma, double* most, double* firsts, double* thirds) {
+  way::RowsAt at;
   for (int64_t p = 0; p < count; ++p) {
-    way::RowsAt at;
-    way::rows_at(arm, *limits, curve->columns, way::joints_at(*curve, ramp, sigma[p]), &at);
+    // The end of a piece is the begin of the next.
+    const bool same = p > 0 && sigma[p] - sigma[p - 1] < way::BESIDE;
+    way::rows_at(arm, *limits, curve->columns, way::joints_at(*curve, ramp, sigma[p]), &at, same);
     most[p] = at.most;
     for (int64_t k = 0; k < 3; ++k) {
       std::copy_n(at.first[k], at.firsts, firsts + (k * count + p) * at.firsts);
@@ -80,12 +82,12 @@ void way_keeps(const way_arm* arm, const way_curve* curve, const way_limits* lim
   for (int32_t m = 0; m < intervals; ++m)
     for (int32_t k = 0; k < looks; ++k) {
       const double within = std::clamp(k / (looks - 1.0), way::WITHIN, 1.0 - way::WITHIN);
-      excess.look((m + within) / intervals);
+      excess.look((m + within) / intervals, k > 0);  // its begin is the end of the one before
     }
   // Third derivatives step at the ends of the ramps and at the breaks of the curve.
   auto beside = [&](double sigma) {
-    excess.look(sigma - way::BESIDE);
-    excess.look(sigma + way::BESIDE);
+    excess.look(sigma - way::BESIDE, false);
+    excess.look(sigma + way::BESIDE, false);
   };
   beside(ramp);
   beside(1.0 - ramp);
