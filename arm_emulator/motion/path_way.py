@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.joint_arc import QUIETLY_PAST, joint_arc, past_end
 from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.take_over import Rest
-from arm_emulator.motion.target_ways import FARTHEST_PAST
+from arm_emulator.motion.target_ways import TargetWays
 from arm_emulator.motion.timed_distance import TimedDistance
 from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along
 from arm_emulator.motion.tool_path import WHERE, ToolPath
@@ -94,18 +93,19 @@ def plan_path(
 
 
 def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
-    """Return the way from rest to the first pose: the tool's line, or that of the joints."""
+    """Return the way from rest to the first pose, the best of `TargetWays`."""
     kinematics, to, limits = law.kinematics, path.first, path.limits
     R_WT, p_WT = kinematics.forward(q)
     begin = Pose(p_WT, R_WT if kinematics.turns_tool else to.R_WT)
     off = kinematics.tool_error(q, to) * kinematics.scale
     if float(np.linalg.norm(off)) < 1e-9:
         return Rest(q)
-    goal = None
     line: JointCurve | str = (
         "" if kinematics.redundant else joints_along(law.arm, q, begin, to, None)
     )
-    if not isinstance(line, JointCurve):
+    if isinstance(line, JointCurve):
+        end = line.end
+    else:
         goal = JointGoal(kinematics)
         goal.begin(law.posture)
         goal.aim(to, q)
@@ -114,21 +114,15 @@ def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
             error = goal.error[:3] / kinematics.scale[:3]
             got = f"one {np.linalg.norm(error):.3g} m beyond the nearest point"
             raise Refusal(WHERE, "poses[0]", "be where a way leads to", got)
-        line = joints_along(law.arm, q, begin, to, goal.q)
-    if not isinstance(line, JointCurve):
-        assert goal is not None
-        curve = JointCurve.line(q, goal.q)
-        past = past_end(law.arm, curve)
-        if past > QUIETLY_PAST:
-            curve = joint_arc(law.arm, q, goal.q) or curve
-            if past > FARTHEST_PAST and past_end(law.arm, curve) > FARTHEST_PAST:
-                rule = f"be where a way leads at most {FARTHEST_PAST * 1e3:g} mm past it"
-                raise Refusal(WHERE, "poses[0]", rule, f"one with {past * 1e3:.3g} mm")
-        return Way(curve, law.limits, law.arm, where=WHERE)
+        end = goal.q
+        line = joints_along(law.arm, q, begin, to, end)
     turned = float(np.linalg.norm(off[3:])) if kinematics.turns_tool else 0.0
     length = max(float(np.linalg.norm(to.p_WT - p_WT)), limits.per_turn * turned)
     along = AlongLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)
-    return Way(line, law.limits, law.arm, along, where=WHERE)
+    ways = TargetWays(law.arm, law.limits, q, to, along, heavy=False, where=WHERE)
+    for one in ways.to(end, line):
+        return one.way
+    raise ways.past_end(end)
 
 
 def _as_limits_allow(law: WayController, path: ToolPath, start: FloatArray) -> list[Motion]:

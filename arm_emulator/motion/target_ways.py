@@ -19,10 +19,11 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_arc import QUIETLY_PAST, joint_arc, past_end
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.kinematics import POSITION_ROWS
+from arm_emulator.motion.no_way import PastEnd
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.ruckig_result import found
 from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.motion.way import AlongLimits, Way, WayLimits
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -51,15 +52,28 @@ class TargetWays:
         limits: of its joints.
         start: its joints at rest (N,).
         target: pose of the tool.
+        along: limits of the tool along its line; None: it is as fast as the joints.
+        heavy: whether ways that need more torque than the limits are gone, with a notice.
+        where: names the motion in refusals.
 
     Attributes:
         notices: limits that no way keeps, as text.
     """
 
-    def __init__(self, arm: ArmTree, limits: WayLimits, start: FloatArray, target: Pose) -> None:
+    def __init__(
+        self,
+        arm: ArmTree,
+        limits: WayLimits,
+        start: FloatArray,
+        target: Pose,
+        along: AlongLimits | None = None,
+        heavy: bool = True,
+        where: str = "motion",
+    ) -> None:
         self._arm, self._limits, self._start, self._target = arm, limits, start, target
+        self._along, self._heavy, self._where = along, heavy, where
         R_WT, p_WT = arm.kinematics.forward(start)
-        self._begin = Pose(p_WT, R_WT)
+        self._begin = Pose.computed(p_WT, R_WT)
         self.notices: list[str] = []
 
     def to(self, end: FloatArray, line: JointCurve | str) -> Iterator[TargetWay]:
@@ -68,6 +82,9 @@ class TargetWays:
         Args:
             end: the angles.
             line: the joints along the tool's line; or why there is no such curve.
+
+        Raises:
+            Refusal: a way needs more torque than the limits, and is not gone.
         """
         along = JointCurve.line(self._start, end)
         joints: Way | None = None
@@ -79,7 +96,7 @@ class TargetWays:
                 joints = self._way(along)
                 longest = MUCH_LONGER * joints.duration + LONGER
             if straight.duration <= longest:
-                yield TargetWay(straight, "along the tool's line", end)
+                yield TargetWay(self._limited(straight), "along the tool's line", end)
                 line = "parts would touch on the tool's"
                 yield from self._turning_the_other_way(line)
                 other_last = False
@@ -96,7 +113,7 @@ class TargetWays:
             straight = self._way(free)
             if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
                 words = f"along the tool's line, turning as the joints do: {line}"
-                yield TargetWay(straight, words, end)
+                yield TargetWay(self._limited(straight), words, end)
         past = past_end(self._arm, along)
         if past > QUIETLY_PAST:
             line = f"{line}; on the joints' line the tool goes {past * 1e3:.3g} mm past its end"
@@ -106,9 +123,17 @@ class TargetWays:
         if past <= FARTHEST_PAST:
             yield TargetWay(joints, f"along the joints' line: {line}", end)
         if slow is not None:
-            yield TargetWay(slow, "along the tool's line, slowly: no other way is free", end)
+            words = "along the tool's line, slowly: no other way is free"
+            yield TargetWay(self._limited(slow), words, end)
         if other_last:
             yield from self._turning_the_other_way("no other way is free")
+
+    def past_end(self, end: FloatArray) -> PastEnd:
+        """Return the refusal of joint angles (N,) to which no way leads."""
+        past = past_end(self._arm, JointCurve.line(self._start, end)) * 1e3
+        rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
+        valid = "a target on the way, or a joint trajectory"
+        return PastEnd(self._where, "the way", rule, f"{past:.3g} mm on all that were found", valid)
 
     def _turning_the_other_way(self, why: str) -> Iterator[TargetWay]:
         """Yield the tool's line, turning the other way round, if that exists."""
@@ -120,22 +145,28 @@ class TargetWays:
         curve = joints_along(self._arm, self._start, *ends, None, other_way=True)
         if isinstance(curve, JointCurve):
             words = f"along the tool's line, turning the other way round: {why}"
-            yield TargetWay(self._way(curve), words, curve.end)
+            yield TargetWay(self._limited(self._way(curve)), words, curve.end)
 
     def _turning_with_the_joints(self, end: FloatArray) -> JointCurve | str:
         """Return the joints' curve to their angles at the end on which the tool goes straight."""
         if self._arm.kinematics.to_tool.sum() <= POSITION_ROWS:
             return "the tool's place alone determines the joints"
         p, R = self._arm.forward(np.stack([self._start, end]))
-        begin, to = (Pose(p[k], R[k]) for k in range(2))
+        begin, to = (Pose.computed(p[k], R[k]) for k in range(2))
         return joints_along(self._arm, self._start, begin, to, end, False)
 
-    def _way(self, curve: JointCurve) -> Way:
+    def _limited(self, way: Way) -> Way:
+        """Return a way along the tool's line within the limits of the tool."""
+        return way if self._along is None else self._way(way.curve, self._along)
+
+    def _way(self, curve: JointCurve, along: AlongLimits | None = None) -> Way:
         try:
-            return Way(curve, self._limits, self._arm)
+            return Way(curve, self._limits, self._arm, along, where=self._where)
         except Refusal as reason:  # the arm exceeds the torques of its description there
+            if not self._heavy:
+                raise
             self.notices.append(str(reason))
-            return Way(curve, self._limits)
+            return Way(curve, self._limits, along=along)
 
 
 def joints_duration(step: FloatArray, limits: WayLimits) -> float:

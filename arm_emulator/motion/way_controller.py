@@ -27,7 +27,6 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
 from arm_emulator.motion.instruction import Instruction
-from arm_emulator.motion.joint_arc import past_end
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
@@ -36,7 +35,7 @@ from arm_emulator.motion.no_way import NoWay, PastEnd
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.take_over import Rest, TakeOver
-from arm_emulator.motion.target_ways import FARTHEST_PAST, TargetWays
+from arm_emulator.motion.target_ways import TargetWays
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import Way, WayLimits
 
@@ -333,7 +332,7 @@ class WayController:
 
     def _tool_line(self, now: Reference, target: Pose, goal: FloatArray | None) -> JointCurve | str:
         R_WT, p_WT = self.kinematics.forward(now.q)
-        return joints_along(self.arm, now.q, Pose(p_WT, R_WT), target, goal)
+        return joints_along(self.arm, now.q, Pose.computed(p_WT, R_WT), target, goal)
 
     def _turn_off(self, now: Reference) -> None:
         """Go to the joint goal from a motion."""
@@ -352,7 +351,7 @@ class WayController:
         """
         assert self._target is not None
         refused: NoWay | None = None
-        ways = TargetWays(self.arm, self.limits, now.q, self._target)
+        ways = TargetWays(self.arm, self.limits, now.q, self._target, where=WHERE)
         end = self._goal.q
         for one in ways.to(end, line):
             if refused is not None and one.end is end and self._touches(end):
@@ -369,10 +368,7 @@ class WayController:
             return
         if refused is not None:
             raise refused
-        past = past_end(self.arm, JointCurve.line(now.q, end)) * 1e3
-        rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
-        valid = "a target on the way, or a joint trajectory"
-        raise PastEnd(WHERE, "the way", rule, f"{past:.3g} mm on all that were found", valid)
+        raise ways.past_end(end)
 
     def _touches(self, q: FloatArray) -> bool:
         return self.guard is not None and bool(self.guard.collisions.first(q))
