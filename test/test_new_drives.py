@@ -199,7 +199,10 @@ def test_published_figures_come_before_rules(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("untuned")
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
-    """+-999999, as descriptions of mobile bases have it: the joint goes on without end."""
+    """+-999999, as descriptions of mobile bases have it: the joint goes on without end.
+
+    It has a drive all the same, whose speed, acceleration and torque references must keep.
+    """
     robot = ET.fromstring(OWN["gantry" if kind == "prismatic" else "planar"]())
     joint = next(one for one in robot.findall("joint") if one.get("type") == kind)
     limit = joint.find("limit")
@@ -213,6 +216,8 @@ def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
     assert scene.joints[scene.joint_names.index(joint.get("name", ""))].stops is None
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     assert kinematics.reach < 100.0, "m: the slide counts nothing"
+    for limit in ("velocity_limit", "acceleration_limit", "effort_limit"):
+        assert np.isfinite(getattr(kinematics, limit)).all(), limit
 
 
 @pytest.mark.usefixtures("untuned")

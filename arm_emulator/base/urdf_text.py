@@ -116,7 +116,7 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
 
     Other readers of a URDF refuse such a joint, or take 0 for both. A revolute joint becomes a
     continuous one, a prismatic one gets limits of +-`UNLIMITED`. They also refuse a limit without
-    effort or velocity, which becomes 0: unknown.
+    effort or velocity, which becomes 0: unknown. What a limit gives beside its bounds stays.
 
     Returns:
         Whether anything was changed.
@@ -140,14 +140,16 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
         elif not any(math.isinf(bound) for bound in bounds) and {"effort", "velocity"} <= {*given}:
             continue
         changed = True
+        rest = {key: given[key] for key in given if key not in ("lower", "upper")}
         if limit is not None:
             joint.remove(limit)
         if kind == "revolute" and bounds == [-math.inf, math.inf]:
             joint.set("type", "continuous")
-            continue
-        lower, upper = (repr(max(-UNLIMITED, min(bound, UNLIMITED))) for bound in bounds)
-        rest = {key: given.get(key, "0") for key in ("effort", "velocity")}
-        ET.SubElement(joint, "limit", {"lower": lower, "upper": upper, **rest})
+        else:
+            lower, upper = (repr(max(-UNLIMITED, min(bound, UNLIMITED))) for bound in bounds)
+            rest |= {"lower": lower, "upper": upper}
+        if rest:
+            ET.SubElement(joint, "limit", {"effort": "0", "velocity": "0"} | rest)
     return changed
 
 
