@@ -18,7 +18,7 @@ from arm_emulator.analysis.servo_loop import FREE_SLIDE, poses
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design import tuned
 from arm_emulator.design.gain_text import write_gains
-from arm_emulator.design.tuned import HOLDS, compute, falls, holding, link_inertias
+from arm_emulator.design.tuned import HOLDS, compute, falls, holding, link_inertias, together
 from arm_emulator.servo.servo_config import ServoConfig
 
 
@@ -143,8 +143,9 @@ def test_a_loop_holds_a_link_that_falls(seed: int) -> None:
     joint = dataclasses.replace(
         load_servo_config(file).joints[0], velocity_gain=K, position_gain=kp, integral_time=5.0 / kp
     )
-    held = holding(joint, G)
-    assert (held == joint) == (HOLDS * G <= K * kp)
+    shared = dataclasses.replace(joint, position_gain=kp * rng.uniform(0.05, 1.0))
+    held = holding(shared, G, kp)
+    assert (held == shared) == (HOLDS * G <= K * shared.position_gain)
     for share in (0.6, 1.0, 2.0):
         k, stiff = share * K, share * K * held.position_gain
         poles = np.roots([M, k, stiff - G, stiff / held.integral_time])
@@ -162,6 +163,15 @@ def test_gains_of_an_arm_exceed_what_its_links_fall_with(monkeypatch: pytest.Mon
     shoulder = after.joints[1]
     assert shoulder.position_gain * shoulder.velocity_gain >= 0.99 * HOLDS * fall
     assert [*after.joints[:1], *after.joints[2:]] == [*before.joints[:1], *before.joints[2:]]
+
+
+def test_a_slow_joint_does_not_make_all_others_slow() -> None:
+    """As the base of Fetch, whose arm then took 12 s to come to rest."""
+    arm = [20.7, 21.2, 41.3, 33.9, 34.0, 96.2]
+    assert together(arm) == [20.7] * 6
+    assert together([0.75, *arm]) == [0.75, *[20.7] * 6]
+    assert together([0.75, 4.6, *arm]) == [0.75, 0.75, *[20.7] * 6]
+    assert together([arm[5], 0.75]) == [arm[5], 0.75]
 
 
 def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

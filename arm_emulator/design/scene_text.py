@@ -35,7 +35,7 @@ _RULES = """\
 # and `encoder` are guesses of the right size, by these rules (docs/tutorials/your_robot.md), from
 # the peak torque and the speed beside each joint (motor and ratio of a published servo: its own):
 #   ratio        the joint's full speed at 3000 rpm of the motor
-#   motor        rotor accelerates with 14 000 rad/s2;
+#   motor        rotor accelerates with 14 000 rad/s2, at least 1/20 of the heaviest link's inertia;
 {motor}
 #   gear         170 times the peak torque per rad, as strain wave gears; lowest resonance at least
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical

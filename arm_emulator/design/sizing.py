@@ -41,6 +41,9 @@ RESISTANCE_PART = 0.25  # of the supply at peak torque; 0.15 are left for contro
 ELECTRICAL_TIME = 1e-3  # s, L/R of frameless and small servo motors
 CURRENT_BANDWIDTH = 1000.0  # Hz, of drives that sample at 16 kHz
 ROTOR_ACCELERATION = 1.4e4  # rad/s2 at peak torque, with the gear's primary side
+# Of the heaviest link over the rotor's: through a lighter rotor a servo moves what is on an elastic
+# gear slowly. Makers of servo motors advise 10 to 30.
+INERTIA_RATIO = 20.0
 STIFFNESS_PER_TORQUE = 170.0  # 1/rad: strain wave gears of sizes 14 to 40, to their peak torque
 LOWEST_RESONANCE = {"revolute": 2 * math.pi * 12.0, "prismatic": 2 * math.pi * 30.0}  # rad/s
 DAMPING = 0.05  # of critical, of the link on its gear
@@ -225,7 +228,7 @@ def _drive(
     bits = min(max(FEWEST_BITS, finest), MOST_BITS)
     rating = Rating(
         torque=torque * ratio,
-        rotor_inertia=torque * ratio / ROTOR_ACCELERATION,
+        rotor_inertia=max(torque * ratio / ROTOR_ACCELERATION, most * ratio**2 / INERTIA_RATIO),
         torque_constant=torque_constant,
         back_emf_constant=back_emf_constant,
         resistance=resistance,

@@ -32,6 +32,8 @@ SETTLE, MOVE, REST = 1.0, 1.0, 6.0  # s of the run on the machine; what sticks c
 WATCHED = 0.75  # s of the rest
 TURN, SLIDE = 0.2, 0.05  # rad, m: the move
 _SOFTER = 0.7  # where a whole arm leaves too little margin
+# A joint that is so many times as fast as the slowest of a group begins another one.
+_APART = 8.0
 HOLDS = 2.0  # times the torque per angle with which a link falls, that a loop holds it
 _NUDGE = 1e-4  # rad or m, over which that torque is taken
 _ROUNDS = 8
@@ -113,16 +115,36 @@ def falls(scene: Scene) -> Array:
     return most
 
 
-def holding(joint: JointServo, fall: float) -> JointServo:
+def together(gains: list[float]) -> list[float]:
+    """Return the position gains of joints that keep together: in groups, that of the slowest.
+
+    Args:
+        gains: of each joint alone [1/s].
+    """
+    slowest, first = dict[float, float](), 0.0
+    for gain in sorted(gains):
+        first = gain if gain >= _APART * first else first
+        slowest[gain] = first
+    return [slowest[gain] for gain in gains]
+
+
+def holding(joint: JointServo, fall: float, alone: float) -> JointServo:
     """Return a joint's servo whose loop holds a link that falls [N m/rad]; itself if it does.
 
-    The loop's stiffness, velocity_gain * position_gain, has to exceed `fall`. What is left of it
-    places the integral as the whole of it does elsewhere: 5 / position_gain without a fall.
+    The loop's stiffness, velocity_gain * position_gain, has to exceed `fall`. Where it does not, it
+    is that of the joint alone beside the fall, so that the link is placed as without one. What is
+    left of the stiffness places the integral as the whole of it does elsewhere: 5 / position_gain
+    without a fall.
+
+    Args:
+        joint: its servo.
+        fall: torque per angle with which its link falls [N m/rad].
+        alone: position gain that the joint has without regard to others [1/s].
     """
     K = joint.velocity_gain
     if K * joint.position_gain >= HOLDS * fall:
         return joint
-    stiffness = HOLDS * fall
+    stiffness = max(HOLDS * fall, K * alone + fall)
     left = stiffness - fall
     gain, time = _rounded(stiffness / K), _rounded(5.0 * K * stiffness / left**2)
     return dataclasses.replace(joint, position_gain=gain, integral_time=time)
@@ -154,10 +176,10 @@ def tuned_servo(file: Path, servo: ServoConfig) -> ServoConfig:
 def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:
     """Return the servo with computed gains.
 
-    Each joint is designed by itself (joint_gains.py); then all get the position gain of the
-    slowest, so that the joints of a tool path keep together, and more where a link that stands
-    over its joint would fall; then joints whose loop has too little margin in the whole arm are
-    made slower, within that.
+    Each joint is designed by itself (joint_gains.py); then those of a group get the position gain
+    of its slowest, so that the joints of a tool path keep together, and more where a link that
+    stands over its joint would fall; then joints whose loop has too little margin in the whole arm
+    are made slower, within that.
     """
     known = {joint.name: joint for joint in servo.joints}
     found: dict[str, JointServo] = {}
@@ -174,10 +196,13 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
             own.current_limit,
         )
         found[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
-    slowest = min(joint.position_gain for joint in found.values())
+    alone = {name: joint.position_gain for name, joint in found.items()}
+    shared = dict(zip(found, together([*alone.values()]), strict=True))
     fall = dict(zip(scene.joint_names, falls(scene).tolist(), strict=True))
     joints = [
-        holding(dataclasses.replace(found[name], position_gain=slowest), fall[name])
+        holding(
+            dataclasses.replace(found[name], position_gain=shared[name]), fall[name], alone[name]
+        )
         for name in servo.joint_names
     ]
     for _ in range(_ROUNDS):
@@ -190,8 +215,9 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         }
         if not little:
             break
+        alone |= {name: _SOFTER * alone[name] for name in little}
         joints = [
-            holding(slower(joint, _SOFTER, servo.period), fall[joint.name])
+            holding(slower(joint, _SOFTER, servo.period), fall[joint.name], alone[joint.name])
             if joint.name in little
             else joint
             for joint in joints
