@@ -19,6 +19,7 @@ Array = NDArray[Any]
 Columns = Mapping[str, Array]
 HOLDS, FAILS, INK = "#4878a8", "#d1495b", "#22313f"
 MOST_LINES, MOST_POINTS, MOST_AXES = 150, 4000, 10  # lines: of each kind
+WIDTH = 10.2  # inches
 _STYLE = {
     "font.size": 9.5,
     "font.family": "sans-serif",
@@ -95,7 +96,7 @@ def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[st
     count = len(requirements)
     across = 2 if count == 4 else min(3, count)
     down = -(-count // across)
-    figure, axes = _figure(3.4 * across, 2.3 * down, down, across)
+    figure, axes = _figure(WIDTH, 2.3 * down, down, across)
     for axis, (name, title) in zip(axes, requirements.items(), strict=False):
         values = columns[name][np.isfinite(columns[name])]
         axis.set_title(title, loc="left")
@@ -126,7 +127,7 @@ def influences(
 ) -> Figure:
     """Draw the influences on each requirement's margin, and the margin over the two strongest."""
     count = len(requirements)
-    figure, axes = _figure(10.2, 2.7 * count, count, 3)
+    figure, axes = _figure(WIDTH, 2.7 * count, count, 3)
     rng = np.random.default_rng(0)
     some = np.sort(rng.permutation(len(next(iter(columns.values()))))[:MOST_POINTS])
     for row, (name, title) in enumerate(requirements.items()):
@@ -150,7 +151,7 @@ def bars_of(found: Finding) -> Figure:
     outputs = list(dict.fromkeys(row[0] for row in found.rows))
     across = min(3, len(outputs))
     down = -(-len(outputs) // across)
-    figure, axes = _figure(3.4 * across, 2.6 * down, down, across)
+    figure, axes = _figure(WIDTH, 2.6 * down, down, across)
     for axis, output in zip(axes, outputs, strict=False):
         rows = [row for row in found.rows if row[0] == output][:7][::-1]
         sizes, errors = [[float(row[k]) for row in rows] for k in (at, at + 1)]
@@ -182,8 +183,10 @@ def _cloud(axis: Axes, x: Array, y: Array) -> None:
         at = sound & kind
         axis.scatter(x[at], y[at], s=size, color=color, alpha=0.45, linewidths=0.0,
                      rasterized=True)  # fmt: skip
-    axis.axhline(0.0, color=INK, linewidth=0.8)
     axis.margins(0.03)
+    inside = y[sound]
+    if len(inside) and -np.ptp(inside) <= np.max(inside) and np.min(inside) <= np.ptp(inside):
+        axis.axhline(0.0, color=INK, linewidth=0.8)  # farther away it would squeeze the cloud
 
 
 def coordinates(
@@ -202,7 +205,7 @@ def coordinates(
     from matplotlib.collections import LineCollection
 
     names = [*varying[:MOST_AXES]]
-    figure, (axis,) = _figure(10.2, 3.6, 1, 1)
+    figure, (axis,) = _figure(WIDTH, 3.6, 1, 1)
     order = np.argsort(-ranks, kind="stable")
     bad = order[failed[order]][-MOST_LINES:]
     good = order[~failed[order]]

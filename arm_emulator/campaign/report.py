@@ -38,14 +38,15 @@ padding:.7em 1.1em;min-width:110px}.card b{display:block;font-size:1.5em}.card.b
 table{border-collapse:collapse;width:100%;font-size:.92em}
 th{text-align:left;color:#5b6b78;font-weight:600;border-bottom:2px solid #dfe5ea;padding:.35em .6em}
 td{border-bottom:1px solid #eef2f4;padding:.35em .6em;vertical-align:top}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+th{vertical-align:bottom}.n{text-align:right;font-variant-numeric:tabular-nums}td.n{white-space:nowrap}
 td.bad{color:#d1495b;font-weight:600}code{background:#f4f7f9;border-radius:4px;padding:.1em .35em;
 font-size:.9em}td code{word-break:break-word}img{max-width:100%;display:block;margin:.4em 0}
 .bar{position:relative;height:10px;background:#eef2f4;border-radius:5px;min-width:150px;
 margin-top:.45em}.bar i{position:absolute;top:0;bottom:0;background:#f0b9c1;border-radius:5px}
 .bar b{position:absolute;top:-2px;bottom:-2px;width:3px;background:#d1495b}
-.scroll{overflow-x:auto}.scroll td,.scroll th{white-space:nowrap}.scroll td code{word-break:normal}
-.scroll img{min-width:720px}.scroll td.formula{min-width:15em;white-space:normal}
+.scroll{overflow-x:auto}.scroll td{white-space:nowrap}.scroll td code{word-break:normal}
+.scroll img{min-width:720px}.scroll td.formula{min-width:11.5em;white-space:normal}
+.formula code{display:inline-block;margin-top:.2em}
 p code{overflow-wrap:anywhere}
 footer{color:#8695a1;font-size:.85em;margin-top:3em}
 """
@@ -204,8 +205,7 @@ def _card(value: str, text: str, kind: str = "") -> str:
 
 
 def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
-    yield "<h2>Requirements</h2><div class=scroll><table><tr><th>requirement<th>must hold"
-    yield "<th class=n>fails"
+    yield "<h2>Requirements</h2><div class=scroll><table><tr><th>must hold<th class=n>fails"
     sampled = campaign.search is None  # the share of runs that a search chose means nothing
     yield "<th class=n>share<th>confidence interval" if sampled else ""
     yield "<th class=n>least margin<th class=n>in run</tr>"
@@ -215,8 +215,8 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         given = campaign.requirements.get(one.name, "")
         text = given if isinstance(given, str) else str(given.get("python", ""))
         bad = " bad" if one.hits else ""
-        yield f"<tr><td><b>{html.escape(one.name)}</b><td class=formula>"
-        yield f"<code>{html.escape(text)}</code>" if text else ""
+        yield f"<tr><td class=formula><b>{html.escape(one.name)}</b>"
+        yield f"<br><code>{html.escape(text)}</code>" if text else ""
         yield f"<td class='n{bad}'>{one.hits}"
         yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
         known = one.worst >= 0
@@ -249,7 +249,7 @@ def _worst(
     yield f"<br><code>{html.escape(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
     heads = {name: f"margin of {short}" for name, short in margins.items()}
-    for name, head in (heads | {name: name for name in shown}).items():
+    for name, head in (heads | {name: pictures.short(name) for name in shown}).items():
         unit = f" [{units[name]}]" if units[name] else ""
         yield f"<th class=n>{html.escape(head + unit)}"
     yield "<th>drive it again</tr>"
