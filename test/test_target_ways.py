@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from draws import some
+from kinematic_arms import turning_chain
 from scipy.spatial.transform import Rotation
 from test_ways import PERIOD, drawn, law_of, needs_robots, pose_of, random_arm
 
@@ -135,3 +136,31 @@ def test_a_tool_turns_the_other_way_round_before_it_is_refused() -> None:
         assert np.linalg.norm(arm.tool_error(way[-1], target)) < 1e-6, controller.way
         truth = Collisions(scene.urdf, scene.joint_names, (box,), 0.0)
         assert not any(truth.first(one) for one in way), controller.way
+
+
+@pytest.mark.parametrize("seed", some(range(20), 2))
+def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
+    """Of eight joints one is a hundred times slower: it moves a quarter as far at most."""
+    rng = np.random.default_rng(seed)
+    joints, slow = 8, int(rng.integers(1, 7))
+    names = [f"j{j}" for j in range(joints)]
+    pieces = turning_chain(joints).split('velocity="1"')
+    pieces[slow] += 'velocity="0.01"' + pieces.pop(slow + 1)
+    alike, spared = (
+        Kinematics(text, names, "tool")
+        for text in (turning_chain(joints), 'velocity="1"'.join(pieces))
+    )
+    moved, found = np.zeros(2), 0
+    for _ in range(20):
+        q = rng.uniform(-1.5, 1.5, joints)
+        target = pose_of(alike, q + 0.1 * rng.normal(size=joints))
+        goals = [JointGoal(arm) for arm in (alike, spared)]
+        for goal in goals:
+            goal.begin(q)
+            goal.aim(target, q)
+            goal.approach(300)
+        if goals[0].reached and goals[1].reached:
+            found += 1
+            moved += [abs(goal.q[slow] - q[slow]) for goal in goals]
+    assert found >= 18, "of 20; other configurations are tried for the rest"
+    assert moved[1] < 0.25 * moved[0]

@@ -85,7 +85,7 @@ class ArmTree(Lasting):
             "place": _doubles(place),
             "coupling": self._coupling,
             "offset": self._offset,
-            "scale": _doubles(kinematics.joint_scale),
+            "scale": _doubles(kinematics.step_scale),
             "mass": _doubles(mass),
             "centre": _doubles(centre),
             "inertia": _doubles(inertia),

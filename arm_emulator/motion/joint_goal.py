@@ -47,8 +47,9 @@ class JointGoal:
     Where no step leads nearer, motions of no effect in first order are tried by a finite one: an
     exactly stretched arm bends, to the side of the middle of its limits.
 
-    All angles inside are scaled: a joint that slides counts per reach of the arm. They are those of
-    joints that move the tool; others stay where they are.
+    All angles inside are scaled: a joint that slides counts per reach of the arm, and a slow one as
+    much more (`Kinematics.step_scale`), so that a redundant arm hardly waits for it. They are those
+    of joints that move the tool; others stay where they are.
 
     Args:
         kinematics: of the arm.
@@ -63,12 +64,12 @@ class JointGoal:
     def __init__(self, kinematics: Kinematics) -> None:
         self._to_tool, self._rest = kinematics.to_tool, np.zeros(len(kinematics.joint_names))
         self.kinematics = kinematics = kinematics.of_tool
-        self._low = kinematics.lower / kinematics.joint_scale
-        self._high = kinematics.upper / kinematics.joint_scale
+        self._low = kinematics.lower / kinematics.step_scale
+        self._high = kinematics.upper / kinematics.step_scale
         finite = np.isfinite(self._low) & np.isfinite(self._high)
         self._middle = np.zeros(len(self._low))
         self._middle[finite] = 0.5 * (self._low[finite] + self._high[finite])
-        self._scales = kinematics.scale[:, None] * kinematics.joint_scale
+        self._scales = kinematics.scale[:, None] * kinematics.step_scale
         self.begin(self._rest)
 
     def begin(self, q: FloatArray) -> None:
@@ -97,11 +98,11 @@ class JointGoal:
     def _scaled(self, q: FloatArray) -> FloatArray:
         """Take joint angles (N,), and return those that move the tool, scaled and inside."""
         self.hold(q)
-        return self._inside(q[self._to_tool] / self.kinematics.joint_scale)
+        return self._inside(q[self._to_tool] / self.kinematics.step_scale)
 
     def _angles(self, x: FloatArray) -> FloatArray:
         q = self._rest.copy()
-        q[self._to_tool] = x * self.kinematics.joint_scale
+        q[self._to_tool] = x * self.kinematics.step_scale
         return q
 
     @property
@@ -230,12 +231,12 @@ class JointGoal:
     def _error(self, x: FloatArray) -> FloatArray:
         assert self._target is not None
         kinematics = self.kinematics
-        return kinematics.scale * kinematics.tool_error(x * kinematics.joint_scale, self._target)
+        return kinematics.scale * kinematics.tool_error(x * kinematics.step_scale, self._target)
 
     def _error_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         assert self._target is not None
         kinematics = self.kinematics
-        e, J = kinematics.error_and_jacobian(x * kinematics.joint_scale, self._target)
+        e, J = kinematics.error_and_jacobian(x * kinematics.step_scale, self._target)
         return kinematics.scale * e, self._scales * J
 
 

@@ -27,6 +27,9 @@ _Q = POSITION.named("q")
 _REACH = TOOL_POSITION.named("the length of the arm")
 _TARGET_ROTATION = Number.within("the rotation", "", 1.001)  # no entry is larger, up to rounding
 
+# A joint of a redundant arm that is so many times as slow as the others is spared, in proportion.
+SLOW, LEAST_SHARE = 10.0, 0.1
+
 POSITION_ROWS = 3
 POSE_ROWS = 6
 
@@ -58,6 +61,7 @@ class Kinematics(Closed, Lasting):
         scale: of the rows of the task, (rows,): translations are divided by `reach`, so that all
             entries of a scaled Jacobian are rad per rad.
         joint_scale: of the joints, (N,): 1 for one that turns, `reach` for one that slides.
+        step_scale: the same, and less of slow joints where others can do without them, (N,).
         continuous: whether a joint is the same again after a turn, (N,).
         lower, upper: position limits, (N,) each [rad or m]; infinite without a limit.
         velocity_limit, acceleration_limit, effort_limit: (N,) each, in rad or m, s, and N m or N;
@@ -122,6 +126,7 @@ class Kinematics(Closed, Lasting):
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
         slides = [_slides(joint) for joint in self._joints[: len(self.joint_names)]]
         self.joint_scale = np.where(slides, self.reach, 1.0)
+        self.step_scale = self._step_scale()
 
     @property
     def of_tool(self) -> Kinematics:
@@ -218,6 +223,15 @@ class Kinematics(Closed, Lasting):
             configuration[self._places[turning]] = np.cos(q[turning])
             configuration[self._places[turning] + 1] = np.sin(q[turning])
         return configuration
+
+    def _step_scale(self) -> FloatArray:
+        """Return by how much the joints move towards a target, relative to each other (N,)."""
+        speeds = self.velocity_limit / self.joint_scale
+        usual = float(np.median(speeds[self.to_tool])) if self.to_tool.any() else np.inf
+        if self.to_tool.sum() <= self.rows or not np.isfinite(usual):
+            return self.joint_scale  # nothing to choose from, or nothing known
+        share: FloatArray = np.clip(SLOW * speeds / usual, LEAST_SHARE, 1.0)
+        return share * self.joint_scale
 
     def _position_limits(self) -> tuple[FloatArray, FloatArray]:
         """Return the position limits of the URDF, (N,) each; a continuous joint has none."""

@@ -22,7 +22,7 @@ typedef struct {
   const double* place;      /* (joints, 3) of it [m] */
   const double* coupling;   /* (joints, coordinates) */
   const double* offset;     /* (joints) */
-  const double* scale;      /* (coordinates) that makes one an angle: 1, or the reach [m] */
+  const double* scale;      /* (coordinates) of a step: 1, the reach [m], or less */
   const double* mass;       /* (joints) of the bodies [kg] */
   const double* centre;     /* (joints, 3) of their masses, in the joints' frames [m] */
   const double* inertia;    /* (joints, 3, 3) about it, along the joints' axes [kg m2] */
