@@ -67,7 +67,10 @@ class ArmShapes(Lasting):
         self._places = np.array([joint.idx_q for joint in joints])
         self.moved_by = [frozenset(numbers) & {*way} for way in self.model.supports]
         """The joints commanded that move each of the model's joints."""
-        self._leads = np.array([self._farthest(number) for number in numbers])
+        shapes = self.hulls.geometryObjects
+        leads = [[self._lead(one, shape) for one in numbers] for shape in shapes]
+        self.leads = np.reshape(np.array(leads, dtype=float), (len(shapes), len(numbers)))
+        """How far each joint moves each shape at most (shapes, joints) [m/rad, m/m]."""
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._upper(joint), np.pi) for joint in joints])
         self.low, self.high = self._shafts.positions(low, high)
@@ -93,26 +96,24 @@ class ArmShapes(Lasting):
         whole[..., places[turning] + 1] = np.sin(angles[..., turning])
         return whole
 
-    def moved(self, ways: FloatArray) -> FloatArray:
-        """Return how far any part moves at most on ways of the joints (..., N) [m]."""
-        moved: FloatArray = np.abs(ways @ self._shafts.C.T) @ self._leads
-        return moved
+    def joints(self, ways: FloatArray) -> FloatArray:
+        """Return how far each joint goes on ways of those commanded (..., N) [rad or m]."""
+        return np.abs(ways @ self._shafts.C.T)
 
-    def _farthest(self, joint: int) -> float:
-        """Return how far a joint moves a part per angle or way at most [m/rad, m/m]."""
+    def _lead(self, joint: int, shape: Any) -> float:
+        """Return how far a joint moves a shape per angle or way at most [m/rad, m/m]."""
+        if joint not in self.model.supports[shape.parentJoint]:
+            return 0.0
         if _slides(self.model.joints[joint]):
             return 1.0
-        farthest = 0.0
-        for shape in self.hulls.geometryObjects:
-            shape.geometry.computeLocalAABB()
-            centre = shape.placement.act(shape.geometry.aabb_center)
-            length, at = math.hypot(*centre) + shape.geometry.aabb_radius, shape.parentJoint
-            while at > joint:  # parents have lower numbers
-                length += math.hypot(*self.model.jointPlacements[at].translation) + self._travel(at)
-                at = self.model.parents[at]
-            if at == joint:
-                farthest = max(farthest, length)
-        return farthest
+        shape.geometry.computeLocalAABB()
+        centre = shape.placement.act(shape.geometry.aabb_center)
+        length = math.hypot(*centre) + float(shape.geometry.aabb_radius)
+        at = shape.parentJoint
+        while at > joint:  # parents have lower numbers
+            length += math.hypot(*self.model.jointPlacements[at].translation) + self._travel(at)
+            at = self.model.parents[at]
+        return length
 
     def _travel(self, joint: int) -> float:
         one = self.model.joints[joint]

@@ -17,7 +17,8 @@ from arm_emulator.motion.obstacles import OBSTACLES
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 
-_BETWEEN = 0.05  # m that a part may move between two configurations that are tested
+_BETWEEN = 0.05  # m that parts of the arm may move to each other between two looks
+_FINEST = 5e-3  # m, likewise, that they may move near an obstacle whatever the margin is
 _ROUNDING = 1e-6  # m
 _FIRST, _MOST = 33, 2000  # configurations of a way
 
@@ -32,6 +33,11 @@ class CollisionGuard:
     When parts touch there they brake now, on the way that the period before has tested. So they
     rest before they touch, by the margin, whatever was asked for. Motions that are known to their
     end are checked before they begin.
+
+    The looks at a motion are so near that no part touches an obstacle between two of them, however
+    thin it is: parts that are the margin or more away before and after a look would have to move
+    twice the margin (or `_FINEST`) to touch between. Parts of the arm are no plates: they are
+    looked at every `_BETWEEN`.
 
     Args:
         kinematics: of the arm.
@@ -74,12 +80,53 @@ class CollisionGuard:
         for k in range(1, len(q)):
             if k + 1 == len(q) or gone[k + 1] - gone[looks[-1]] > 1.0:
                 looks.append(k)
-        part, q = part[looks[1:]], q[looks]
+        found = None
         # Parts that touch where it begins may move apart: `ahead` watches them.
-        for k in self.collisions.suspects(q[1:]):
-            if touching := self.collisions.fresh(q[1 + k], q[0], math.inf):
-                return float(part[k]), touching
-        return None
+        for k in self.collisions.suspects(q[looks[1:]]):
+            if touching := self.collisions.fresh(q[looks[1 + k]], q[0], math.inf):
+                found = float(part[looks[1 + k]]), touching
+                break
+        return self._met(angles, part, q, found)
+
+    def _met(
+        self, angles: Angles, part: FloatArray, q: FloatArray, found: tuple[float, str] | None
+    ) -> tuple[float, str] | None:
+        """Return where an obstacle is met before what was found, or that.
+
+        Conservative advancement, pair by pair: from a look at which parts are d apart they may move
+        d to touch, and the margin more until they are as far apart again as the next look accepts.
+
+        Args:
+            angles: of the joints on the way.
+            part: places on it (K,), not far apart.
+            q: angles there (K, N).
+            found: place and words of a touch.
+        """
+        tested = self.collisions
+        pairs = tested.foreign
+        gaps = tested.gaps(pairs, np.broadcast_to(q[0], (len(pairs), q.shape[1])))
+        if not gaps:
+            return found
+        # A joint that turns round between two places goes farther than from one to the other.
+        turns = np.pad(np.abs(np.diff(q, 2, axis=0)), ((1, 1), (0, 0)))
+        ways = np.abs(np.diff(q, axis=0)) + 0.25 * np.maximum(turns[1:], turns[:-1])
+        gone = np.vstack([np.zeros(tested.pairs), np.cumsum(tested.moved(ways), axis=0)])
+        end, at = 1.0 if found is None else found[0], dict.fromkeys(gaps, 0.0)
+        while gaps:
+            places = {}
+            for k, gap in gaps.items():
+                at[k] += max(gap + tested.margins[k], _FINEST)
+                if at[k] < gone[-1, k]:
+                    place = float(np.interp(at[k], gone[:, k], part))
+                    if place < end:
+                        places[k] = place
+            if not places:
+                break
+            gaps = tested.gaps([*places], angles(np.array([*places.values()])))
+            for k, place in places.items():
+                if k not in gaps and place < end:
+                    end, found = place, (place, tested.name(k))
+        return found
 
     def check(self, where: str, angles: Angles) -> None:
         """Check a whole motion before it begins.
@@ -118,8 +165,12 @@ class CollisionGuard:
 
     def _step(self, way: FloatArray) -> int:
         """Return the number of pieces in which a way of the joints (N,) is tested."""
-        return max(1, math.ceil(float(self._parts(way))))
+        moved = self.collisions.moved(way)
+        foreign = self.collisions.foreign
+        nearest = np.maximum(2.0 * self.collisions.margins[foreign], _FINEST)
+        obstacles = float((moved[foreign] / nearest).max(initial=0.0))
+        return max(1, math.ceil(max(float(self._parts(way)), obstacles)))
 
     def _parts(self, ways: FloatArray) -> FloatArray:
         """Return how many pieces ways of the joints (..., N) are."""
-        return self.collisions.moved(ways) / _BETWEEN
+        return np.asarray(self.collisions.moved(ways).max(axis=-1, initial=0.0) / _BETWEEN)

@@ -57,6 +57,8 @@ class Collisions(Lasting):
 
     Attributes:
         pairs: how many pairs are tested.
+        margins: of each pair (pairs,) [m].
+        foreign: the numbers of pairs with an obstacle.
 
     Raises:
         Refusal: a description, or a mesh in it, that cannot be read.
@@ -86,11 +88,18 @@ class Collisions(Lasting):
         self._pair()
         self._leave_out(margin)
         self._made(margin)
+        pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
+        self.foreign = [k for k, pair in enumerate(pairs) if pair[1] >= self._own]
+        # No joint moves an obstacle; one that moves both parts moves neither towards the other.
+        still = np.zeros((len(obstacles), self._arm.leads.shape[1]))
+        leads = np.concatenate([self._arm.leads, still])
+        one, two = (leads[[pair[side] for pair in pairs]] for side in (0, 1))
+        self._leads = np.where((one > 0.0) & (two > 0.0), 0.0, np.maximum(one, two)).T
 
     @property
     def meets_obstacles(self) -> bool:
         """Whether any part of the arm is tested against an obstacle."""
-        return any(pair.second >= self._own for pair in self._shapes.collisionPairs)
+        return bool(self.foreign)
 
     @property
     def pairs(self) -> int:
@@ -101,7 +110,7 @@ class Collisions(Lasting):
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
         with self._alone:
             touching = self._touching(self._arm.whole(q)) if self.pairs else []
-        return self._name(touching[0]) if touching else ""
+        return self.name(touching[0]) if touching else ""
 
     def suspects(self, q: FloatArray) -> Iterator[int]:
         """Yield the numbers of those of some configurations (K, N) in which any parts touch."""
@@ -117,8 +126,34 @@ class Collisions(Lasting):
         return self._arm.drawn(rng)
 
     def moved(self, ways: FloatArray) -> FloatArray:
-        """Return how far any part moves at most on ways of the joints (..., N) [m]."""
-        return self._arm.moved(ways)
+        """Return how far the parts of each pair move at most, seen from each other [m].
+
+        Args:
+            ways: of the joints (..., N); returned are (..., pairs).
+        """
+        return np.asarray(self._arm.joints(ways) @ self._leads)
+
+    def gaps(self, pairs: Sequence[int], q: FloatArray) -> dict[int, float]:
+        """Return distances that the parts of pairs have at least [m], each at q (pairs, N).
+
+        That of their convex hulls, or the margin, where the meshes within those do not touch; pairs
+        that touch are left out.
+        """
+        apart = {}
+        for k, whole in zip(pairs, self._arm.whole(q), strict=True):
+            with self._alone:
+                if (gap := self._gap(k, whole)) is not None:
+                    apart[k] = gap
+        return apart
+
+    def _gap(self, k: int, whole: FloatArray) -> float | None:
+        shapes, meshes, margin = self._shapes, self._meshes, float(self.margins[k])
+        pin.updateGeometryPlacements(self._model, self._data, shapes, self._tested, whole)
+        apart = float(pin.computeDistance(shapes, self._tested, k).min_distance)
+        if apart > margin:
+            return apart
+        pin.updateGeometryPlacements(self._model, self._data, meshes, self._exact)
+        return None if pin.computeCollision(meshes, self._exact, k) else margin
 
     def fresh(self, q: FloatArray, now: FloatArray, nearer: float) -> str:
         """Return which two parts touch at q and not at `now`, or have come nearer; empty: none.
@@ -133,12 +168,12 @@ class Collisions(Lasting):
         with self._alone:
             touched, touching = self._all(now), self._all(q)
         for k in np.flatnonzero(touching & ~touched):
-            return self._name(int(k))
+            return self.name(int(k))
         both = np.flatnonzero(touching & touched)
         if math.isinf(nearer) or not len(both):
             return ""
         lost = self._distances(now)[both] - self._distances(q)[both]
-        return self._name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
+        return self.name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
 
     def nearest(self, q: FloatArray) -> float:
         """Return the distance of the two nearest parts at q (N,) [m]; < 0: they overlap."""
@@ -168,7 +203,8 @@ class Collisions(Lasting):
         self._boxes.update(False)
         return bool(pin.computeCollisions(self._boxes, True))
 
-    def _name(self, k: int) -> str:
+    def name(self, k: int) -> str:
+        """Return the names of a pair's parts, ``forearm_link and floor``."""
         pair = self._shapes.collisionPairs[k]
         return f"{self._names[pair.first]} and {self._names[pair.second]}"
 
@@ -217,15 +253,14 @@ class Collisions(Lasting):
     def _made(self, margin: float) -> None:
         self._tested = self._shapes.createData()
         self._exact = self._meshes.createData()
+        self.margins = np.zeros(self.pairs)
         for tested in (self._tested, self._exact):
-            for pair, request in zip(
-                self._shapes.collisionPairs, tested.collisionRequests, strict=True
-            ):
+            requests = zip(self._shapes.collisionPairs, tested.collisionRequests, strict=True)
+            for k, (pair, request) in enumerate(requests):
                 own = pair.second < self._own
-                if own and (pair.first, pair.second) in self._close:
-                    request.security_margin = 0.0
-                else:
-                    request.security_margin = margin * (OWN_SHARE if own else 1.0)
+                near = own and (pair.first, pair.second) in self._close
+                self.margins[k] = 0.0 if near else margin * (OWN_SHARE if own else 1.0)
+                request.security_margin = self.margins[k]
         self._boxes = None
         if self.pairs > _MANY:
             self._boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
