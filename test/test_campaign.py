@@ -213,6 +213,9 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
         ("vary/payload.mass", "__import__('os')", "must be a known distribution"),
         ("vary/payload.mass", "twice * uniform(0, 1)", "nominal *"),
         ("vary/payload.mass", True, "must be a distribution"),
+        ("vary", {"payload.mass": "uniform(0", "1)": None}, "vary.1) must have a distribution"),
+        ("set/paylaod", 1.0, "c.yaml, set: key paylaod must be known"),
+        ("set/payload", "heavy", "c.yaml, set: payload must be"),
         ("vary/controller.joints.elbow.gain", "uniform(0, 1)", "velocity_gain"),
         ("correlate", [{"between": ["payload.mass"], "by": 0.5}], "two numbers that vary"),
         ("correlate", [{"between": ["payload.mass", "faults.*"], "by": 2}], "correlate.0.by"),
@@ -220,6 +223,7 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
         ("faults/push/kind", "wench", "payload, power_cut, wrench"),
         ("faults/push/link", "hand", "be one that moves"),
         ("faults/cut/at", None, "faults.cut.at must be"),
+        ("faults/cut/at", 0.2, "faults.cut.at must be before the end of a run, 0.2 s"),
         (
             "faults/cut",
             {"kind": "number", "at": 0.1, "name": "payload.mess", "value": 1},

@@ -96,6 +96,18 @@ def test_correlation_and_grids():
     assert (cube(grid, 50)[25:] == cube(grid, 25)).all()
 
 
+def test_numbers_may_follow_from_each_other():
+    for pairs, signs in (
+        ([(["x0", "x1", "x2"], 1.0)], (1, 1)),
+        ([(["x0", "x1"], -1.0), (["x1", "x2"], -1.0), (["x0", "x2"], 1.0)], (-1, 1)),
+    ):
+        score = stats.norm.ppf(cube(variation("random", 1, pairs=pairs), 50))
+        for other, sign in enumerate(signs, 1):
+            assert score[:, other] == pytest.approx(sign * score[:, 0], abs=1e-12)
+    with pytest.raises(Refusal, match="hold together"):
+        variation("random", 1, pairs=[(["x0", "x1"], 1.0), (["x1", "x2"], 0.5)])
+
+
 def test_intervals_hold_what_they_claim():
     # Coverage summed over all outcomes.
     for share in (0.02, 0.2, 0.5):

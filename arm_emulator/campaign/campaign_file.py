@@ -219,7 +219,7 @@ def load_campaign(file: Path) -> Campaign:
     if stop is not None:
         stop.finish()
     _check_keys(data, file.name)
-    _ = campaign.nominal
+    _check_times(campaign)
     return campaign
 
 
@@ -244,6 +244,17 @@ def _check_keys(data: Mapping[str, Any], where: str) -> None:
     for key in data:
         if key not in KEYS:
             raise Refusal(where, f"key {key}", "be known", repr(key), ", ".join(KEYS))
+
+
+def _check_times(campaign: Campaign) -> None:
+    """Refuse faults of the file that begin when no run lasts so long."""
+    scenario, faults, _ = campaign.nominal
+    drawn = {one.name for one in campaign.variation.numbers}
+    for name, one in faults.items():
+        if {f"faults.{name}.at", "scenario.seconds"} & drawn or one.at < scenario.seconds:
+            continue
+        rule = f"be before the end of a run, {scenario.seconds:g} s"
+        raise Refusal(campaign.where, f"faults.{name}.at", rule, one.at)
 
 
 def _file(section: Section, key: str, campaign: Path) -> Path | None:
@@ -300,7 +311,13 @@ def _texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
 
 def _patterns(root: Section) -> list[str]:
     section = root.section("vary")
-    return [] if section is None else section.keys()
+    if section is None:
+        return []
+    for name in section.keys():
+        if section.value(name) is None:  # such as `1)` of {a: uniform(0, 1)}
+            valid = "within braces a text with a comma needs quotes, {name: 'uniform(0, 1)'}"
+            raise section.refusal(name, "have a distribution", "nothing", valid)
+    return section.keys()
 
 
 def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, Mapping[str, Any]]:
@@ -315,7 +332,7 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, M
         overrides = kind.needs({**held, **overrides}) | overrides
         of_faults |= dict.fromkeys(kind.sets(section), section)
     wanted += of_faults
-    scene = load_scene(file, overrides)
+    scene = _set_in(file, overrides, root.where)
     if scene.sensed:
         wanted.append("seed")
         overrides = {"seed": scene.seed} | overrides
@@ -332,6 +349,15 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, M
             raise of_faults[no.got].refusal("name", rule, no.got, no.valid) from None
         valid = f"{no.valid}, or numbers of {', '.join(f'{one}.' for one in DRAWN)}"
         raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
+
+
+def _set_in(file: Path, overrides: Mapping[str, Any], where: str) -> Scene:
+    """Return a scene with overrides; a refusal names the file that has what is not taken."""
+    try:
+        return load_scene(file, overrides)
+    except Refusal as no:
+        load_scene(file)  # refuses its own
+        raise Refusal(f"{where}, set", no.quantity, no.rule, no.got, no.valid) from None
 
 
 def _kinds(root: Section) -> list[tuple[type[Fault], Section]]:

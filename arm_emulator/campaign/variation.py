@@ -73,8 +73,9 @@ class Variation:
             raise Refusal(self.where, "sampling", rule, f"latin, {D * self.count}")
         self._mixed = None if self.correlation is None else self._root(self.correlation)
         self._key = int.from_bytes(self.key[:16], "little")
-        mixed = np.eye(len(self.numbers)) if self._mixed is None else self._mixed
-        self._coupled = [place for place in self._free if np.count_nonzero(mixed[place]) > 1]
+        alone = np.eye(len(self.numbers))
+        mixed = alone if self._mixed is None else self._mixed
+        self._coupled = [one for one in self._free if np.any(mixed[one] != alone[one])]
         # One stream whose counter is set: a new one for each run takes four times as long.
         self._bits = np.random.Philox(counter=np.zeros(4, np.uint64), key=self._key)
         self._fresh = self._bits.state
@@ -84,9 +85,12 @@ class Variation:
         try:
             return np.asarray(np.linalg.cholesky(correlation), np.float64)
         except np.linalg.LinAlgError:
+            root = _root_of_dependent(correlation)
+        if np.max(np.abs(root @ root.T - correlation)) > 1e-9:
             least = float(np.linalg.eigvalsh(correlation)[0])
-            rule = "have correlations that can hold together, all eigenvalues > 0"
-            raise Refusal(self.where, "correlate", rule, f"{least:.3g}") from None
+            rule = "have correlations that can hold together, all eigenvalues >= 0"
+            raise Refusal(self.where, "correlate", rule, f"{least:.3g}")
+        return root
 
     @property
     def levels(self) -> int:
@@ -173,6 +177,19 @@ class Variation:
     def _of_all(self) -> np.random.Generator:
         """Return the random numbers that all runs share."""
         return np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
+
+
+def _root_of_dependent(matrix: Array) -> Array:
+    """Return the lower root of a matrix whose numbers may follow from those before, as with +-1.
+
+    Of a matrix that has none it is any other's: the caller compares.
+    """
+    root = np.zeros_like(matrix)
+    for k in range(len(matrix)):
+        rest = matrix[k:, k] - root[k:, :k] @ root[k, :k]
+        if rest[0] > 1e-12:  # rounding leaves some 1e-16 of a number that follows
+            root[k:, k] = rest / math.sqrt(rest[0])
+    return root
 
 
 def correlation_of(
