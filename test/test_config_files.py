@@ -49,7 +49,7 @@ def spellings(scene: Path, folder: Path) -> list[str]:
     return [str(scene), relative, f"./{relative}", roundabout, str(link / scene.name)]
 
 
-@pytest.mark.parametrize("seed", some([2, 0, 1, *range(3, 10)], 1))
+@pytest.mark.parametrize("seed", some([1, *range(2, 11), 0], 1))
 def test_gains_are_found_from_any_folder(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -135,7 +135,7 @@ def in_child(work: Callable[[], object]) -> str:
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 @pytest.mark.parametrize("threads", some([2, 1], 1))
 def test_a_forked_child_goes_on_for_itself(threads: int, tmp_path: Path) -> None:
-    keys = {"threads": threads, "integrator.scheme": "extrapolated"}
+    keys = {"threads": threads, "integrator.scheme": "paper"}  # those of `test_threads`
     scene = load_scene("three_axis", overrides=keys)
     plant, fleet = Plant(scene), Fleet(scene, 40, workers=2)
     rows = np.tile(ROW, (40, 1))

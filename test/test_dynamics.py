@@ -54,7 +54,7 @@ def test_shipped_scenes_equal_aba(name: str) -> None:
 
 # 12 are the most that the core unrolls in nested loops, which a compiler takes long over.
 @pytest.mark.parametrize(
-    ("seed", "joints"), some([(1, 1), (3, 5), (6, 14), (2, 2), (5, 7), (4, 12)], 3)
+    ("seed", "joints"), some([(3, 5), (6, 14), (1, 1), (2, 2), (5, 7), (4, 12)], 2)
 )
 def test_random_chains_equal_aba(tmp_path: Path, seed: int, joints: int) -> None:
     """Revolute and prismatic joints about any axis, fixed joints merged, gravity aslant.

@@ -84,7 +84,7 @@ def test_a_network_survives_random_messages(clock: str, tmp_path: Path) -> None:
 
 
 # The second one once broke something: no steps under rows of voltages, out of bounds already.
-@pytest.mark.parametrize(("seed", "number", "largest"), some([(0, 0, 2), (1, 1, 4), (0, 1, 2)], 2))
+@pytest.mark.parametrize(("seed", "number", "largest"), some([(1, 1, 4), (0, 0, 2), (0, 1, 2)], 1))
 def test_a_random_machine_answers_or_refuses(
     seed: int, number: int, largest: int, tmp_path: Path
 ) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_manners import VARIED
 
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.machine.scene import load_scene
@@ -55,7 +56,7 @@ def env(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     from vector_env import ReachEnv  # type: ignore[import-not-found]
 
-    scene = load_scene("three_axis", {"varied": ["joints.*.friction.viscous"]})
+    scene = load_scene("three_axis", VARIED)
     return ReachEnv(scene, num_envs=16, seconds=np.where(np.arange(16) < 8, 0.04, 0.06))
 
 

@@ -127,7 +127,7 @@ def drawn_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
     return motor, gear, rng.uniform(-40.0, 40.0, size=8)
 
 
-@pytest.mark.parametrize(("seed", "scheme"), list(enumerate(SCHEMES)))
+@pytest.mark.parametrize(("seed", "scheme"), some(enumerate(SCHEMES), 3))
 def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, scheme: str) -> None:
     """A current that meets and leaves its limit within steps costs no more than their size."""
     motor, gear, V = drawn_joint(seed)

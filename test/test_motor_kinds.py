@@ -183,7 +183,7 @@ def test_an_arm_is_moved_by_its_motion_controller(kind: str) -> None:
 def test_gains_hold_the_machine_in_motion() -> None:
     """A smooth move of all joints at once: torques and currents follow it as voltages do."""
     errors = {}
-    for kind in KINDS if FULL else ("pmsm", "torque", "current at once"):
+    for kind in dict.fromkeys(CASES):
         scene = machine(kind)
         errors[kind] = float(run(scene, servo_of(scene)).worst.max())
     assert max(errors.values()) < 3.0 * min(errors.values()), errors

@@ -2,7 +2,7 @@
 
 Three parts at a time, each alone in a drive without friction and limits, in the joints of a gantry,
 whose slides do not feel each other. Commands jump, and the power is cut on the way. The test of the
-part compares its motion with the truth.
+part compares its motion with the truth, `test_lanes` all of them in lanes with single arms.
 """
 
 from __future__ import annotations
@@ -12,20 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
 from machines import GANTRY, GRAVITY, gantry_urdf
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from oracles.mixtures import (
-    AS_ALONE,
     PERIOD,
     STEPS,
     commands,
     converge,
     drawn_alone,
-    lanes_apart,
     run,
     write_scene,
 )
@@ -39,10 +36,10 @@ def names(parts: Parts) -> str:
     return "-".join(part.__name__ for part in parts)
 
 
-def scene_of(folder: Path, parts: Parts, steps: int, events: str = "located") -> Scene:
+def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
     joints = {name: drawn_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
     file = write_scene(folder, gantry_urdf(), joints, gravity=GRAVITY)
-    scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": events})
+    scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": "located"})
     for part, joint in zip(parts, scene.joints, strict=True):
         assert any(type(one) is part for one in joint.parts), f"{part.__name__} is there"
     return scene
@@ -75,9 +72,3 @@ def test_a_machine_that_is_saved_goes_on_to_the_last_bit(parts: Parts, tmp_path:
         for one in (plant, other):
             one.advance(-row, STEPS[0] // 4)
         assert other.save() == plant.save(), f"on the way from row {k}"
-
-
-@pytest.mark.parametrize("parts", some(BESIDE[::-1], 1), ids=names)
-def test_four_in_lanes_move_as_each_alone(parts: Parts, tmp_path: Path) -> None:
-    scene = scene_of(tmp_path, parts, STEPS[1], "step")
-    assert lanes_apart(scene, 0, commands(scene, 0)) < AS_ALONE, "m"

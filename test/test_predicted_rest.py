@@ -24,6 +24,8 @@ from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.runs.gains import Gains
 from bench.residuals import EFFECTS, left_by, rests
 
+NOISY = {"varied": ["joints.*.encoder.noise"]}  # so that they share a library
+
 
 def given(name: str, changes: dict[str, Any]) -> tuple[Scene, Gains, DemoPlan]:
     file = find_scene(name)
@@ -122,7 +124,7 @@ def test_noise_of_sensors_moves_the_links_as_computed() -> None:
     from arm_emulator.analysis.servo_loop import ServoLoops
     from arm_emulator.servo.drives import Drives, Target
 
-    scene = load_scene("three_axis", {"joints.*.encoder.noise": 0.05})
+    scene = load_scene("three_axis", {"joints.*.encoder.noise": 0.05, **NOISY})
     gains = load_gains(find_scene("three_axis"))
     loop = ServoLoops(scene, gains.servo, [scene.start]).loops[0]
     expected = np.sqrt(np.diag(loop.unrest(np.full(3, 0.05), np.zeros(3))))
@@ -144,7 +146,7 @@ def test_noise_of_sensors_moves_the_links_as_computed() -> None:
 
 def test_one_of_two_hundred_rests_under_noise_is_outside() -> None:
     """No more, and hardly fewer: what is left of noise is known, and the bound no guess."""
-    scene, gains, plan = given("three_axis", EFFECTS["noisy encoders"])
+    scene, gains, plan = given("three_axis", EFFECTS["noisy encoders"] | NOISY)
     predicted = predicted_rest(scene, gains, plan)
     run = OfflineRun(scene, gains.servo, gains.motion)
     kinematics = run.controller.kinematics

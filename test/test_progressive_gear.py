@@ -114,7 +114,7 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
     file = drawn_arm(tmp_path, seed)
     voltages = np.random.default_rng(seed).uniform(-20.0, 20.0, (4, 3))
     truth = reference_states(load_scene(file), voltages, PERIOD, 1e-12, method="DOP853")
-    for scheme, order in some(SCHEME_ORDERS, 2):
+    for scheme, order in some(SCHEME_ORDERS, 1):
         errors = []
         for steps in (40, 80, 160, 320):
             plant = Plant(with_steps(file, scheme, steps))
@@ -131,7 +131,7 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
         assert np.abs(end[2]).max() < size, "speeds beside the truth"
 
 
-@pytest.mark.parametrize("scheme", some([scheme for scheme, _ in SCHEME_ORDERS], 2))
+@pytest.mark.parametrize("scheme", some([scheme for scheme, _ in SCHEME_ORDERS], 1))
 def test_an_undamped_gear_swings_as_duffing_states(tmp_path: Path, scheme: str) -> None:
     """Rotor and link swing against each other: d2w/dt2 = -a w - b w^3, wound up by A at rest.
 
@@ -217,7 +217,7 @@ def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) 
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg="the motions")
 
 
-@pytest.mark.parametrize("scheme", ["rosenbrock", "implicit"])
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit"], 1))
 def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, scheme: str) -> None:
     """A motion that a scheme does not damp is never wrong without a report."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 3])

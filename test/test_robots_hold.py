@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
 
 from arm_emulator import Plant, load_scene
 
@@ -28,23 +27,19 @@ def test_without_power_links_drop_by_less_than_their_wind_up(name: str) -> None:
     assert np.abs(x.q - scene.start).max() < 6e-3, "from where power went"
 
 
-@pytest.mark.parametrize("name", some(["ur5", "panda"], 1))
+@pytest.mark.parametrize("name", ["ur5", "panda"])
 def test_a_stop_takes_a_hit_at_full_speed(name: str) -> None:
-    # The moment of the hit is located, so that the stop's damping begins nowhere within a step.
-    exact = {"integrator.events": "located", "integrator.dt": 2.5e-4}
-    scene = load_scene(name, {"energy_flow": True, **exact})
+    """That its energy is accounted for is seen in `test_end_stops`."""
+    scene = load_scene(name, {"integrator.dt": 2.5e-4})
     plant, V = Plant(scene), np.zeros(len(scene.joints))
     V[0] = scene.largest_commands[0]
     stop: Any = scene.joints[0].extras[0]
     pushed = V[0] * scene.joints[0].torque_per_command / stop.stiffness
-    before, flow, given, fastest, deepest = plant.energy, 0.0, 0.0, 0.0, 0.0
+    fastest = deepest = 0.0
     for _ in range(2000):
-        one = plant.advance_metered(V, 8)
-        flow += float((one.given - one.dissipated).sum())
-        given += float(np.abs(one.given).sum())
+        plant.advance(V, 8)
         fastest = max(fastest, float(plant.state.v[0]))
         deepest = max(deepest, float(plant.state.q[0]) - stop.upper)
     # Deeper than the joint's own torque pushes it at rest, and not as that of a stalled winding.
     assert pushed < deepest < 0.25, f"{deepest} rad deep, {pushed} at rest"
     assert fastest > 3.0, f"{fastest} rad/s"
-    assert abs(plant.energy - before - flow) < 1e-4 * given, "energy"

@@ -90,7 +90,7 @@ def let_go(plant: Plant, angle: float) -> None:
     ("seed", "scheme"),
     some(
         [(0, "rosenbrock"), (1, "rosenbrock"), (2, "rosenbrock"), (3, "extrapolated"),
-         (0, "extrapolated"), (1, "extrapolated"), (2, "extrapolated"), (3, "rosenbrock")], 4,
+         (0, "extrapolated"), (1, "extrapolated"), (2, "extrapolated"), (3, "rosenbrock")], 3,
     ),
 )  # fmt: skip
 def test_a_rotor_swings_and_sticks_as_the_closed_form_states_with_order_two(
