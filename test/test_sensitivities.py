@@ -142,6 +142,7 @@ def test_derivatives_by_the_start() -> None:
     ],
 )
 def test_bad_arguments_are_refused(changed: dict[str, object], reason: str) -> None:
-    arguments = {"commands": np.zeros((3, 3)), "by": ["start.q.waist"], **changed}
+    by = ["joints.*.gear.stiffness"]  # the library of the example in the docs
+    arguments = {"commands": np.zeros((3, 3)), "by": by, **changed}
     with pytest.raises(Refusal, match=reason):
         sensitivities(load_scene("three_axis"), **arguments)  # type: ignore[arg-type]
