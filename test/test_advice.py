@@ -201,7 +201,7 @@ def three_motors(folder: Path, kinds: tuple[str, ...]) -> Scene:
         name: {"motor": MOTORS[kind], "gear": gear}
         for name, kind in zip(GANTRY, kinds, strict=True)
     }
-    integrator = {"scheme": "rosenbrock", "events": "located", "dt": 1e-4}
+    integrator = {"scheme": "rosenbrock", "dt": 1e-4}
     return load_scene(write_scene(folder, gantry_urdf(1e6), joints, integrator=integrator))
 
 

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from draws import some
 from scipy.spatial.transform import Rotation
+from test_new_drives import untuned
 
 from arm_emulator import Kinematics, Plant, load_gains, load_scene
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.design.new_scene import write_new
 from oracles.any_arm import move, reachable
 from oracles.own_robots import Part, serial
+
+__all__ = ["untuned"]  # a fixture
 
 DOWN = np.array([0.0, 0.0, -9.81])
 MOUNTS = {"slope": (0.4, -0.3, 0.8), "wall": (0.0, np.pi / 2, 0.0), "ceiling": (np.pi, 0.0, 0.0)}
@@ -61,6 +64,7 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     assert not done.overshot, done
 
 
+@pytest.mark.usefixtures("untuned")
 def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None:
     """The first joint carries weight as soon as the base is turned."""
     file = tmp_path / "arm.urdf"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import some
 from machines import one_link_urdf, write_scene
 
 from arm_emulator import Fleet, Plant, Scene, load_scene
@@ -43,7 +44,7 @@ def moved(scene: Scene, way: Callable[[Plant, Array], None], on: bool, V: Array)
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("sensed", [False, True])
+@pytest.mark.parametrize("sensed", some([True, False], 1))
 def test_without_power_commands_are_nothing(
     way: Callable[[Plant, Array], None], sensed: bool
 ) -> None:

@@ -11,7 +11,7 @@ from oracles.random_machines import judge
 
 # 10 and 31 have progressive gears, limits and dry friction; the current of 138 touches its limit,
 # a link of 381 breaks away for a moment, and one of 470 sets out and rests within some us.
-@pytest.mark.parametrize("seed", some([470, 138, 10, 381, 1, 0, 31, 2, 3, 4], 1))
+@pytest.mark.parametrize("seed", some([31, 138, 10, 381, 1, 0, 470, 2, 3, 4], 1))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
     (verdict,) = judge(seed, (LOCATING_SCHEMES[seed % 2],))

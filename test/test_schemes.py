@@ -74,9 +74,8 @@ def scene_file(machine: str) -> str:
 
 def scene(machine: str, scheme: str, steps: int, **overrides: Any) -> Scene:
     """Return a machine; those that differ from another in numbers only share its library."""
-    constants = machine in ("everything", "random chain") and not overrides
     integrator = {
-        "varied": [] if constants else VARIED,
+        "varied": VARIED,
         "integrator.scheme": scheme,
         "integrator.dt": PERIOD / steps,
         "servo_period": PERIOD,
@@ -211,7 +210,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
 # Limits
 
 
-@pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated"], 2))
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated"], 1))
 def test_stiff_gears_converge_to_the_rigid_gear(scheme: str) -> None:
     """The wind-up is T / Kg."""
     rigid = motion("rigid gear", scheme, 200)
@@ -301,7 +300,7 @@ def sliding(
     return plant
 
 
-@pytest.mark.parametrize("scheme", some(SCHEMES, 2))
+@pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 @pytest.mark.parametrize("viscous", [0.0, 0.4])
 def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: float) -> None:
     """I dv/dt = -Dc - Dl v stops at t = I/Dl ln(1 + Dl v0/Dc), or I v0/Dc, and stays there."""
@@ -330,7 +329,7 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
     assert plant.state.q[0] == rest and plant.state.v[0] == 0.0, "it stays where it came to rest"
 
 
-@pytest.mark.parametrize("scheme", some(SCHEMES, 2))
+@pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str) -> None:
     """A level arm of 2 kg at 0.3 m pulls with m g c; friction a hair above or below that."""
     torque = 2.0 * 9.81 * 0.3

@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import re
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +20,7 @@ from documents import DOCUMENTS, ROOT
 
 from arm_emulator.cli.arguments import page_of, run_with
 from arm_emulator.cli.command import load_command
+from arm_emulator.cli.command_line import main
 
 # Commands of ours that end by themselves within seconds, and need nothing that a page has not made.
 RUN = {"cache", "check-scene", "completion", "fmu", "foxglove", "run"}
@@ -208,9 +208,12 @@ def test_a_command_on_a_page_exists(words: list[str]) -> None:
             assert (ROOT / "msg" / (found[1] or "") / f"{found[2]}.{kind}").exists(), word
 
 
-def test_commands_that_end_soon_run(tmp_path: Path) -> None:
+def test_commands_that_end_soon_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     for name in ("config", "examples"):
         (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
     ran = set()
     for param in shell_commands():
         words = ours(param.values[0])
@@ -218,9 +221,10 @@ def test_commands_that_end_soon_run(tmp_path: Path) -> None:
             continue
         if any(re.search(r"[\[\]]|\b[A-Z_]{4,}\b|my_", word) for word in words):
             continue  # for the reader to fill in
-        command = [sys.executable, "-m", "arm_emulator", *words]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{param.id}: {done.stderr}"
+        monkeypatch.setattr(sys, "argv", ["arm_emulator", *words])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert not end.value.code, f"{param.id}: {capfd.readouterr().err}"
         ran.add(words[0])
     assert ran == RUN
 

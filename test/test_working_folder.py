@@ -24,6 +24,7 @@ EARLY = subprocess.run(
 ).stdout.split()  # fmt: skip
 STANDARD = {name for name in sys.stdlib_module_names if not name.startswith("_")} - set(EARLY)
 ANSWERS = "imported from the working folder"
+ROBOT = "spoiled.urdf"  # whose machine `test_spoiled_files` has, too
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ COMMANDS = (
     ("check-scene", "three_axis"),
     ("run", "three_axis", "--seconds", "0.05"),
     ("canopen", "three_axis", "--eds", "eds"),
-    ("new", "robot.urdf", "--out", "made"),
+    ("new", ROBOT, "--out", "made"),
     ("replay", "nothing"),
 )
 
@@ -59,7 +60,7 @@ def test_a_command_imports_nothing_of_the_working_folder(
     words: tuple[str, ...], folder: Path
 ) -> None:
     urdf = (config_folder() / "urdf" / "three_axis.urdf").read_text()
-    (folder / "robot.urdf").write_text(urdf)
+    (folder / ROBOT).write_text(urdf)
     command(folder, *words)
 
 
