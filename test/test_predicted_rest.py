@@ -37,10 +37,12 @@ def given(name: str, changes: dict[str, Any]) -> tuple[Scene, Gains, DemoPlan]:
 @pytest.mark.parametrize("effect", some(list(EFFECTS), 4))
 def test_the_tool_rests_where_it_was_predicted(effect: str) -> None:
     """From drawn poses; bench/residuals.py has 100 of each."""
-    found = list(rests(*given("three_axis", EFFECTS[effect]), poses=10, seed=3))
+    # Under noise each residual is a draw: medians of ten are 1.7 to 5 times less than the bound.
+    poses = 100 if effect == "noisy encoders" else 10
+    found = list(rests(*given("three_axis", EFFECTS[effect]), poses, seed=3))
     assert all(one.arrival == Arrival.REACHED.value for one in found)
     outside = [one for one in found if not one.inside]
-    assert not outside, f"{len(outside)} of 10 outside: {outside[0]}"
+    assert not outside, f"{len(outside)} of {poses} outside: {outside[0]}"
     # A prediction that is wide enough for anything states nothing. (3 over 100 poses.)
     median = float(np.median([one.residual for one in found]))
     assert np.median([one.bound for one in found]) < 4.0 * median

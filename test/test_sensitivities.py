@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 Parts = tuple[type[Part], ...]
 
 BESIDE = [(PARTS + PARTS)[k : k + 3] for k in range(0, len(PARTS), 3)]
-SHARES = (3e-3, 1e-3, 1e-4, 1e-5)  # of a number: an event in its order spoils the longer steps,
-# rounding the shorter ones
+SHARES = (3e-3, 1e-3, 1e-4, 1e-5, 1e-6)  # of a number: an event in its order spoils the longer
+# steps (of mixture 10 down to 1e-5), rounding the shorter ones
 POINTS, WEIGHTS = (-2, -1, 1, 2), np.array([1.0, -8.0, 8.0, -1.0]) / 12.0
 
 
