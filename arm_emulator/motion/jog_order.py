@@ -14,6 +14,7 @@ from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.orders import MOVING, Progress
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tool_directions import Speeds, ToolDirections
+from arm_emulator.motion.way_controller import ACCELERATION_SHARE
 
 
 class JogOrder:
@@ -43,8 +44,9 @@ class JogOrder:
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
+        margin = laws.config.jog_joint_limit_margin
         self._joints = smooth_joints(
-            laws.controller.kinematics, laws.config, laws.config.jog_joint_limit_margin
+            laws.controller.kinematics, laws.config, margin, ACCELERATION_SHARE
         )
         self._joints.begin(reference)
         self._line = JogLine(laws.controller.kinematics)

@@ -13,7 +13,7 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_path import ToolLimits
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way_controller import ACCELERATION_SHARE, WayController
 
 RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
@@ -57,7 +57,7 @@ class Laws:
         """Braking motion before a collision."""
         kinematics, config = self.controller.kinematics, self.config
         if self._braking is None:
-            self._braking = smooth_joints(kinematics, config, margin=0.0)
+            self._braking = smooth_joints(kinematics, config, 0.0, ACCELERATION_SHARE)
         return self._braking
 
     def retune(self, config: MotionConfig) -> None:
@@ -91,21 +91,25 @@ def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     )
 
 
-def smooth_joints(kinematics: Kinematics, config: MotionConfig, margin: float) -> SmoothJoints:
+def smooth_joints(
+    kinematics: Kinematics, config: MotionConfig, margin: float, share: float = 1.0
+) -> SmoothJoints:
     """Return joints that take up speeds, and come to rest, as in jogs and before collisions.
 
     Args:
         kinematics: of the arm.
         config: parameters.
         margin: within the position limits [rad or m].
+        share: of the largest acceleration.
     """
     limits = joint_limits(kinematics, config)
+    acceleration = share * limits.acceleration
     return SmoothJoints(
         limits.lower + margin,
         limits.upper - margin,
         np.minimum(limits.speed, config.velocity_limit),
-        limits.acceleration,
-        limits.acceleration / RISE,
+        acceleration,
+        acceleration / RISE,
         config.period,
     )
 
