@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.crew import MOST_BREAKS, Crew, Progress, Work
+from arm_emulator.campaign.executor import chunk_of
+from arm_emulator.campaign.lanes import WIDTH
 
 
 class Killed(Exception):
@@ -68,3 +72,16 @@ def test_pools_that_end_without_any_result_are_refused():
     assert len(work_of(MOST_BREAKS - 1, 0)[0]) == MOST_BREAKS
     with pytest.raises(Refusal, match=f"end by themselves, got ended {MOST_BREAKS}"):
         work_of(MOST_BREAKS, 0)
+
+
+def test_workers_that_are_equally_quick_end_together():
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        runs, largest = (int(10 ** rng.uniform(0, ends)) for ends in (7, 4))
+        workers = int(rng.integers(1, 50))
+        size = chunk_of(runs, workers, largest)
+        rounds = math.ceil(math.ceil(runs / size) / workers)  # each takes the next when it is free
+        assert 1 <= size <= largest
+        # No later than if all were divided evenly, but for a group of lanes in each chunk.
+        assert size * rounds <= runs / workers + rounds * (WIDTH + 1)
+        assert size < WIDTH or size % WIDTH == 0 or size == largest

@@ -128,8 +128,7 @@ def _complete(
 
     def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
         left = sum(end - first for first, end in missing)
-        size = max(1, min(crew.largest >> killed, math.ceil(left / (2 * pool.workers))))
-        size -= size % WIDTH if size > WIDTH else 0  # lanes are full
+        size = chunk_of(left, pool.workers, max(1, crew.largest >> killed))
         _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
 
     with Work(campaign, crew, progress) as all_of_it:
@@ -158,6 +157,13 @@ def _work(
         crew.report(progress)
         if progress.late(campaign.stop.seconds):
             return
+
+
+def chunk_of(runs: int, workers: int, largest: int) -> int:
+    """Return the size of chunks that end with all workers busy, at least two for each."""
+    rounds = max(2, math.ceil(runs / (largest * workers)))
+    size = math.ceil(runs / (rounds * workers))
+    return size if size < WIDTH else min(largest, size + -size % WIDTH)  # lanes are full
 
 
 def stages_of(campaign: Campaign) -> Iterator[int]:
