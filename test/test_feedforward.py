@@ -22,6 +22,7 @@ from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.rest_load import RestLoad
 from arm_emulator.servo.drives import Drives, Target
 from oracles.followed_line import Known, follow
 
@@ -225,6 +226,46 @@ def test_the_load_at_rest_multiplies_torques_in_motion_without_a_jump() -> None:
     assert end - at_rest == pytest.approx(change, rel=2e-3)
     assert np.abs(np.diff([at_rest, *way, end])).max() < 1.0, "5 N m are held"
     assert arm.period(q, can=False)[1] == pytest.approx(arm.weight(q), rel=2e-3)
+
+
+def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries() -> None:
+    """Random trees of which each joint turns about a vertical axis or carries weight, all wrong.
+
+    A joint that carries weight has its own factor; another one the mean of the next ones' factors,
+    farther out, whatever the order of the names; one with nothing beyond it, 1.
+    """
+    for seed in range(20):
+        rng, n = np.random.default_rng(seed), 7
+        text = [
+            '<robot name="tree"><link name="l-1"><inertial><mass value="1"/>'
+            '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        ]
+        above = [int(rng.integers(max(-1, j - 2), j)) for j in range(n)]
+        for j, parent in enumerate(above):
+            text.append(
+                f'<link name="l{j}"><inertial><origin xyz="0.3 0 0"/><mass value="1"/>'
+                '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+                f'<joint name="j{j}" type="revolute"><parent link="l{parent}"/>'
+                f'<child link="l{j}"/><origin xyz="0.1 0 0"/><axis xyz="0 {rng.integers(2)} 1"/>'
+                '<limit lower="-3" upper="3" effort="9" velocity="2"/></joint>'
+            )
+        order = rng.permutation(n)
+        urdf = "".join(text) + "</robot>"
+        links = LinkTorques(urdf, [f"j{j}" for j in order], (0.0, 0.0, -9.81))
+        weight, wrong = links.at(np.zeros(n), np.zeros(n)), rng.uniform(0.6, 1.9, n)
+        load = RestLoad(np.zeros(n), np.full(n, 0.1), 0.01, links.outboard)
+        for _ in range(1000):
+            load.rests(wrong * weight, weight)
+        expected = np.ones(n)
+        for j in reversed(range(n)):
+            here = int(np.flatnonzero(order == j)[0])
+            further = [expected[k] for k in range(n) if above[k] == j]
+            if abs(weight[here]) > 1e-9:
+                expected[j] = wrong[here]
+            elif further:
+                expected[j] = np.mean(further)
+        # 10 urad, 1e-4 N m here, are uncertain.
+        np.testing.assert_allclose(load.factor, expected[order], atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,8 @@ class Feedforward:
         if self.gives == "full":
             drives = [config.drives.get(name, DriveNumbers()) for name in names]
             self._arm = ElasticArm(self._torques, drives, kinematics.velocity_limit)
-            self._load = RestLoad(self._arm.dry, self._arm.softness, self._period)
+            arm, outboard = self._arm, self._torques.outboard
+            self._load = RestLoad(arm.dry, arm.softness, self._period, outboard)
             self._factor = self._load.factor
             self._held: FloatArray = np.zeros(len(names))  # by the servo's integrals, N m, negative
             self._at_rest: FloatArray | None = None  # announced there, N m

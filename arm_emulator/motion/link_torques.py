@@ -26,6 +26,9 @@ class LinkTorques(Lasting):
         joint_names: the joints commanded, in the order of all arrays; the others stay at 0.
         gravity: acceleration of gravity along the world's axes (3,) [m/s2].
 
+    Attributes:
+        outboard: each joint commanded, those at the tips first, and the next ones farther out.
+
     Raises:
         Refusal: no robot description, or masses that are not taken.
     """
@@ -40,6 +43,7 @@ class LinkTorques(Lasting):
         self._columns = np.array([joint.idx_v for joint in joints])
         self._square = np.ix_(self._columns, self._columns)
         self._neutral = pin.neutral(self._model)
+        self.outboard = self._outboard([self._model.getJointId(JOINT + n) for n in joint_names])
         still = np.zeros(len(joint_names))
         if not np.isfinite(self.at(still, still)).all():
             raise Refusal("robot_description", "its masses", "be finite", "others")
@@ -63,6 +67,18 @@ class LinkTorques(Lasting):
         rate = by_q[self._square] @ v + by_v[self._square] @ a + M[self._square] @ jerk
         tau = np.asarray(self._data.tau[self._columns], dtype=np.float64)
         return self._shafts.columns(tau), self._shafts.columns(rate)
+
+    def _outboard(self, numbers: list[int]) -> list[tuple[int, tuple[int, ...]]]:
+        """Return `outboard` of the model's joints, whose numbers rise from the base outwards."""
+        carried = [list[int]() for _ in numbers]
+        for j, number in enumerate(numbers):
+            inside = [one for one in self._model.supports[number] if one != number]
+            for one in reversed(inside):
+                if one in numbers:
+                    carried[numbers.index(one)].append(j)
+                    break
+        order = sorted(range(len(numbers)), key=lambda j: -numbers[j])
+        return [(j, tuple(carried[j])) for j in order]
 
     def _whole(self, q: FloatArray, v: FloatArray, a: FloatArray) -> list[FloatArray]:
         """Return Pinocchio's configuration, speeds and accelerations, of all joints."""

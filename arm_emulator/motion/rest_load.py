@@ -6,11 +6,14 @@ links load their gears with. It follows slowly while the reference rests, and st
 motion, so that it never makes a target jump.
 
 Friction holds a part of the weight at rest, of either sign: what it leaves uncertain counts as
-predicted right, and a weight of that size is no evidence. A factor within 0.5 to 2 cannot wind up a
-gear against an obstacle for ever.
+predicted right, and a weight of that size is no evidence. A joint without evidence of its own, as
+one that turns about a vertical axis, moves what the next joints carry: it is taken to be as wrong
+as they are. A factor within 0.5 to 2 cannot wind up a gear against an obstacle for ever.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -35,13 +38,20 @@ class RestLoad:
         dry: dry friction of the joints, links and rotors (N,) [N m].
         softness: wind-up per torque (N,) [rad/(N m)]; 0: rigid.
         period: motion period [s].
+        outboard: see `LinkTorques`.
     """
 
-    def __init__(self, dry: FloatArray, softness: FloatArray, period: float) -> None:
+    def __init__(
+        self,
+        dry: FloatArray,
+        softness: FloatArray,
+        period: float,
+        outboard: Sequence[tuple[int, Sequence[int]]],
+    ) -> None:
         self.factor: FloatArray = np.ones(len(dry))
         with np.errstate(divide="ignore"):
             self._uncertain: FloatArray = _FRICTION * dry + _FINE / softness
-        self._period = period
+        self._period, self._outboard = period, outboard
         self._rested = 0.0  # s
 
     def moves(self) -> None:
@@ -58,7 +68,12 @@ class RestLoad:
         self._rested += self._period
         if self._rested < _SETTLED:
             return
-        surplus, uncertain = tau - weight, self._uncertain
-        surplus = surplus - np.clip(surplus, -uncertain, uncertain)
-        wanted = np.clip(1.0 + surplus * weight / (weight**2 + uncertain**2), LEAST, MOST)
+        wanted = np.empty_like(self.factor)
+        for j, carried in self._outboard:
+            expected = float(np.mean([wanted[k] for k in carried])) if carried else 1.0
+            w, uncertain = float(weight[j]), float(self._uncertain[j])
+            surplus = float(tau[j]) - expected * w
+            surplus -= min(max(surplus, -uncertain), uncertain)
+            found = expected + surplus * w / (w**2 + uncertain**2)
+            wanted[j] = min(max(found, LEAST), MOST)
         self.factor = self.factor + min(1.0, self._period / _FOLLOWS) * (wanted - self.factor)
