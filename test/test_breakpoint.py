@@ -46,7 +46,8 @@ def formula(draw: random.Random, depth: int) -> str:
 @pytest.mark.parametrize("seed", some(range(100), 25))
 def test_it_stops_where_the_condition_begins_to_hold(seed: int) -> None:
     draw = random.Random(seed)
-    scene = load_scene("three_axis")
+    # Beside the plane in which tool.y is 0 but for rounding, which the two compute in other orders.
+    scene = load_scene("three_axis", {"joints.waist.start": 0.1})
     volts = [draw.uniform(-20.0, 20.0) for _ in scene.joints]
     text = formula(draw, 3)
     session = Session(scene, "lockstep", "first_answer")

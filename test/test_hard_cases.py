@@ -26,10 +26,11 @@ from bench.hard_case import (
 )
 from bench.hard_cases import CASES, report, spin, undamped_stiff_gear
 
-# Others meet the class of these: free links in test_dynamics.py, voltages to and fro and gears
-# without damping at the corners below.
+# Others meet the class of these: free links in test_dynamics.py, the pendulum in test_plant.py,
+# voltages to and fro and gears without damping at the corners below.
 SPARED = {
     "double pendulum",
+    "simple pendulum",
     "voltage reversing every servo period",
     "undamped stiff gear",
     "50 links",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import some
-from test_new_drives import arm, made, untuned
+from test_new_drives import untuned
 
 from arm_emulator import Kinematics, Refusal, load_gains, load_scene
 from arm_emulator.cli.command_line import main
@@ -132,9 +132,11 @@ def test_joints_that_cannot_move_are_refused() -> None:
         choose_joints(robot, "robot", tool="nowhere")
 
 
-def test_new_and_tune_agree(tmp_path: Path) -> None:
-    written, _ = made(tmp_path / "arm", arm([400.0, 100.0, None]), payload=3.0)
-    file = written.file
+# Without a payload it is the arm of the demo below, whose machine is there.
+@pytest.mark.parametrize("payload", some([None, 3.0], 1))
+def test_new_and_tune_agree(payload: float | None, tmp_path: Path) -> None:
+    (tmp_path / "scara.urdf").write_text(OWN["scara"]())
+    file = write_new(tmp_path / "scara.urdf", tmp_path / "new", payload=payload).file
     servo = load_gains(file).servo
     assert tune(str(file), write=True) == 0
     assert load_gains(file).servo == servo

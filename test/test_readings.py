@@ -31,6 +31,8 @@ KINDS = {
 WINDING = {"heat_capacity": 0.2, "thermal_resistance": 2.0, "ambient": 30.0}
 RIGID = {"joints.elbow.gear.stiffness": None, "joints.elbow.gear.damping": None}
 
+CURRENT: dict[str, Any] = {"joints.elbow.current_sensor": {"noise": 0.1}}
+
 
 def sensors() -> dict[str, Any]:
     """Overrides: all kinds at the waist and at the elbow, none at the shoulder."""
@@ -45,7 +47,8 @@ def sensors() -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def rows() -> dict[str, np.ndarray]:
     """Readings and truths by name, a row per tick, under commands that jump."""
-    plant, rng = Plant(load_scene("three_axis", RIGID | sensors())), np.random.default_rng(4)
+    scene = load_scene("three_axis", RIGID | CURRENT | sensors())
+    plant, rng = Plant(scene), np.random.default_rng(4)
     found: dict[str, list[np.ndarray]] = {}
     for tick in range(TICKS):
         if tick % 100 == 0:
@@ -96,9 +99,8 @@ def test_other_sensors_have_the_same_bits_beside_them() -> None:
     """Neither the motion nor the noise of another sensor changes."""
     found = []
     for more in ({}, sensors()):
-        current = {"joints.elbow.current_sensor": {"noise": 0.1}}
         winding = {name: one for name, one in sensors().items() if name.endswith("winding")}
-        plant = Plant(load_scene("three_axis", RIGID | winding | current | more))
+        plant = Plant(load_scene("three_axis", RIGID | CURRENT | winding | more))
         for _ in range(100):
             plant.exchange(np.array([5.0, -4.0, 3.0]))
         found.append((plant.measured.current.tobytes(), plant.state.q.tobytes()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from draws import FULL
 from sensed_machine import FIELDS, motion, noisy, rows, same, set_all, truth, write
 
 from arm_emulator import Fleet, Scene, load_scene
@@ -65,6 +66,7 @@ def test_a_restored_machine_measures_on_to_the_last_bit(scene: Scene) -> None:
     assert one.save() == other.save(), "all that the machine is"
 
 
+@pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
 def test_lanes_of_a_fleet_measure_as_single_arms(scene: Scene) -> None:
     """Each with a seed of its own; what is drawn is equal, the motions to some 1e-12."""
     rng, count = np.random.default_rng(10), 9  # more than a group
