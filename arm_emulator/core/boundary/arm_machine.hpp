@@ -91,7 +91,7 @@ struct arm_machine {
         step(options.step),
         steps_per_period(options.steps_per_period) {}
 
-  int refuse(int joint, const char* quantity, const char* rule, double got) const {
+  ARM_ONCE int refuse(int joint, const char* quantity, const char* rule, double got) const {
     why.joint = joint;
     arm::write_text(why.quantity, quantity);
     arm::write_text(why.rule, rule);
