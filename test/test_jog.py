@@ -14,12 +14,14 @@ import pytest
 from draws import some
 from geometry_msgs.msg import TwistStamped
 from in_process import in_process
+from kinematic_arms import NAMES, START, THREE_AXIS
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, Int8
 
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.jog import JogCommand, JogStatus, joint_command, twist_command
+from arm_emulator.motion.laws import smooth_joints
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
@@ -253,6 +255,24 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
             assert (np.abs(now.a - before.a) <= jerk * T * (1.0 + 1e-6) + 1e-9).all()
             before = now
     assert (moved > 0.1 * velocity).all()
+
+
+def test_a_gripper_of_a_few_millimetres_is_jogged_from_end_to_end() -> None:
+    """`jog_joint_limit_margin` of 0.1 is four times its range: it stops a tenth before its ends."""
+    config = load_gains(find_scene("three_axis")).motion
+    limit = '<limit lower="0.005" upper="0.03" effort="1" velocity="1"/></joint>'
+    arm = Kinematics(
+        THREE_AXIS.replace("</joint>", limit, 1).replace("continuous", "revolute", 1), NAMES, "tool"
+    )
+    short = (arm.upper - arm.lower) < 0.1
+    assert short.sum() == 1
+    joints = smooth_joints(arm, config, config.jog_joint_limit_margin)
+    joints.begin(Reference.at_rest(np.where(short, 0.01, START)))
+    for wish, end in ((0.02, 0.0275), (-0.02, 0.0075)):
+        for _ in range(500):
+            joints.go(wish * joints.allowed(joints.now.q, wish * short) * short, alone=True)
+        # It halts where little of the speed is left.
+        assert joints.now.q[short] == pytest.approx(end, abs=1e-3) and not joints.moving
 
 
 def test_commands_are_refused() -> None:

@@ -15,6 +15,7 @@ from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_path import ToolLimits
 from arm_emulator.motion.way_controller import ACCELERATION_SHARE, WayController
 
+_MOST_MARGIN = 0.1  # of a joint's range: a gripper that slides 25 mm has some left
 RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
 
@@ -99,14 +100,15 @@ def smooth_joints(
     Args:
         kinematics: of the arm.
         config: parameters.
-        margin: within the position limits [rad or m].
+        margin: within the position limits [rad or m]; at most `_MOST_MARGIN` of a joint's range.
         share: of the largest acceleration.
     """
     limits = joint_limits(kinematics, config)
     acceleration = share * limits.acceleration
+    within = np.minimum(margin, _MOST_MARGIN * (limits.upper - limits.lower))
     return SmoothJoints(
-        limits.lower + margin,
-        limits.upper - margin,
+        limits.lower + within,
+        limits.upper - within,
         np.minimum(limits.speed, config.velocity_limit),
         acceleration,
         acceleration / RISE,

@@ -212,7 +212,8 @@ class MotionConfig(Lasting):
     )
     jog_joint_limit_margin: float = parameter(
         0.1,
-        "distance from their position limits at which jogged joints stop",
+        "distance from their position limits at which jogged joints stop, a tenth of their range "
+        "at most",
         unit="rad",
         ends=(0.0, 10.0),
         settable=True,
