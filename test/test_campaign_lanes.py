@@ -117,6 +117,7 @@ def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, na
     assert np.array_equal(few, whole[order[:3]], equal_nan=True)
 
 
+@pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
 def test_arms_that_stick_and_drawn_gains_alike(tmp_path: Path) -> None:
     data = changed(TABLE | JUDGED, "set", {
         "payload": 1.0,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from draws import some
 from machines import CONFIG, LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
@@ -55,7 +56,7 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, float], float, float]:
     return stops, float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.5, 5.0))
 
 
-@pytest.mark.parametrize(("events", "order"), [("located", 2.0), ("step", 1.0)])
+@pytest.mark.parametrize(("events", "order"), some([("located", 2.0), ("step", 1.0)], 1))
 def test_a_link_rebounds_as_in_closed_form(tmp_path: Path, events: str, order: float) -> None:
     """Way and speed during and after the hit, and what the damper has taken."""
     rng = np.random.default_rng(1)

@@ -186,7 +186,7 @@ def test_a_divergence_that_stays_finite_is_detected() -> None:
     ("scheme", "overrides"),
     [
         *((scheme, SHARED) for scheme in SCHEMES),
-        *((scheme, {**LINKS_ALONE, "gravity": EARTH}) for scheme in some(SCHEMES, 1)),
+        *((scheme, {**LINKS_ALONE, "gravity": EARTH}) for scheme in some(SCHEMES, 0)),
         # Motors that give more mechanical power than they take from their back-EMF.
         ("rosenbrock", {**SHARED, "joints.*.motor.torque_constant": 0.06}),
     ],

@@ -85,7 +85,8 @@ def compare(scene: Scene, rows: Array) -> None:
         assert (off <= permitted).all(), f"{at}: {got[worst]}, differences {[b[worst] for b in by]}"
 
 
-@pytest.mark.parametrize("parts", some(BESIDE, 1), ids=lambda of: "-".join(p.__name__ for p in of))
+# In a short run a mixture has some of them.
+@pytest.mark.parametrize("parts", some(BESIDE, 0), ids=lambda of: "-".join(p.__name__ for p in of))
 def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> None:
     joints = {name: drawn_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
     file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
