@@ -28,8 +28,9 @@ FloatArray = npt.NDArray[np.float64]
 FEWEST_PIECES = 24  # of the timing
 MOST_PIECES = 400  # of a way in which the ramps decide how many it has
 IN_A_RAMP = 12  # pieces of it
-MOST_TIMINGS = 4  # that are found for a way
+MOST_TIMINGS = 3  # that are found for a way with as many pieces
 CLOSE = 0.94  # factor of c with which a timing is slowed down as a whole
+FAR, FINER = 0.83, 4  # with which its pieces are too long, and so many more are tried
 MARGIN = 1.002  # of time: for what lies between the checks
 JERK_MARGIN = 1.01  # likewise, of the jerk, which steps
 _CHECKED, _CHECKED_AGAIN = 5, 17  # places in a piece where limits are held against it
@@ -108,8 +109,7 @@ class Way(Lasting):
         ramp, pieces = self._ramp()
         self._ramps = Ramps(ramp)
         given = self._given()
-        sigma = places(pieces)
-        self._timing = self._found(pieces, sigma, self._rows(sigma, given), given, where)
+        self._timing = self._found(pieces, given, where)
         self.duration = self._timing.duration
 
     @property
@@ -151,26 +151,31 @@ class Way(Lasting):
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _found(
-        self, pieces: int, sigma: FloatArray, rows: Rows, given: tuple[Any, ...], where: str
-    ) -> Timing:
+    def _found(self, pieces: int, given: tuple[Any, ...], where: str) -> Timing:
         """Return the quickest timing found that keeps every limit at every check.
 
         Where one exceeds limits between the places for which it was found, it is found again with
-        tighter ones there, and slowed down as a whole by the rest.
+        tighter ones there, and slowed down as a whole by the rest; and of more pieces, too, if the
+        first exceeds them by much.
         """
-        keeps, timings, looks = np.empty(pieces), list[Timing](), _CHECKED
-        law = way_library()
-        for _ in range(MOST_TIMINGS):
-            found = least_duration(pieces, rows)
-            if isinstance(found, int):
-                raise self._too_heavy(sigma[found], where)
-            law.way_keeps(*given, pieces, pointer(found), looks, JERK_MARGIN, pointer(keeps))
-            least = float(keeps.min())
-            timings.append(Timing(found * least / MARGIN**2))
-            if least > CLOSE:
+        law, timings, first = way_library(), list[Timing](), 0.0
+        for count in (pieces, min(FINER * pieces, max(pieces, MOST_PIECES))):
+            sigma, keeps = places(count), np.empty(count)
+            rows = self._rows(sigma, given)
+            for _ in range(MOST_TIMINGS):
+                found = least_duration(count, rows)
+                if isinstance(found, int):
+                    raise self._too_heavy(sigma[found], where)
+                looks = _CHECKED_AGAIN if timings else _CHECKED
+                law.way_keeps(*given, count, pointer(found), looks, JERK_MARGIN, pointer(keeps))
+                least = float(keeps.min())
+                first = first or least
+                timings.append(Timing(found * least / MARGIN**2))
+                if least > CLOSE:
+                    break
+                rows = rows.within(keeps)
+            if first > FAR:
                 break
-            rows, looks = rows.within(keeps), _CHECKED_AGAIN
         return min(timings, key=lambda one: one.duration)
 
     def _rows(self, sigma: FloatArray, given: tuple[Any, ...]) -> Rows:
