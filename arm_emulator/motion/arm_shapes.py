@@ -70,7 +70,7 @@ class ArmShapes(Lasting):
         shapes = self.hulls.geometryObjects
         leads = [[self._lead(one, shape) for one in numbers] for shape in shapes]
         self.leads = np.reshape(np.array(leads, dtype=float), (len(shapes), len(numbers)))
-        """How far each joint moves each shape at most (shapes, joints) [m/rad, m/m]."""
+        """Largest travel of each shape per joint (shapes, joints) [m/rad, m/m]."""
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._upper(joint), np.pi) for joint in joints])
         self.low, self.high = self._shafts.positions(low, high)
