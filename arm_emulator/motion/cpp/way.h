@@ -94,8 +94,8 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
 void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
               int32_t count, const double* sigma, double* most, double* firsts, double* thirds);
 
-/* Factors of c, 1 or less, with which the timing keeps all limits at `looks` evenly spread places of
- * each piece, both ends among them, `keeps` (intervals). jerk_margin: factor of jerks. */
+/* Factors of c, 1 or less, with which the timing keeps all limits at `looks` evenly spread places
+ * of each piece, both ends among them, `keeps` (intervals). jerk_margin: factor of jerks. */
 void way_keeps(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
                int32_t intervals, const double* coefficients, int32_t looks, double jerk_margin,
                double* keeps);
