@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import linalg
 
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.servo.held import FloatArray, held
@@ -221,11 +222,14 @@ class SampledLoop:
         inside = near[(near > 2e-4 * math.pi) & (near < math.pi)]
         grid = np.geomspace(2e-4 * math.pi, math.pi, count)
         w = np.unique(np.concatenate([grid, inside]))
-        z = np.exp(1j * w)
-        pencil = z[:, None, None] * np.eye(len(self.A)) - self.A
-        added = np.broadcast_to(self._added, (len(z), *self._added.shape))
-        response = np.linalg.solve(pencil, added)
-        S = 1.0 + np.einsum("jn,knj->kj", self._command, response)
+        # Triangular: a frequency costs the square of the number of states, not its cube.
+        T, U = linalg.schur(self.A, output="complex")
+        added, command = U.conj().T @ self._added, self._command @ U
+        S, pencil = np.empty((len(w), len(command)), complex), -T
+        for k, z in enumerate(np.exp(1j * w)):
+            np.fill_diagonal(pencil, z - T.diagonal())
+            response = linalg.solve_triangular(pencil, added, check_finite=False)
+            S[k] = 1.0 + np.einsum("jn,nj->j", command, response)
         return w, S
 
     def margins(self) -> list[Margins]:

@@ -355,35 +355,46 @@ class LinearlyImplicit {
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
   void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
+    constexpr int most = 2 * N * Tables::M;
     const Memory memory = past();
     const bool begins_usual = usual_ && is_usual(n_, x, u);
     if (!begins_usual) serve_modes_at(x, u);
     State<S> y;
-    for (int round = 0; round <= 2 * N * Tables::M; ++round) {
+    for (int round = 0;; ++round) {
       past() = memory;
-      attempt(x, u, links, in, y);
+      // Which of the two decides the last places of motions: each keeps those of before.
+      if constexpr (locates)
+        attempt(x, u, links, in, y);
+      else
+        attempt_apart(x, u, links, in, y);
       if (begins_usual && round == 0 && is_usual(n_, y, u)) {
         x = y;
         return;
       }
-      if (modes_hold(x, y, u)) {
+      const bool keeps = round > most;  // those of the start, whether they hold or not
+      if (keeps || modes_hold(x, y, u)) {
         x = y;
         tables_.settle(x, u);
-        usual_ = tables_.serves_usual();
+        usual_ = !keeps && tables_.serves_usual();
         return;
       }
+      if (round < most) continue;
+      if (halvings_ < kMostHalvings) break;
+      serve_modes_at(x, u);
     }
     usual_ = false;
     tables_.settle(y, u);
     past() = memory;
-    if (halvings_ < kMostHalvings)
-      halve(x, u);
-    else
-      keep_modes(x, u, links, in);
+    halve(x, u);
   }
 
   // From x to y in the modes that the tables serve.
-  void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in, State<S>& y) {
+  void attempt_apart(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in,
+                     State<S>& y) {
+    attempt(x, u, links, in, y);
+  }
+  ARM_INLINE void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in,
+                          State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -391,15 +402,6 @@ class LinearlyImplicit {
     stages_of(y, u, links, in, k1);
     move_links(y, in);
     move_drives(y, in);
-  }
-
-  // A step in the modes that x calls for, whether they hold at its end or not.
-  void keep_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
-    serve_modes_at(x, u);
-    State<S> y;
-    attempt(x, u, links, in, y);
-    x = y;
-    tables_.settle(x, u);
   }
 
   void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
