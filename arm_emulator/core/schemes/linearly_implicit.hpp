@@ -362,7 +362,7 @@ class LinearlyImplicit {
     State<S> y;
     for (int round = 0;; ++round) {
       past() = memory;
-      // Which of the two decides the last places of motions: each keeps those of before.
+      // Last places of motions depend on where it is compiled: each scheme keeps those of before.
       if constexpr (locates)
         attempt(x, u, links, in, y);
       else
