@@ -54,7 +54,8 @@ def ur5() -> Scene:
     friction = {"viscous": 3e-4, "coulomb": 0.03}
     overrides: dict[str, Any] = {"joints.*.friction": None, "joints.*.encoder": None}
     overrides |= {f"joints.{j}.motor.friction": friction for j in load_scene("ur5").joint_names}
-    overrides |= {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
+    rigid = ("stiffness", "cubic_stiffness", "damping")
+    overrides |= {f"joints.*.gear.{number}": None for number in rigid}
     overrides |= without((Brake, *EXTRAS))
     return load_scene("ur5", overrides)
 
