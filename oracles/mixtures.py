@@ -53,6 +53,7 @@ BRAKED = slice(8, 14)  # rows in which the power is off
 ORDER = 1.5  # at least; 2 is what is claimed, and events may lie so that it shows a bit less
 RESOLVED = 1e-9  # rad or m: differences below are of rounding and of event times
 BALANCED = 1e-7  # of the energy exchanged
+LARGEST = {"V": 12.0, "N m": 0.3, "A": 6.0}  # commands
 LANES = 4
 AS_ALONE = 1e-7  # rad or m, of lanes that go through the same events
 
@@ -223,8 +224,7 @@ class Verdict:
 def commands(scene: Scene, seed: int) -> np.ndarray:
     """Return commands (ROWS, N) that jump, in the unit of each motor."""
     rng = np.random.default_rng([seed, 77])
-    sizes = {"V": 12.0, "N m": 0.3, "A": 6.0}
-    size = np.array([sizes[joint.unit] if joint.motor else 0.0 for joint in scene.joints])
+    size = np.array([LARGEST[joint.unit] if joint.motor else 0.0 for joint in scene.joints])
     rows: np.ndarray = rng.uniform(-1.0, 1.0, (ROWS, len(size))) * size
     rows[BRAKED] = 0.0  # which is what motors without power get
     return rows

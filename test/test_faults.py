@@ -16,7 +16,7 @@ from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.outputs import KNOWN
-from arm_emulator.machine.parts.known import EXTRAS
+from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.thermometer import Thermometer
 from arm_emulator.machine.possible import could_vary
@@ -52,10 +52,14 @@ def everything(folder: Path, **more: Any) -> Scene:
         "link_encoder": {"kind": "absolute", "counts_per_turn": 65536, "bits": 20},
     }
     heated = {"winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0}}
+    drawn = np.random.default_rng(0)
+    around = {
+        kind.section.partition(".")[2]: kind.drawn(drawn) for kind in DECORATORS if kind.faults()
+    }
     friction = {"viscous": 0.1, "coulomb": 0.3, "load": 0.02}
     shoulder = {
         "motor": {
-            **MOTOR, **heated, "current_limit": 8.0,
+            **MOTOR, **around, **heated, "current_limit": 8.0,
             "friction": {"viscous": 1e-4, "coulomb": 0.01, "load": 0.01},
         },
         "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 5.0, "backlash": 1e-3},
@@ -76,7 +80,6 @@ def everything(folder: Path, **more: Any) -> Scene:
         "brake": {"torque": 0.5},
         **encoders, **sensors,
     }  # fmt: skip
-    drawn = np.random.default_rng(0)
     further = {
         kind.section: kind.drawn(drawn)
         for kind in EXTRAS

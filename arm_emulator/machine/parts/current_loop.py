@@ -29,6 +29,7 @@ class CurrentLoop(Decorator):
 
     section = "motor.current_loop"
     layer = 1
+    needs_circuit = True
     inputs: ClassVar[tuple[Input, ...]] = (CURRENT,)
     header = "current_loop.hpp"
     cxx = "CurrentControl"
@@ -88,12 +89,6 @@ class CurrentLoop(Decorator):
     @classmethod
     def sized(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102
         return None if motor.circuit is None else cls(bandwidth=rating.bandwidth)
-
-    def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
-        if motor.circuit is None:
-            rule = "belong to a motor that has an inductance (dc, pmsm)"
-            at_once = " without one" if motor.follows_speed_at_once else ""
-            raise joint.refusal(self.section, rule, motor.kind + at_once)
 
     def inner_per_command(self, motor: Motor) -> float:  # noqa: D102
         return _circuit(motor).resistance

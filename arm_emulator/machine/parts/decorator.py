@@ -32,6 +32,7 @@ class Decorator(Part):
     around_kind: ClassVar[str] = ""  # of motors that it is for; none: of any
     hides: ClassVar[str] = ""  # a number of its motor that faults cannot change beside it
     electrical: ClassVar[bool] = True  # whether it stands between the command and the torque
+    needs_circuit: ClassVar[bool] = False  # a winding with an inductance
 
     @classmethod
     def of(cls, motor: Motor) -> type[Decorator]:
@@ -45,6 +46,10 @@ class Decorator(Part):
 
     def check_motor(self, motor: Motor, joint: Section) -> None:
         """Refuse a motor with which it is incompatible."""
+        if self.needs_circuit and motor.circuit is None:
+            rule = "belong to a motor that has an inductance (dc, pmsm)"
+            at_once = " without one" if motor.follows_speed_at_once else ""
+            raise joint.refusal(self.section, rule, motor.kind + at_once)
 
     def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++.
