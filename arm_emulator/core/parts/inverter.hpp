@@ -1,0 +1,85 @@
+// The voltage that an inverter loses to dead time, transistors and diodes: U along the current i,
+//
+//   v = u - U i / sqrt(|i|^2 + knee^2)
+//
+// of a motor in the frame of its rotor with the vectors (d, q) of voltage and current. The loss
+// heats the inverter, not the winding. The schemes' matrix has its slope at i = 0, U / knee, which
+// is the largest.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/command.hpp"
+
+namespace arm {
+
+struct Inverter {
+  constexpr bool operator==(const Inverter&) const = default;
+
+  Real U;     // V
+  Real knee;  // A
+};
+
+template <class Motor>
+struct InvertedMotor : Motor {
+  constexpr bool operator==(const InvertedMotor&) const = default;
+
+  Inverter inverter;
+
+  constexpr auto linear() const {
+    auto motor = Motor::linear();
+    motor.R += inverter.U / inverter.knee;
+    return motor;
+  }
+
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
+    Motor::rates(z, u, tm, wm, offset, held, f);
+    if constexpr (of_vectors)
+      f[0] -= slope(z) * z[0], f[1] -= slope(z) * z[1];
+    else if (this->obeys_circuit(held))
+      f[0] -= slope(z) * z[0];
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X dissipated(const X* z) const {
+    return Motor::dissipated(z) + lost(z);
+  }
+  // A current that is held at its limit takes what is lost from the supply, too.
+  template <class X>
+  ARM_INLINE constexpr X given(const X* z, X u, X wm, bool held) const {
+    X power = Motor::given(z, u, wm, held);
+    if constexpr (!of_vectors)
+      if (!this->obeys_circuit(held)) power += lost(z);
+    return power;
+  }
+
+  constexpr auto mode_at(const Real* z, Real u, Real wm) const {
+    return Motor::mode_at(z, left(z, u), wm);
+  }
+  constexpr auto wanted(const Real* z, Real u, Real wm, const auto& mode) const {
+    return Motor::wanted(z, left(z, u), wm, mode);
+  }
+  constexpr Real margin(const Real* z, Real u, Real wm, const auto& mode) const {
+    return Motor::margin(z, left(z, u), wm, mode);
+  }
+
+ private:
+  static constexpr bool of_vectors = requires(Motor motor) { motor.psi; };
+  template <class X>
+  ARM_INLINE constexpr X slope(const X* z) const {
+    X square = z[0] * z[0] + inverter.knee * inverter.knee;
+    if constexpr (of_vectors) square += z[1] * z[1];
+    return inverter.U / square_root(square);
+  }
+  template <class X>
+  ARM_INLINE constexpr X lost(const X* z) const {
+    if constexpr (of_vectors) return 1.5 * slope(z) * (z[0] * z[0] + z[1] * z[1]);
+    return slope(z) * z[0] * z[0];
+  }
+  // The rest of a command that is a voltage.
+  constexpr Real left(const Real* z, Real u) const {
+    return Motor::takes == Command::voltage ? u - slope(z) * z[0] : u;
+  }
+};
+
+}  // namespace arm
