@@ -1,9 +1,7 @@
-// Our servo in the loop with the arms of a fleet. What an arm does by its clock and its watchdog is
-// decided arm by arm, and what its joints do in lanes: both are servo.c, which is included for
-// either. SERVO_FLEET_LANES: arms of a group.
+// Our servo in the loop with the arms of a fleet, in lanes: servo.c, which is included for them as
+// for a single arm. SERVO_FLEET_LANES: arms of a group.
 #include "servo_fleet.h"
 
-#include <array>
 #include <cstring>
 #include <utility>
 #include <vector>
@@ -24,6 +22,7 @@ constexpr int L = SERVO_FLEET_LANES;
 using Numbers = abreast::servo_real;
 using Counts = abreast::servo_count;
 using Mask = abreast::servo_mask;
+typedef uint8_t Bytes __attribute__((vector_size(L)));
 
 // A joint of a group of arms.
 struct Joint {
@@ -54,14 +53,22 @@ void forget_lane(abreast::servo_state& state, int lane) {
     std::memset(bytes + (field * L + lane) * kField, 0, kField);
 }
 
-// Targets that come to arms now, and where they stand.
+// A group of arms.
+struct Group {
+  abreast::servo clock;
+  Counts tick;  // servo periods since the reset
+  Counts next;  // the tick at which a row of targets comes
+};
+constexpr int64_t kNever = INT64_MAX;
+
+// Targets that come to arms now.
 struct Targets {
-  Mask come = {};
-  Numbers since = {};
+  Mask come = {};   // with these rows, or those of the period before again
+  Mask fresh = {};  // with these rows
   const double *q[L] = {}, *v[L] = {}, *tau[L] = {};
 
   // Made of registers: numbers that are stored one by one are not soon loaded as a vector.
-  Numbers of(const double* const (&rows)[L], int32_t j) const {
+  static Numbers of(const double* const (&rows)[L], int32_t j) {
     return [&]<int... l>(std::integer_sequence<int, l...>) {
       return Numbers{(rows[l] ? rows[l][j] : 0.0)...};
     }(std::make_integer_sequence<int, L>{});
@@ -71,65 +78,70 @@ struct Targets {
 // Rows of many arms lie far apart: those to come are fetched so many ahead.
 constexpr int64_t kAhead = 4;
 
-void aim_at_ticks(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_t tick,
-                  Targets& targets) {
+// The row of an arm that holds from a tick on. Returns the tick of the next one.
+int64_t take_row_at(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targets& targets) {
   int64_t& row = fleet.row[k];
-  while (row + 1 < fleet.first_row[k + 1] && fleet.since[row + 1] <= tick) ++row;
-  targets.come[l] = -1;
-  targets.since[l] = aim_now(&arm);
+  const int64_t last = fleet.first_row[k + 1] - 1;
+  while (row < last && fleet.since[row + 1] <= tick) ++row;
   targets.q[l] = fleet.q + row * fleet.joints;
+  targets.fresh[l] = -1;
+  return row < last ? fleet.since[row + 1] : kNever;
 }
-
-// The row that comes at a tick, -1 for none: mostly that of the arm before, without a division.
-struct Coming {
-  int64_t tick = -1, row = -1;
-
-  int64_t at(const servo_fleet& fleet, int64_t now) {
-    if (now != tick) {
-      tick = now;
-      const int64_t whole = now / fleet.periods_per_row;
-      row = now == whole * fleet.periods_per_row ? whole : -1;
-    }
-    return row;
-  }
-};
-
-void aim(const servo_fleet& fleet, servo& arm, int32_t k, int l, int64_t tick, Coming& coming,
-         Targets& targets) {
-  if (fleet.since) return aim_at_ticks(fleet, arm, k, l, tick, targets);
-  const int64_t given = fleet.rows ? coming.at(fleet, tick) : -1;
-  if (given < 0) return;
+// The row of all arms that comes at a tick, if one does. Returns the tick of the next one.
+int64_t take_row(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targets& targets) {
+  if (!fleet.rows) return kNever;
+  const int64_t given = tick / fleet.periods_per_row, next = (given + 1) * fleet.periods_per_row;
+  if (tick + fleet.periods_per_row != next) return next;
   const bool last = given >= fleet.rows;  // it stands there
   const int64_t row = last ? fleet.rows - 1 : given;
   const int64_t at = row * fleet.row_stride + k * fleet.arm_stride;
-  targets.come[l] = -1;
-  targets.since[l] = aim_now(&arm);
   targets.q[l] = fleet.q + at;
   targets.v[l] = fleet.v && !last ? fleet.v + at : nullptr;
   targets.tau[l] = fleet.tau ? fleet.tau + at : nullptr;
-  if (row + kAhead >= fleet.rows) return;
+  targets.come[l] = targets.fresh[l] = -1;
+  if (row + kAhead >= fleet.rows) return next;
   const int64_t ahead = at + kAhead * fleet.row_stride;
   __builtin_prefetch(fleet.q + ahead);
   if (fleet.v) __builtin_prefetch(fleet.v + ahead);
   if (fleet.tau) __builtin_prefetch(fleet.tau + ahead);
+  return next;
+}
+
+// Targets of a period of the arms from `first` on.
+void take_rows(const servo_fleet& fleet, int32_t first, Group& group, Targets& targets) {
+  const Mask due = group.next <= group.tick;
+  if (fleet.since) targets.come = ~Mask{};  // each in every period
+  if (!abreast::any(due)) return;
+  for (int l = 0; l < L; ++l)
+    if (due[l])
+      group.next[l] =
+          (fleet.since ? take_row_at : take_row)(fleet, first + l, l, group.tick[l], targets);
 }
 
 }  // namespace
 
 struct servo_joints_abreast {
+  std::vector<Group> group;
   std::vector<Joint> of;
 };
 
 void servo_fleet_begin(servo_fleet* fleet, int32_t arms) {
   const int32_t joints = fleet->joints, groups = (arms + L - 1) / L;
   servo_fleet_end(fleet);
-  fleet->abreast = new servo_joints_abreast{std::vector<Joint>(groups * joints, Joint{})};
-  for (int32_t k = 0; k < groups * L; ++k)
+  fleet->abreast =
+      new servo_joints_abreast{std::vector<Group>(groups), std::vector<Joint>(groups * joints)};
+  for (int32_t k = 0; k < groups * L; ++k) {
+    const servo& own = fleet->arm[k < arms ? k : arms - 1];
+    Group& group = fleet->abreast->group[k / L];
+    group.clock.watchdog.hold_after[k % L] = own.watchdog.hold_after;
+    group.clock.watchdog.cut_after[k % L] = own.watchdog.cut_after;
+    group.next[k % L] = kNever;
     for (int32_t j = 0; j < joints; ++j)
-      put_lane(fleet->abreast->of[k / L * joints + j].numbers, k % L,
-               fleet->arm[k < arms ? k : arms - 1].joint[j]);
+      put_lane(fleet->abreast->of[k / L * joints + j].numbers, k % L, own.joint[j]);
+  }
   const std::vector<uint8_t> all(arms, 1);
   servo_fleet_reset(fleet, arms, all.data());
+  servo_fleet_aim(fleet, arms);
 }
 
 void servo_fleet_end(servo_fleet* fleet) {
@@ -140,11 +152,22 @@ void servo_fleet_end(servo_fleet* fleet) {
 void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask) {
   for (int32_t k = 0; k < arms; ++k) {
     if (!mask[k]) continue;
-    servo_reset(&fleet->arm[k]);
-    fleet->tick[k] = 0;
+    Mask lane = {};
+    lane[k % L] = -1;
+    Group& group = fleet->abreast->group[k / L];
+    abreast::begin_clock(&group.clock, lane);
+    group.tick[k % L] = group.next[k % L] = 0;
     if (fleet->since) fleet->row[k] = fleet->first_row[k];
     for (int32_t j = 0; j < fleet->joints; ++j)
       forget_lane(fleet->abreast->of[k / L * fleet->joints + j].state, k % L);
+  }
+}
+
+void servo_fleet_aim(servo_fleet* fleet, int32_t arms) {
+  for (int32_t k = 0; k < arms; ++k) {
+    Group& group = fleet->abreast->group[k / L];
+    group.clock.motion_period[k % L] = fleet->arm[k].motion_period;
+    group.next[k % L] = 0;
   }
 }
 
@@ -155,24 +178,18 @@ void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* join
 
 void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
   const servo_fleet& fleet = *static_cast<servo_fleet*>(with);
-  abreast::servo_turn turn = {};
-  abreast::servo_past past = {};
+  const int32_t of_group = rows->first / L;
+  Group& group = fleet.abreast->group[of_group];
+  Joint* const joint = &fleet.abreast->of[of_group * fleet.joints];
   Targets targets;
-  Coming coming;
-  for (int l = 0; l < rows->arms; ++l) {
-    const int32_t k = rows->first + l;
-    const int64_t tick = fleet.tick[k]++;
-    servo& arm = fleet.arm[k];
-    const servo_past before = measure_at(&arm, tick * fleet.period);
-    past.learns[l] = -before.learns, past.changed[l] = before.changed;
-    past.passed[l] = before.passed, past.ahead[l] = before.ahead;
-    aim(fleet, arm, k, l, tick, coming, targets);
-    const servo_turn one = turn_of(&arm, rows->powered[l]);
-    turn.cut[l] = -one.cut, turn.follows[l] = -one.follows, turn.latches[l] = -one.latches;
-    turn.ahead[l] = one.ahead, turn.period[l] = one.period;
-  }
-  const bool aims = abreast::any(targets.come), cuts = abreast::any(turn.cut);
-  Joint* const joint = &fleet.abreast->of[rows->first / L * fleet.joints];
+  const abreast::servo_past past = abreast::measure_at(&group.clock, group.tick * fleet.period);
+  take_rows(fleet, rows->first, group, targets);
+  group.tick += 1;
+  const bool aims = abreast::any(targets.come), fresh = abreast::any(targets.fresh);
+  const Numbers since = aims ? abreast::aim_now(&group.clock, targets.come) : Numbers{};
+  const auto powered = __builtin_convertvector(load<Bytes>(rows->powered), Counts) != 0;
+  const abreast::servo_turn turn = abreast::turn_of(&group.clock, powered);
+  const bool cuts = abreast::any(turn.cut);
   for (int32_t j = 0; j < fleet.joints; ++j) {
     const abreast::servo_joint* numbers = &joint[j].numbers;
     abreast::servo_state* state = &joint[j].state;
@@ -184,9 +201,15 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
                          load<Numbers>(rows->current + at), load<Numbers>(rows->applied + at));
     abreast::learn(numbers, state, &past);
     state->braked = load<Counts>(rows->brake + at);
-    if (aims)
-      abreast::take_target(state, targets.come, targets.of(targets.q, j), targets.of(targets.v, j),
-                           targets.of(targets.tau, j), targets.since);
+    if (aims) {
+      Numbers q = state->q_target, v = {}, tau = {};
+      if (fresh) {
+        q = targets.fresh ? Targets::of(targets.q, j) : q;
+        if (fleet.v) v = Targets::of(targets.v, j);
+        if (fleet.tau) tau = Targets::of(targets.tau, j);
+      }
+      abreast::take_target(state, targets.come, q, v, tau, since);
+    }
     lost |= abreast::pursue(numbers, state, &turn, &command) & ~turn.cut;
     if (cuts) {
       const Numbers none = {};

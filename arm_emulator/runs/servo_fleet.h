@@ -13,8 +13,7 @@ extern "C" {
 typedef struct servo_fleet {
   uint32_t size;
   int32_t joints;
-  servo* arm;           /* one of each arm; its joints' states are in lanes */
-  int64_t* tick;        /* of each arm: servo periods since its reset */
+  servo* arm;           /* one of each arm, for its numbers; what changes is in lanes */
   const int32_t* place; /* of each of a servo's joints among the machine's */
   int64_t period;       /* ns */
   /* Rows of targets, in the servo's order of joints: `row_stride` numbers from one to the next, and
@@ -34,6 +33,8 @@ void servo_fleet_begin(servo_fleet* fleet, int32_t arms);
 void servo_fleet_end(servo_fleet* fleet);
 /* Have the servos of a mask with a byte for each arm forget everything; targets begin anew. */
 void servo_fleet_reset(servo_fleet* fleet, int32_t arms, const uint8_t* mask);
+/* The arms' motion periods or their rows of targets have changed. */
+void servo_fleet_aim(servo_fleet* fleet, int32_t arms);
 /* Change the numbers of the joints of an arm. */
 void servo_fleet_retune(servo_fleet* fleet, int32_t arm, const servo_joint* joint);
 /* A period of some arms; `with` is a servo_fleet. */

@@ -96,13 +96,11 @@ class ServoFleet(FleetControl):
         self._arms = SERVOS.ffi.new("servo[]", count)
         for k in range(count):
             self._arms[k] = drives[k % len(drives)].servo.arm[0]
-        self._tick = np.zeros(count, np.int64)
         self._rows: tuple[Any, ...] = ()
         self.struct: CData = SERVOS.new(
             "servo_fleet",
             joints=N,
             arm=self._arms,
-            tick=self._tick,
             place=self._place,
             period=round(self._period * 1e9),
             periods_per_row=1,
@@ -164,6 +162,7 @@ class ServoFleet(FleetControl):
         )
         for k in range(self._count):
             self._arms[k].motion_period = every * round(self._period * 1e9)
+        self._calls.servo_fleet_aim(self.struct, self._count)
 
     def aim_at(self, since: ArrayLike, q: ArrayLike, first: ArrayLike) -> None:
         """Set rows of joint targets for each arm, which hold from periods on since its reset.
@@ -207,6 +206,7 @@ class ServoFleet(FleetControl):
         for k in range(self._count):
             motion_period = self._drives[k % len(self._drives)].servo.config.motion_period
             self._arms[k].motion_period = nanoseconds(motion_period)
+        self._calls.servo_fleet_aim(self.struct, self._count)
 
     def retune(self, arm: int, config: ServoConfig) -> None:
         """Change gains and limits of an arm's servo; what was observed and the integrals stay.

@@ -1,4 +1,5 @@
-/* Numbers of a joint for servo.c, which includes this once for a number type, so without a guard.
+/* Numbers of joints and arms for servo.c, which includes this once for a number type, so without a
+ * guard.
  */
 
 /* Code that every joint runs in every period is inlined: calls cost as much. */
@@ -41,6 +42,10 @@ SERVO_INLINE int any(servo_mask mask) { return mask; }
 
 SERVO_INLINE servo_real all_of(servo_scalar value) {
   const servo_real zero = {0};
+  return zero + value;
+}
+SERVO_INLINE servo_flag flags(int value) {
+  const servo_flag zero = {0};
   return zero + value;
 }
 

@@ -5,6 +5,7 @@
 #endif
 
 #include "joint_number.h"
+#include "servo_clock.h"
 #include "servo_load.h"
 #include "servo_target.h"
 
@@ -90,14 +91,6 @@ SERVO_INLINE servo_mask observe(const servo_joint* joint, servo_state* state, se
   begin_anew(joint, state, lost);
   return lost;
 }
-
-/* The servo period that ends now. */
-typedef struct servo_past {
-  servo_mask learns;  /* a target was followed in it */
-  servo_real changed; /* s, in which the torques of the targets changed */
-  servo_real passed;  /* s */
-  servo_real ahead;   /* s, of its end since the middle of the target's motion period */
-} servo_past;
 
 /* Let the load have changed as the torques of the targets do. */
 SERVO_INLINE void expect_load(const servo_joint* joint, servo_state* state,
@@ -220,15 +213,6 @@ SERVO_INLINE servo_mask control(const servo_joint* joint, servo_state* state, se
   return make_sound(joint, state, command);
 }
 
-/* Decision of an arm for the period that begins. */
-typedef struct servo_turn {
-  servo_mask cut;     /* command nothing */
-  servo_mask follows; /* a target, `ahead` seconds after it came */
-  servo_mask latches; /* hold from here where the joint stands */
-  servo_real ahead;
-  servo_real period; /* s, of the motion */
-} servo_turn;
-
 /* Follow the newest target, or hold. Returns where it began anew. */
 SERVO_INLINE servo_mask pursue(const servo_joint* joint, servo_state* state, const servo_turn* turn,
                                servo_real* command) {
@@ -244,8 +228,6 @@ SERVO_INLINE servo_mask pursue(const servo_joint* joint, servo_state* state, con
 }
 
 #ifndef SERVO_LANES
-
-static const servo_real NANOSECONDS = (servo_real)1e9;
 
 void servo_joint_reset(servo_state* state) {
   if (!state) return;
@@ -292,43 +274,19 @@ servo_real servo_joint_control(const servo_joint* joint, servo_state* state, ser
 /* ------------------------------------------------------------------------------- the watchdog */
 
 void servo_watchdog_reset(servo_watchdog* dog) {
-  if (!dog) return;
-  dog->does = SERVO_HOLDS;
-  dog->cause = SERVO_NO_TARGET;
-  dog->silence = 0;
-  dog->target_came = dog->state_came = 0;
+  if (dog) forget_times(dog, 1);
 }
 
 void servo_watchdog_target(servo_watchdog* dog, int64_t now) {
-  if (!dog) return;
-  dog->target_came = 1;
-  dog->last_target = now;
+  if (dog) note_target(dog, 1, now);
 }
 
 void servo_watchdog_state(servo_watchdog* dog, int64_t now) {
-  if (!dog) return;
-  dog->state_came = 1;
-  dog->last_state = now;
-}
-
-static void note_silence(servo_watchdog* dog, int64_t* last, int64_t now, int32_t cause) {
-  if (*last > now) *last = now;
-  const int64_t silence = now - *last;
-  if (silence <= dog->hold_after) return;
-  dog->does = silence > dog->cut_after ? SERVO_CUT : SERVO_HOLDS;
-  dog->cause = cause;
-  dog->silence = silence;
+  if (dog) note_state(dog, now);
 }
 
 int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now) {
-  if (!dog) return SERVO_CUT;
-  if (dog->does == SERVO_CUT) return dog->does;
-  dog->does = dog->target_came ? SERVO_FOLLOWS : SERVO_HOLDS;
-  dog->cause = dog->target_came ? SERVO_HEARS : SERVO_NO_TARGET;
-  if (dog->target_came) note_silence(dog, &dog->last_target, now, SERVO_LATE_TARGET);
-  if (dog->state_came && dog->does != SERVO_CUT)
-    note_silence(dog, &dog->last_state, now, SERVO_LATE_STATE);
-  return dog->does;
+  return dog ? check(dog, now) : SERVO_CUT;
 }
 
 /* ------------------------------------------------------------------------------------ an arm */
@@ -339,10 +297,7 @@ SERVO_INLINE int complete(const servo* arm) { return arm && arm->joint && arm->s
 void servo_reset(servo* arm) {
   if (!complete(arm)) return;
   for (int32_t j = 0; j < arm->joints; ++j) servo_joint_reset(&arm->state[j]);
-  servo_watchdog_reset(&arm->watchdog);
-  arm->measured = arm->aimed = arm->holding = 0;
-  arm->now = arm->target_time = 0;
-  arm->does = SERVO_HOLDS;
+  begin_clock(arm, 1);
 }
 
 void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
@@ -375,22 +330,6 @@ void servo_release(servo* arm) {
   for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].integral = arm->state[j].voltage = 0;
 }
 
-/* The clock of an arm goes on to `now`. */
-static servo_past measure_at(servo* arm, int64_t now) {
-  const int64_t begins = arm->now, ends = arm->target_time + arm->motion_period;
-  const int64_t last = now < ends ? now : ends, since = now - arm->target_time;
-  const int follows = arm->does == SERVO_FOLLOWS && arm->aimed;
-  const servo_real middle = HALF * (servo_real)arm->motion_period / NANOSECONDS;
-  const servo_past past = {follows && arm->measured && now > begins && since <= arm->motion_period,
-                           follows && last > begins ? (servo_real)(last - begins) / NANOSECONDS : 0,
-                           (servo_real)(now - begins) / NANOSECONDS,
-                           (servo_real)since / NANOSECONDS - middle};
-  arm->now = now;
-  arm->measured = 1;
-  servo_watchdog_state(&arm->watchdog, now);
-  return past;
-}
-
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* applied) {
   if (!complete(arm) || !counts || !current) return;
@@ -407,45 +346,16 @@ void servo_brakes(servo* arm, const int64_t* closed) {
   for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].braked = closed && closed[j];
 }
 
-/* A target comes now. Returns the seconds since the one before, if that was followed until now,
- * period after period; else 0. */
-static servo_real aim_now(servo* arm) {
-  const int64_t since = arm->now - arm->target_time;
-  const int follows = arm->aimed && arm->measured && arm->does == SERVO_FOLLOWS;
-  arm->aimed = 1;
-  if (arm->measured) {
-    arm->target_time = arm->now;
-    servo_watchdog_target(&arm->watchdog, arm->now);
-  }
-  return follows && since == arm->motion_period ? (servo_real)since / NANOSECONDS : 0;
-}
-
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau) {
   if (!complete(arm) || !q) return;
-  const servo_real since = aim_now(arm);
+  const servo_real since = aim_now(arm, 1);
   for (int32_t j = 0; j < arm->joints; ++j)
     take_target(&arm->state[j], 1, q[j], v ? v[j] : 0, tau ? tau[j] : 0, since);
 }
 
-/* Decide what an arm does in the period that begins. */
-static servo_turn turn_of(servo* arm, int32_t powered) {
-  arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
-  if (!powered || !arm->measured) arm->does = SERVO_CUT;
-  if (!powered && arm->measured) arm->aimed = arm->watchdog.target_came = 0;
-  const int cut = arm->does == SERVO_CUT, follows = arm->does == SERVO_FOLLOWS && arm->aimed;
-  const int latches = !cut && !follows && !arm->holding;
-  int64_t ahead = arm->now - arm->target_time;
-  if (ahead < 0) ahead = 0;
-  if (ahead > arm->motion_period) ahead = arm->motion_period;
-  arm->holding = !cut && !follows;
-  const servo_turn turn = {cut, follows, latches, (servo_real)ahead / NANOSECONDS,
-                           (servo_real)arm->motion_period / NANOSECONDS};
-  return turn;
-}
-
 void servo_command(servo* arm, int32_t powered, servo_real* command) {
   if (!complete(arm) || !command) return;
-  const servo_turn turn = turn_of(arm, powered);
+  const servo_turn turn = turn_of(arm, powered != 0);
   if (turn.cut) servo_release(arm);
   for (int32_t j = 0; j < arm->joints; ++j) {
     command[j] = 0;

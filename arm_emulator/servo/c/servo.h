@@ -151,8 +151,6 @@ typedef struct servo_wish {
   servo_real least_current, most_current; /* A */
 } servo_wish;
 
-#ifndef SERVO_LANES
-
 /* ------------------------------------------------------------------------------- the watchdog */
 
 enum servo_does { SERVO_FOLLOWS = 0, SERVO_HOLDS = 1, SERVO_CUT = 2 };
@@ -173,34 +171,39 @@ enum servo_silence {
  * - A clock that jumps back (an emulator that was reset) starts the silence anew.
  */
 typedef struct servo_watchdog {
-  int64_t hold_after, cut_after; /* ns */
-  int64_t last_target, last_state;
-  int64_t silence; /* ns, that led to what it does */
-  int32_t target_came, state_came;
-  int32_t does;  /* enum servo_does */
-  int32_t cause; /* enum servo_silence */
+  servo_count hold_after, cut_after; /* ns */
+  servo_count last_target, last_state;
+  servo_count silence; /* ns, that led to what it does */
+  servo_flag target_came, state_came;
+  servo_flag does;  /* enum servo_does */
+  servo_flag cause; /* enum servo_silence */
 } servo_watchdog;
+
+/* ------------------------------------------------------------------------------------ an arm */
+
+/* In lanes of several arms without what their joints are: those are side by side, too. */
+typedef struct servo {
+#ifndef SERVO_LANES
+  int32_t joints;
+  uint32_t restarts; /* how often a joint's numbers were no longer finite, and it began anew */
+  const servo_joint* joint;
+  servo_state* state;
+#endif
+  servo_watchdog watchdog;
+  servo_count motion_period; /* ns, that a target with a speed goes on at most */
+  servo_count now;           /* ns, of the newest measurement */
+  servo_count target_time;   /* ns, of the newest target */
+  servo_flag measured, aimed, holding;
+  servo_flag does; /* enum servo_does, of the newest `servo_command` */
+} servo;
+
+#ifndef SERVO_LANES
 
 void servo_watchdog_reset(servo_watchdog* dog);
 void servo_watchdog_target(servo_watchdog* dog, int64_t now);
 void servo_watchdog_state(servo_watchdog* dog, int64_t now);
 /* Return what to do at `now`, enum servo_does. */
 int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now);
-
-/* ------------------------------------------------------------------------------------ an arm */
-
-typedef struct servo {
-  int32_t joints;
-  uint32_t restarts; /* how often a joint's numbers were no longer finite, and it began anew */
-  const servo_joint* joint;
-  servo_state* state;
-  servo_watchdog watchdog;
-  int64_t motion_period; /* ns, that a target with a speed goes on at most */
-  int64_t now;           /* ns, of the newest measurement */
-  int64_t target_time;   /* ns, of the newest target */
-  int32_t measured, aimed, holding;
-  int32_t does; /* enum servo_does, of the newest `servo_command` */
-} servo;
 
 /* Forget everything, a cut too; what is known of the joints and all times stay. To be called once
  * before anything else. */

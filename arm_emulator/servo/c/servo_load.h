@@ -83,6 +83,7 @@ SERVO_INLINE void gather(servo_learned* learned, const servo_seen* seen) {
 SERVO_INLINE servo_real learn_load(servo_learned* learned, const servo_seen* seen) {
   const servo_real zero = {0}, one = all_of(1);
   const servo_mask moves = seen->moves;
+  if (!any(moves | (seen->tau != learned->tau_base))) return zero;
   const servo_real lost = learned->excess * follow_slowly(learned, seen);
   if (!any(moves)) return lost;
   gather(learned, seen);

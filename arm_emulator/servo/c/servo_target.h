@@ -12,18 +12,24 @@ static const servo_scalar SIXTH = (servo_scalar)1 / 6;
 /* Take a target; `since`: seconds since the one before, if that was followed until now. */
 SERVO_INLINE void take_target(servo_state* state, servo_mask where, servo_real q, servo_real v,
                               servo_real tau, servo_real since) {
-  const servo_real zero = {0}, rate = all_of(1) / since, a = (v - state->v_target) * rate,
-                   change = (a - state->a_target) * rate, tau_rate = (tau - state->tau) * rate;
-  const servo_real jerk =
-      (change * state->jerk_target < 0 ? all_of(TURNS) : all_of(GOES_ON)) * change;
-  const servo_mask goes_on = since > 0;
+  const servo_real zero = {0};
+  const servo_mask goes_on = where & (since > 0);
+  servo_real a = zero, jerk = zero, tau_rate = zero;
+  if (any(goes_on)) {
+    const servo_real rate = all_of(1) / since, changed = (v - state->v_target) * rate,
+                     change = (changed - state->a_target) * rate;
+    const servo_real share = change * state->jerk_target < 0 ? all_of(TURNS) : all_of(GOES_ON);
+    a = goes_on ? changed : zero;
+    jerk = goes_on ? share * change : zero;
+    tau_rate = goes_on ? (tau - state->tau) * rate : zero;
+  }
   state->stood &= ~flag_of(where, 1);
   state->q_target = where ? q : state->q_target;
   state->v_target = where ? v : state->v_target;
   state->tau = where ? tau : state->tau;
-  state->a_target = where ? (goes_on ? a : zero) : state->a_target;
-  state->jerk_target = where ? (goes_on ? jerk : zero) : state->jerk_target;
-  state->tau_rate = where ? (goes_on ? tau_rate : zero) : state->tau_rate;
+  state->a_target = where ? a : state->a_target;
+  state->jerk_target = where ? jerk : state->jerk_target;
+  state->tau_rate = where ? tau_rate : state->tau_rate;
 }
 
 /* Stay at the target's angle without what is not finite. Without an angle the joint has no command
