@@ -38,7 +38,7 @@ class Case:
 
 def drawn_case(variation: Variation, index: int) -> Case:
     """Return the run that sampling draws at an index."""
-    seed = float(np.floor(variation.uniforms(index)[-1] * LARGEST_SEED))
+    seed = float(math.floor(variation.uniforms(index)[-1] * LARGEST_SEED))
     return Case(index, variation.values(index), seed)
 
 
@@ -52,4 +52,4 @@ def case_with(variation: Variation, index: int, values: Mapping[str, float]) -> 
     row = np.array([values[one.name] for one in variation.numbers], np.float64)
     digest = hashlib.sha256(variation.key + row.tobytes()).digest()
     share = int.from_bytes(digest[:8], "little") / 2.0**64
-    return Case(index, dict(values), float(np.floor(share * LARGEST_SEED)))
+    return Case(index, dict(values), float(math.floor(share * LARGEST_SEED)))

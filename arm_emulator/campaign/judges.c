@@ -5,19 +5,30 @@
 
 #define EACH for (int i = 0; i < JUDGES_BLOCK; ++i)
 
-static double* row_of(const judges* all, int32_t row) {
-  return all->values + (int64_t)row * JUDGES_BLOCK;
-}
-
 /* NaN stays NaN. */
 static double smaller(double a, double b) { return a < b || isnan(a) ? a : b; }
 static double larger(double a, double b) { return a > b || isnan(a) ? a : b; }
 
-static void follow(double* out, int32_t joint, int64_t first, int64_t count,
+/* Have the processor fetch a block that comes next: samples of many runs are not in its caches. */
+static void fetch(const double* block) {
+#ifdef __GNUC__
+  for (int i = 0; i < JUDGES_BLOCK; i += 8) __builtin_prefetch(block + i);
+#else
+  (void)block;
+#endif
+}
+
+/* The place of the target that holds at a sample, from one before it on. */
+static int64_t target_at(const judges_samples* piece, int64_t at, int64_t sample) {
+  while (at + 1 < piece->target_count && piece->since[at + 1] <= sample) ++at;
+  return at;
+}
+
+/* From the target on that holds at the block's first sample. */
+static void follow(double* out, int32_t joint, int64_t first, int64_t count, int64_t at,
                    const judges_samples* piece) {
-  int64_t at = 0;
   for (int64_t i = 0; i < count;) {
-    while (at + 1 < piece->target_count && piece->since[at + 1] <= first + i) ++at;
+    at = target_at(piece, at, first + i);
     int64_t end = count;
     if (at + 1 < piece->target_count && piece->since[at + 1] < first + end)
       end = piece->since[at + 1] - first;
@@ -62,23 +73,29 @@ static void compute(const judges_row* what, double* restrict out, const double* 
 static void fill(const judges* all, int32_t row, const judges_samples* piece, int64_t from,
                  int64_t count) {
   const judges_row* what = &all->rows[row];
-  double* out = row_of(all, row);
+  double* out = all->values + (int64_t)row * JUDGES_BLOCK;
   const int64_t first = all->taken + from;
+  all->at[row] = out;
   switch (what->kind) {
     case JUDGES_CONSTANT:
       if (first == 0) compute(what, out, out, out);
       break;
-    case JUDGES_SIGNAL:
-      memcpy(out, piece->rows + what->left * piece->stride + from, (size_t)count * sizeof *out);
+    case JUDGES_SIGNAL: {
+      const double* samples = piece->rows + what->left * piece->stride + from;
+      if (from + JUDGES_BLOCK <= piece->stride)
+        all->at[row] = samples, fetch(samples + JUDGES_BLOCK);
+      else
+        memcpy(out, samples, (size_t)count * sizeof *out);
       break;
+    }
     case JUDGES_TICK:
       for (int64_t i = 0; i < count; ++i) out[i] = (double)(first + i);
       break;
     case JUDGES_TARGET:
-      follow(out, what->left, first, count, piece);
+      follow(out, what->left, first, count, all->target, piece);
       break;
     default:
-      compute(what, out, row_of(all, what->left), row_of(all, what->right));
+      compute(what, out, all->at[what->left], all->at[what->right]);
   }
 }
 
@@ -122,29 +139,34 @@ static void reduce(judges_measure* one, const double* values, int64_t count) {
   one->found = found;
 }
 
-void judges_begin(judges* all) {
+static void begin_run(judges* all) {
   for (int32_t k = 0; k < all->requirement_count; ++k) (void)robustness_end(all->requirements[k]);
   for (int32_t k = 0; k < all->measure_count; ++k) {
     judges_measure* one = &all->measures[k];
     const int extreme = one->reduction == JUDGES_MAX || one->reduction == JUDGES_MIN;
     one->found = extreme ? (one->reduction == JUDGES_MAX ? -INFINITY : INFINITY) : 0.0;
   }
-  all->taken = 0;
+  all->taken = all->target = 0;
+}
+
+void judges_begin(judges* all, int32_t runs) {
+  for (int32_t run = 0; run < runs; ++run) begin_run(&all[run]);
 }
 
 static int take_piece(judges* all, const judges_samples* piece) {
   for (int64_t from = 0; from < piece->count; from += JUDGES_BLOCK) {
     const int64_t left = piece->count - from;
     const int64_t count = left < JUDGES_BLOCK ? left : JUDGES_BLOCK;
+    all->target = target_at(piece, all->target, all->taken + from);
     for (int32_t k = 0; k < all->row_count; ++k) fill(all, k, piece, from, count);
     for (int32_t k = 0; k < all->requirement_count; ++k) {
-      if (robustness_feed(all->requirements[k], all->values, JUDGES_BLOCK, count)) return -1;
+      if (robustness_feed(all->requirements[k], all->at, count)) return -1;
     }
     for (int32_t k = 0; k < all->measure_count; ++k) {
-      reduce(&all->measures[k], row_of(all, all->measures[k].row), count);
+      reduce(&all->measures[k], all->at[all->measures[k].row], count);
     }
     for (int32_t k = 0; k < all->kept_count; ++k) {
-      memcpy(all->kept + k * all->kept_stride + from, row_of(all, all->kept_rows[k]),
+      memcpy(all->kept + k * all->kept_stride + from, all->at[all->kept_rows[k]],
              (size_t)count * sizeof(double));
     }
   }

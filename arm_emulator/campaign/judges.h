@@ -26,7 +26,8 @@ enum judges_kind {
 
 enum judges_reduction { JUDGES_MAX, JUDGES_MIN, JUDGES_MEAN, JUDGES_RMS, JUDGES_LAST };
 
-#define JUDGES_BLOCK 256 /* samples */
+/* Samples in a block: all rows of one are in the processor's nearest cache. */
+#define JUDGES_BLOCK 72
 
 /* A row of values; its operands come before it. */
 typedef struct judges_row {
@@ -61,16 +62,18 @@ typedef struct judges {
   int32_t reserved;
   const judges_row* rows;
   double* values;                  /* JUDGES_BLOCK for each row */
+  const double** at;               /* of each row: where its block is */
   robustness* const* requirements; /* over these rows */
   judges_measure* measures;
   const int32_t* kept_rows;
   double* kept; /* `kept_stride` for each of them: the values of the newest piece */
   int64_t kept_stride;
-  int64_t taken; /* samples so far */
+  int64_t taken;  /* samples so far */
+  int64_t target; /* place of the one that held at the start of the newest block */
 } judges;
 
-/* Begin a run. */
-void judges_begin(judges* all);
+/* Begin several runs. */
+void judges_begin(judges* all, int32_t runs);
 /* Go on with a piece of each of several runs. Returns 0, or -1 without memory. */
 int judges_take(judges* all, int32_t runs, const judges_samples* pieces);
 /* Fill the robustness of each requirement and the value of each measure, a row for each run. */

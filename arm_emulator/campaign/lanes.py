@@ -19,7 +19,7 @@ from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.judges import Judges
 from arm_emulator.campaign.outcome import Outcome, Outcomes
-from arm_emulator.campaign.program import Targets
+from arm_emulator.campaign.program import BLOCK, Targets
 from arm_emulator.campaign.scenario import Scenario
 from arm_emulator.campaign.signals import FleetSampler
 from arm_emulator.campaign.simulator import Simulator
@@ -29,9 +29,9 @@ from arm_emulator.runs.servo_fleet import ServoFleet
 
 Array = NDArray[np.float64]
 WIDTH = 64  # runs at a time
-# Samples in a piece: blocks of the judges, which the processor's cache holds. Rows of a power of
-# two would all begin in the same set of that cache.
-ROOM = 504
+# Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power
+# of two would all begin in the same set of that cache.
+ROOM = 7 * BLOCK
 
 
 class _Run(NamedTuple):
@@ -136,7 +136,7 @@ class RunsInLanes:
             some = int(min(ROOM - (taken[0] == 0), last.max() + 1 - max(1, taken.max())))
             fleet.follow(self._servos, some, frame, way=self._way, arms=count)
             samples, counts = sampler.take()
-            fresh = np.clip(last + 1 - taken, 0, counts[:count])
+            fresh = np.maximum(np.minimum(last + 1 - taken, counts[:count]), 0)
             judges.take(samples, fresh, self._targets)
             taken += counts[:count]
             # An arm stands still where it diverged; one whose run has ended goes on for nothing.

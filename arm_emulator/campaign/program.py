@@ -157,7 +157,8 @@ class Program:
         self._found = np.zeros((runs, len(measures)))
         values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
         kept_rows, of_rows = np.array([*kept, 0], np.int32), rows.struct()
-        self._held = own, values, kept_rows, of_rows
+        at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
+        self._held = own, values, kept_rows, of_rows, at
         self._pointers = [
             JUDGES.ffi.new("robustness *[]", [one.pointer for one in of_run])
             for of_run in requirements
@@ -172,6 +173,7 @@ class Program:
                 kept_count=len(kept),
                 rows=JUDGES.pointer("judges_row", of_rows),
                 values=values,
+                at=at,
                 requirements=self._pointers[run],
                 measures=JUDGES.pointer("judges_measure", own[run]),
                 kept_rows=kept_rows,
@@ -182,8 +184,7 @@ class Program:
 
     def begin(self) -> None:
         """Begin all runs."""
-        for run in range(len(self._pieces)):
-            self._calls.judges_begin(JUDGES.ffi.addressof(self._structs, run))
+        self._calls.judges_begin(self._structs, len(self._pieces))
 
     def go_on(self, taken: int) -> None:
         """Continue a run of which so many samples were taken elsewhere; of rows alone."""

@@ -6,7 +6,15 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from arm_emulator.base.formula import Combined, Expression, Formula, Margin, Window
+from arm_emulator.base.formula import (
+    Combined,
+    Constant,
+    Expression,
+    Formula,
+    Margin,
+    Operation,
+    Window,
+)
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, Header, Library
 
@@ -77,8 +85,9 @@ class Robustness:
 
     def _add(self, what: Formula) -> int:
         """Append a formula's nodes, children first; return the last one's place."""
-        if isinstance(what, Margin):
-            return self._put("atom", self._row_of(what.of))
+        if (margin := _at_once(what)) is not None:
+            return self._put("atom", self._row_of(margin))
+        assert not isinstance(what, Margin)  # a margin is at once
         if isinstance(what, Combined):
             first = self._add(what.of[0])
             if what.sign == "not":
@@ -111,3 +120,16 @@ class Robustness:
             raise Refusal(self._where, self._quantity, rule, got)
         begin = min(begin, self._longest)
         return begin, _FOREVER if end >= self._longest - 1 else end
+
+
+def _at_once(what: Formula) -> Expression | None:
+    """Return the margin of a formula without windows as arithmetic of the same instant."""
+    if isinstance(what, Margin):
+        return what.of
+    of = [_at_once(one) for one in what.of] if isinstance(what, Combined) else [None]
+    margins = tuple(one for one in of if one is not None)
+    if len(margins) < len(of):
+        return None
+    if what.sign == "not":
+        return Operation("*", (Constant(-1.0), *margins))
+    return Operation("min" if what.sign == "and" else "max", margins)

@@ -16,6 +16,7 @@ typedef struct stream {
   double* values;
   int64_t room, begin, count; /* values[begin .. begin + count) wait to be taken */
   int64_t made;               /* all so far */
+  const double* fed;          /* not null: they wait there, where they were fed */
 } stream;
 
 typedef struct node {
@@ -83,6 +84,10 @@ static int make_room(stream* one, int64_t more) {
   return 0;
 }
 
+static const double* waiting(const stream* one) {
+  return one->fed ? one->fed : one->values + one->begin;
+}
+
 static double* end_of(stream* one) { return one->values + one->begin + one->count; }
 
 static void grow(stream* one, int64_t by) {
@@ -91,8 +96,25 @@ static void grow(stream* one, int64_t by) {
 }
 
 static void take(stream* one, int64_t count) {
-  one->begin += count;
+  if (one->fed) {
+    one->fed += count;
+  } else {
+    one->begin += count;
+  }
   one->count -= count;
+}
+
+/* Keep what was fed and not taken. */
+static int keep(stream* one) {
+  const double* fed = one->fed;
+  const int64_t count = one->count;
+  one->fed = NULL;
+  if (!fed || count == 0) return 0;
+  one->begin = one->count = 0;
+  if (make_room(one, count)) return -1;
+  memcpy(one->values, fed, (size_t)count * sizeof(double));
+  one->count = count;
+  return 0;
 }
 
 /* --------------------------------------------------------------------------------------- nodes */
@@ -112,6 +134,7 @@ static void begin_anew(robustness* all) {
   for (int32_t k = 0; k < all->count; ++k) {
     node* one = &all->nodes[k];
     one->out.begin = one->out.count = one->out.made = one->taken = 0;
+    one->out.fed = NULL;
     one->newest = nothing(one->what.kind);
   }
 }
@@ -150,6 +173,11 @@ static int feed_atom(node* one, const double* row, int64_t first, int64_t count)
   int64_t to = count;
   if (one->last != ROBUSTNESS_FOREVER && one->last - first + 1 < to) to = one->last - first + 1;
   if (from >= to) return 0;
+  if (one->out.count == 0) {
+    one->out.fed = row + from;
+    grow(&one->out, to - from);
+    return 0;
+  }
   if (make_room(&one->out, to - from)) return -1;
   memcpy(end_of(&one->out), row + from, (size_t)(to - from) * sizeof(double));
   grow(&one->out, to - from);
@@ -161,8 +189,8 @@ static int feed_pointwise(node* one, stream* left, stream* right) {
   if (right && right->count < count) count = right->count;
   if (count == 0) return 0;
   if (make_room(&one->out, count)) return -1;
-  const double* a = left->values + left->begin;
-  const double* b = right ? right->values + right->begin : a;
+  const double* a = waiting(left);
+  const double* b = right ? waiting(right) : a;
   double* out = end_of(&one->out);
   switch (one->what.kind) {
     case ROBUSTNESS_NOT:
@@ -248,8 +276,8 @@ static int feed_window(node* one, stream* left, stream* right) {
   if (right && right->count < count) count = right->count;
   if (count == 0 || (!has_end(one) && !is_once(one))) return 0;
   if (make_room(&one->out, count)) return -1;
-  const double* a = left->values + left->begin;
-  const double* b = right ? right->values + right->begin : a;
+  const double* a = waiting(left);
+  const double* b = right ? waiting(right) : a;
   const int32_t kind = one->what.kind;
   if (has_end(one)) {
     if (make_room_in_block(one, count)) return -1;
@@ -314,14 +342,14 @@ static int end_window(robustness* all, node* one, stream* left, stream* right) {
   return 0;
 }
 
-static int go_on(robustness* all, const double* atoms, int64_t stride, int64_t samples, int ends) {
+static int go_on(robustness* all, const double* const* rows, int64_t samples, int ends) {
   for (int32_t k = 0; k < all->count; ++k) {
     node* one = &all->nodes[k];
     const int32_t kind = one->what.kind;
     int failed = 0;
     if (kind == ROBUSTNESS_ATOM) {
       if (samples > 0) {
-        failed = feed_atom(one, atoms + one->what.left * stride, all->samples, samples);
+        failed = feed_atom(one, rows[one->what.left], all->samples, samples);
       }
     } else {
       stream* left = &all->nodes[one->what.left].out;
@@ -336,17 +364,19 @@ static int go_on(robustness* all, const double* atoms, int64_t stride, int64_t s
     }
     if (failed) return -1;
   }
+  for (int32_t k = 0; k < all->count; ++k)
+    if (keep(&all->nodes[k].out)) return -1;
   all->samples += samples;
   return 0;
 }
 
-int robustness_feed(robustness* all, const double* atoms, int64_t stride, int64_t samples) {
-  return go_on(all, atoms, stride, samples, 0);
+int robustness_feed(robustness* all, const double* const* rows, int64_t samples) {
+  return go_on(all, rows, samples, 0);
 }
 
 double robustness_end(robustness* all) {
   const stream* root = &all->nodes[all->count - 1].out;
-  const int failed = go_on(all, NULL, 0, 0, 1);
+  const int failed = go_on(all, NULL, 0, 1);
   const double value = failed || root->count < 1 ? NAN : root->values[root->begin];
   begin_anew(all);
   return value;

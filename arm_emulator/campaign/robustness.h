@@ -39,8 +39,8 @@ typedef struct robustness robustness;
 /* A requirement at the start of a trace; null without memory for it. */
 robustness* robustness_new(const robustness_node* nodes, int32_t count);
 void robustness_delete(robustness* one);
-/* Go on with so many samples; row r is at atoms + r * stride. Returns 0, or -1 without memory. */
-int robustness_feed(robustness* one, const double* atoms, int64_t stride, int64_t samples);
+/* Go on with so many samples of each row. Returns 0, or -1 without memory. */
+int robustness_feed(robustness* one, const double* const* rows, int64_t samples);
 /* Return the robustness of the trace, which ends, and begin anew; NaN without memory or samples. */
 double robustness_end(robustness* one);
 

@@ -3,7 +3,7 @@
 #include <stddef.h>
 #include <string.h>
 
-static double number_at(const char* place, int32_t kind) {
+static inline double number_at(const char* place, int32_t kind) {
   double real;
   int64_t whole;
   uint32_t small;
@@ -24,11 +24,12 @@ static double number_at(const char* place, int32_t kind) {
 static void keep(sampler* one, int32_t first, int32_t arms) {
   for (int32_t k = 0; k < one->count; ++k) {
     const sampler_number* of = &one->numbers[k];
-    for (int32_t arm = first; arm < first + arms; ++arm) {
-      const int64_t row = (int64_t)arm * one->rows + of->row, taken = one->taken[arm];
-      if (taken < one->room)
-        one->samples[row * one->room + taken] = number_at(of->place + arm * of->stride, of->kind);
-    }
+    const char* place = of->place + first * of->stride;
+    double* row = one->samples + ((int64_t)first * one->rows + of->row) * one->room;
+    const int64_t* taken = one->taken + first;
+    const int64_t next = one->rows * one->room; /* from a machine's row to the next one's */
+    for (int32_t arm = 0; arm < arms; ++arm, place += of->stride, row += next)
+      if (taken[arm] < one->room) row[taken[arm]] = number_at(place, of->kind);
   }
   for (int32_t arm = first; arm < first + arms; ++arm)
     if (one->taken[arm] < one->room) ++one->taken[arm];
