@@ -27,7 +27,8 @@ from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.design.tuned import compute, data_sheet, link_inertias, run
 from arm_emulator.doors.fieldbus.drives import Drives as FieldBus
 from arm_emulator.doors.fieldbus.drives_unit import ETHERCAT
-from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.known import MOTORS, SIZED_MOTORS
+from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.drives import Drives, Target
@@ -62,7 +63,7 @@ KINDS: dict[str, dict[str, Any]] = {
 # Kinds that have a file and no line above, as they are sized.
 KINDS |= {
     kind.kind: {"kind": kind.kind, **ROTOR, **kind.drawn(np.random.default_rng(1))}
-    for kind in MOTORS
+    for kind in SIZED_MOTORS
     if kind.kind not in {one.get("kind", "dc") for one in KINDS.values()}
 }
 CASES = some(
@@ -93,6 +94,20 @@ def servo_of(scene: Scene) -> ServoConfig:
 def test_every_kind_states_what_a_servo_must_know() -> None:
     for kind in MOTORS:
         assert "servo_data" in vars(kind), "each has a statement of its own"
+
+
+OTHERS = [kind for kind in MOTORS if kind not in SIZED_MOTORS]
+
+
+@pytest.mark.parametrize("kind", OTHERS, ids=lambda kind: kind.kind)
+def test_a_motor_that_is_not_sized_is_refused_with_our_servo(kind: type[Motor]) -> None:
+    good = load_scene("three_axis")
+    drawn = {"kind": kind.kind, **ROTOR, **kind.drawn(np.random.default_rng(1))}
+    scene = load_scene("three_axis", {"joints.elbow.motor": drawn})
+    with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
+        check_joints(scene, servo_of(good))
+    with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
+        FieldBus(Plant(scene), servo_of(good), ETHERCAT)
 
 
 def predicted(scene: Scene, servo: ServoConfig, joint: int) -> np.ndarray:

@@ -17,18 +17,18 @@ from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.sizing import Demand, size
 from arm_emulator.doors.fieldbus.object_dictionary import modes
 from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import arms, move, reachable
 from oracles.own_robots import OWN
 
-KINDS = {kind.kind: kind for kind in MOTORS}
+KINDS = {kind.kind: kind for kind in SIZED_MOTORS}
 CASES = [(arm, kind) for arm in ("scara", "ur5_robot", "panda") for kind in KINDS]
 CASES = CASES if FULL else some([("scara", kind) for kind in KINDS if kind != "dc"], 1)
 
 
-@pytest.mark.parametrize("kind", MOTORS, ids=lambda kind: kind.kind)
+@pytest.mark.parametrize("kind", SIZED_MOTORS, ids=lambda kind: kind.kind)
 def test_every_kind_gives_the_torque_that_was_asked_for(kind: type[Motor]) -> None:
     """At its limit, and at full speed within its supply: by what it declares of itself."""
     rng = np.random.default_rng(2)
@@ -89,9 +89,9 @@ def test_an_unknown_kind_is_refused_with_the_known_ones(tmp_path: Path) -> None:
     robot = tmp_path / "scara.urdf"
     robot.write_text(OWN["scara"]())
     valid = ", ".join(KINDS)
-    line = f"new: --motor must be a kind of motor, got stepper; valid: {valid}"
+    line = f"new: --motor must be a kind of motor that our servo drives, got steam; valid: {valid}"
     with pytest.raises(Refusal) as refusal:
-        write_new(robot, tmp_path / "new", motor="stepper")
+        write_new(robot, tmp_path / "new", motor="steam")
     assert str(refusal.value) == line
     assert not (tmp_path / "new").exists()
-    assert DcMotor.kind == MOTORS[0].kind, "what `new` takes without the option"
+    assert DcMotor.kind == SIZED_MOTORS[0].kind, "what `new` takes without the option"

@@ -53,6 +53,10 @@ PMSM = {
     "winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0},
 }  # fmt: skip
 
+# A joint has one motor: outputs of other kinds stand where this machine has one, too.
+OTHERS = {one for kind in MOTORS if kind.kind != PMSM["kind"] for one in kind.outputs}
+HERE = {name: one for name, one in KNOWN.items() if one not in OTHERS}
+
 
 def everything(folder: Path, **more: Any) -> Scene:
     """A machine that has every output: a turn, a slide."""
@@ -95,7 +99,8 @@ def plant(scene: Scene) -> Plant:
 
 
 def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> None:
-    assert {one.name for one in outputs_of(scene)} == set(KNOWN)
+    assert {one.name for one in outputs_of(scene)} == set(HERE)
+    assert {one.symbol for one in OTHERS} <= {one.symbol for one in HERE.values()}
 
 
 def test_symbols_are_those_of_the_header() -> None:
@@ -156,7 +161,7 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
 
 def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
     shown = {one.name[0] for one in variables(scene) if one.role == "output"}
-    assert set(KNOWN) | {"powered", "truth"} == shown
+    assert set(HERE) | {"powered", "truth"} == shown
 
 
 def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> None:
@@ -192,7 +197,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
     units = len(scene.imus)
     names = [
         (one.name, unit)
-        for one in dict.fromkeys((*ALWAYS, *KNOWN.values()))
+        for one in dict.fromkeys((*ALWAYS, *HERE.values()))
         for unit in (range(units) if one.per_unit else (...,))
     ]
     assert len(rows) == len(names), [one.name for one in rows]
@@ -258,7 +263,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
     drives = Drives(plant, servo, CANOPEN)
     entries = {(one.index, one.sub): one for one in drives.entries}
     assert len({index_of(one) for one in KNOWN.values()}) == len(KNOWN), "an object each"
-    changed = dict.fromkeys(KNOWN, 0)
+    changed = dict.fromkeys(HERE, 0)
     further = [joint.inputs[1:] for joint in scene.joints]
     for tick in range(160):
         # Both in torque; the brake of the second one closes.
@@ -278,7 +283,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
         elif 3 < tick < 140:
             for one in further[0]:
                 assert getattr(drives.plant.measured, one.applied).tolist() == [0.5, -0.5]
-        for name, output in KNOWN.items():
+        for name, output in HERE.items():
             measured = np.asarray(getattr(drives.plant.measured, name), float)
             index = index_of(output)
             if output.per_unit:
@@ -294,7 +299,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
                 off = abs(drives.reading(j, index) - value)
                 assert off <= (0.5 if whole else 1e-7 * abs(value)), f"{name} of joint {j}"
             changed[name] += len(np.unique(measured)) > 1
-    same = {name for name, one in KNOWN.items() if not one.per_unit and not changed[name]}
+    same = {name for name, one in HERE.items() if not one.per_unit and not changed[name]}
     assert same <= {"faults"}
 
 

@@ -28,7 +28,7 @@ from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_chain import moved_bodies
@@ -99,10 +99,12 @@ def write_new(
     """
     if payload is not None and not 0.0 <= payload <= LARGEST_MASS:
         raise Refusal("new", "--payload", f"be from 0 to {LARGEST_MASS:g} kg", payload)
-    kinds = {kind.kind: kind for kind in MOTORS}
-    kind = MOTORS[0] if motor is None else kinds.get(motor)
+    kinds = {kind.kind: kind for kind in SIZED_MOTORS}
+    kind = SIZED_MOTORS[0] if motor is None else kinds.get(motor)
     if kind is None:
-        raise Refusal("new", "--motor", "be a kind of motor", motor, ", ".join(kinds))
+        raise Refusal(
+            "new", "--motor", "be a kind of motor that our servo drives", motor, ", ".join(kinds)
+        )
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)

@@ -56,7 +56,8 @@ constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x
 template <class Drive, int n, int M>
 constexpr Real given_to(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
   if constexpr (Drive::driven)
-    return drive.motor.given(x.z, x.u, drive.felt_speed(x), Drive::motor_held(held));
+    return drive.motor.given(x.z, x.u, drive.motor_angle(x), drive.felt_speed(x),
+                             Drive::motor_held(held));
   return 0.0;
 }
 template <class Drive, int n, int M, class X>

@@ -90,7 +90,7 @@ struct CurrentLoop : Motor {
   constexpr void settle(Real*, const Mode&) const {}
 
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X wm, bool held) const {
+  ARM_INLINE constexpr X given(const X* z, X u, X, X wm, bool held) const {
     const X V = held ? clamp(asked(z, u, wm), nominal.supply) : asked(z, u, wm);
     return V * z[0] + (this->Kt - this->Kb) * wm * z[0];
   }

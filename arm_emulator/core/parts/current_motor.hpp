@@ -60,7 +60,7 @@ struct CurrentMotor {
     return R * i[0] * i[0];
   }
   template <class X>
-  ARM_INLINE constexpr X given(const X* i, X, X wm, bool) const {
+  ARM_INLINE constexpr X given(const X* i, X, X, X wm, bool) const {
     return (R * i[0] + Kt * wm) * i[0];
   }
   static constexpr bool given_by_speed = true;  // so that it may grow from nothing at rest

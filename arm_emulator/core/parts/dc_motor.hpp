@@ -94,7 +94,7 @@ struct DcMotorOf {
   }
   // Power from the supply, and the surplus from unequal constants [W].
   template <class X>
-  ARM_INLINE constexpr X given(const X* i, X V, X wm, bool held) const {
+  ARM_INLINE constexpr X given(const X* i, X V, X, X wm, bool held) const {
     const X applied = held ? R * i[0] + Kb * wm : V;
     return applied * i[0] + (Kt - Kb) * wm * i[0];
   }

@@ -72,7 +72,7 @@ struct FieldOrientedLoop : Motor {
   }
 
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X wm, bool) const {
+  ARM_INLINE constexpr X given(const X* z, X u, X, X wm, bool) const {
     const Voltages<X> V = within(asked(z, u, wm));
     return 1.5 * (V.d * z[0] + V.q * z[1]);
   }

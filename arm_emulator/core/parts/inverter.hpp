@@ -46,8 +46,8 @@ struct InvertedMotor : Motor {
   }
   // A current that is held at its limit takes what is lost from the supply, too.
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X wm, bool held) const {
-    X power = Motor::given(z, u, wm, held);
+  ARM_INLINE constexpr X given(const X* z, X u, X tm, X wm, bool held) const {
+    X power = Motor::given(z, u, tm, wm, held);
     if constexpr (!of_vectors)
       if (!this->obeys_circuit(held)) power += lost(z);
     return power;

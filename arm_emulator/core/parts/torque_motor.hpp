@@ -59,7 +59,7 @@ struct TorqueMotor {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X given(const X* tau, X, X wm, bool) const {
+  ARM_INLINE constexpr X given(const X* tau, X, X, X wm, bool) const {
     return tau[0] * wm;
   }
   static constexpr bool given_by_speed = true;  // so that it may grow from nothing at rest

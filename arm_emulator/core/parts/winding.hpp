@@ -86,8 +86,8 @@ struct HeatedMotor : Motor {
   }
 
   // `motor` with its numbers at this temperature.
-  constexpr Real given(const Real* z, Real u, Real wm, bool held) const {
-    return now(z).given(z, u, wm, held);
+  constexpr Real given(const Real* z, Real u, Real tm, Real wm, bool held) const {
+    return now(z).given(z, u, tm, wm, held);
   }
   constexpr void follow(Real* z, Real u, Real wm) const { now(z).follow(z, u, wm); }
   constexpr auto mode_at(const Real* z, Real u, Real wm) const { return now(z).mode_at(z, u, wm); }

@@ -21,6 +21,9 @@ KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 # The first is meant where a scene gives no `motor.kind`.
 MOTORS = tuple(sorted(kinds_of(Motor), key=lambda one: not one.is_default))
 
+# Those that our servo drives, so that an arm can be sized with them.
+SIZED_MOTORS = tuple(one for one in MOTORS if one.rules)
+
 
 def _by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
     return tuple(sorted(kinds, key=lambda one: (-len(one.named_by), one.__module__)))

@@ -87,7 +87,8 @@ class Motor(Part):
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
-    rules: ClassVar[tuple[str, ...]] = ()  # of `sized`, for people who read a scene
+    rules: ClassVar[tuple[str, ...]] = ()
+    """Of `sized`, for people who read a scene; none: no drive is sized with it."""
 
     @classmethod
     def sized(cls, rating: Rating) -> Self:
