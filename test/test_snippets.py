@@ -22,10 +22,9 @@ from arm_emulator.cli.arguments import page_of, run_with
 from arm_emulator.cli.command import load_command
 from arm_emulator.cli.command_line import main
 
-# Commands of ours that end by themselves within seconds, and need nothing that a page has not made.
-RUN = {"cache", "check-scene", "completion", "fmu", "foxglove", "run"}
 NOT_RUN = {"--clear", "--help", "--page", "--servo"}  # with these they do not end, or do more
-# Why the others are read by their parser alone, beside those that run until Ctrl-C.
+# Why these are read by their parser alone, beside those that run until Ctrl-C. Others end by
+# themselves within seconds, need nothing that a page has not made, and run.
 OURS = {
     "advise": "minutes; test_advice.py",
     "campaign": "a minute; test_campaign.py",
@@ -146,14 +145,19 @@ def ours(words: list[str]) -> list[str] | None:
     return words[1:] if words[0] == "arm_emulator" else None
 
 
+@functools.cache
+def runs_here(name: str) -> bool:
+    """Return whether a word is a command that is run here."""
+    command = load_command(name)
+    return command is not None and not command.until_stopped and name not in OURS
+
+
 def check_ours(words: list[str]) -> None:
     """Let the command's own parser read it; usage lines, with [...], name known options."""
     if not words or words[0] in ("COMMAND", "--version", "--help"):
         return
     command = load_command(words[0])
     assert command is not None, f"no command {words[0]}"
-    listed = command.until_stopped or words[0] in RUN or words[0] in OURS
-    assert listed, f"neither run nor listed: {words[0]}"
     if any(set(word) & set("[]") for word in words):
         known = page_of(command)
         for option in re.findall(r"--[a-z-]+", " ".join(words)):
@@ -166,6 +170,11 @@ def check_ours(words: list[str]) -> None:
 
     given = [word for word in words[1:] if word != "--json"]  # which all commands have
     assert run_with(command._replace(function=nothing), given) == 0
+
+
+def on_pages() -> set[str]:
+    """Return the first words behind our program's name on all pages."""
+    return {words[0] for param in shell_commands() if (words := ours(param.values[0]))}
 
 
 def check_python(words: list[str]) -> None:
@@ -217,7 +226,7 @@ def test_commands_that_end_soon_run(
     ran = set()
     for param in shell_commands():
         words = ours(param.values[0])
-        if not words or words[0] not in RUN or NOT_RUN & set(words):
+        if not words or not runs_here(words[0]) or NOT_RUN & set(words):
             continue
         if any(re.search(r"[\[\]]|\b[A-Z_]{4,}\b|my_", word) for word in words):
             continue  # for the reader to fill in
@@ -226,7 +235,7 @@ def test_commands_that_end_soon_run(
             main()
         assert not end.value.code, f"{param.id}: {capfd.readouterr().err}"
         ran.add(words[0])
-    assert ran == RUN
+    assert ran == {name for name in on_pages() if runs_here(name)}, "list why others are not run"
 
 
 def test_shell_and_python_stand_in_fences() -> None:
@@ -261,8 +270,7 @@ def test_python_runs(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_lists_have_nothing_that_no_page_needs() -> None:
     used = {param.values[0][0] for param in shell_commands()}
     assert set(OTHERS) <= used | {"pytest"}, set(OTHERS) - used
-    names = {words[0] for param in shell_commands() if (words := ours(param.values[0]))}
-    assert {*RUN, *OURS} <= names, {*RUN, *OURS} - names
+    assert OURS.keys() <= on_pages(), OURS.keys() - on_pages()
     needed = {
         page.name
         for page, text in fences("python")
