@@ -1,0 +1,128 @@
+"""Show how each joint answers to commands over frequency: resonances, Bode plot, table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from arm_emulator.analysis.frequency_response import FrequencyResponse, frequency_response
+from arm_emulator.analysis.linearised import linearise
+from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.machine.scene import Scene, load_scene
+
+FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
+PER_DECADE = 2000  # frequencies
+KEPT = slice(None, None, 20)  # of them in tables
+
+
+@command(
+    keys="`scene`, `pose`, `frequency` [Hz], `joints`: by name `unit` of the command, `resonances` "
+    "and `antiresonances` [Hz], and of the speeds of `motor` and `link` the `gain` [rad/s or m/s "
+    "per unit] and the `phase` [rad]"
+)
+def bode(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    pose: Annotated[tuple[float, ...] | None, Parameter(consume_multiple=True)] = None,
+    low: Annotated[float, Parameter(metavar="HZ")] = 1.0,
+    high: Annotated[float | None, Parameter(metavar="HZ")] = None,
+    picture: Annotated[Path | None, Parameter(metavar="PNG")] = None,
+    table: Annotated[Path | None, Parameter(metavar="CSV")] = None,
+) -> int:
+    """Show the frequency response from the command of each joint to its speeds.
+
+    The arm is linearised about rest in a pose, without dry friction; other commands are held.
+
+    Args:
+        pose: of the joints, base to tool (rad or m; default: the scene's start).
+        low: lowest frequency.
+        high: highest frequency (default: half that of the servo).
+        picture: gains and phases as a picture.
+        table: gains and phases as a table.
+    """
+    machine = load_scene(scene)
+    most = 0.5 / machine.servo_period if high is None else FREQUENCY.take("bode", high)
+    if FREQUENCY.take("bode", low) >= most:
+        raise Refusal("bode", "--low", f"be below the highest frequency, {most:g} Hz", low)
+    count = 1 + round(PER_DECADE * np.log10(most / low))
+    frequency = np.geomspace(low, most, max(2, count))
+    linear = linearise(machine, machine.start if pose is None else pose)
+    found = {
+        joint.name: frequency_response(linear, j, frequency)
+        for j, joint in enumerate(machine.joints)
+        if joint.motor is not None
+    }
+    width = max(map(len, found))
+    for name, one in found.items():
+        listed = (_listed(values) for values in (one.antiresonances, one.resonances))
+        output.line("{:{}}  antiresonances {:24} resonances {}".format(name, width, *listed))
+    for file, write in ((picture, _draw), (table, _write)):
+        if file is not None:
+            try:
+                write(machine, found, file)
+            except (OSError, ValueError) as error:
+                raise Refusal("bode", str(file), "be writable", error) from None
+            output.line(str(file))
+    units = {joint.name: joint.unit for joint in machine.joints}
+    output.facts({
+        "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[KEPT],
+        "joints": {name: _facts(one, units[name]) for name, one in found.items()},
+    })  # fmt: skip
+    return 0
+
+
+def _listed(frequencies: np.ndarray) -> str:
+    return ", ".join(f"{one:.4g}" for one in frequencies) + " Hz" if len(frequencies) else "none"
+
+
+def _facts(of: FrequencyResponse, unit: str) -> dict[str, object]:
+    return {
+        "unit": unit, "resonances": of.resonances, "antiresonances": of.antiresonances,
+        **{
+            name: {"gain": np.abs(one[KEPT]), "phase": np.unwrap(np.angle(one))[KEPT]}
+            for name, one in (("motor", of.motor), ("link", of.link))
+        },
+    }  # fmt: skip
+
+
+def _write(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None:
+    columns = {"frequency": next(iter(found.values())).frequency}
+    for name, one in found.items():
+        for of, values in (("motor", one.motor), ("link", one.link)):
+            columns[f"{name}.{of}.gain"] = np.abs(values)
+            columns[f"{name}.{of}.phase"] = np.unwrap(np.angle(values))
+    rows = np.column_stack(list(columns.values()))[KEPT]
+    np.savetxt(file, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+
+
+def _draw(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None:
+    """Draw gains above phases, a colour per joint, links dashed."""
+    import matplotlib as mpl
+
+    mpl.use("Agg", force=False)
+    from matplotlib import pyplot as plt
+
+    figure, (gain, phase) = plt.subplots(2, 1, figsize=(8, 6.5), sharex=True, layout="constrained")
+    ratios = {joint.name: joint.gear.ratio for joint in scene.joints}
+    for k, (name, one) in enumerate(found.items()):
+        for values, line, label in ((one.motor * ratios[name], "-", name), (one.link, "--", None)):
+            gain.loglog(one.frequency, np.abs(values), line, color=f"C{k}", label=label, lw=1.3)
+            degrees = np.degrees(np.unwrap(np.angle(values)))
+            phase.semilogx(one.frequency, degrees, line, color=f"C{k}", lw=1.3)
+    units = " or ".join(dict.fromkeys(joint.unit for joint in scene.joints))
+    gain.set(ylabel=f"rad/s (m/s) per {units}", title=f"{scene.name}: motors over their gears, "
+             "links dashed")  # fmt: skip
+    gain.legend(frameon=False, fontsize="small")
+    phase.set(xlabel="Hz", ylabel="degrees")
+    for axes in (gain, phase):
+        axes.grid(alpha=0.3)
+    figure.savefig(file, dpi=110)
+    plt.close(figure)

@@ -1,0 +1,88 @@
+"""Frequency responses against two masses on a spring, and against a machine that swings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
+from test_command_line import run
+
+from arm_emulator import Plant, load_scene
+from arm_emulator.base.table_file import read_table
+
+RATIO, STIFFNESS, DAMPING = 0.01, 4e4, np.array([5.0, 8.0, 3.0])
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    joints = {
+        name: {
+            "motor": {"kind": "torque", "rotor_inertia": ROTOR},
+            "gear": {"ratio": RATIO, "stiffness": STIFFNESS, "damping": float(damping)},
+        }
+        for name, damping in zip(GANTRY, DAMPING, strict=True)
+    }
+    integrator = {"scheme": "rosenbrock", "dt": 1e-5}
+    return write_scene(
+        tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints, integrator=integrator
+    )
+
+
+def two_masses(s: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds of motor and link per N m: rotor, spring and damper, link."""
+    spring = DAMPING[j] * s + STIFFNESS
+    link = MOVED[j] * s**2 + spring
+    carried = ROTOR / RATIO**2 * s**2 + spring * MOVED[j] * s**2 / link
+    angle = 1.0 / RATIO / carried  # at the link's side
+    return s * angle / RATIO, s * angle * spring / link
+
+
+def test_the_response_is_that_of_two_masses(file: Path, tmp_path: Path) -> None:
+    table = tmp_path / "bode.csv"
+    code, out, errors = run("bode", str(file), "--json", "--table", str(table), "--high", "400")
+    assert code == 0, errors
+    facts, rows = json.loads(out), read_table(table, {})
+    s = 2j * np.pi * np.array(facts["frequency"])
+    for j, name in enumerate(GANTRY):
+        one = facts["joints"][name]
+        for of, expected in zip(("motor", "link"), two_masses(s, j), strict=True):
+            got = np.array(one[of]["gain"]) * np.exp(1j * np.array(one[of]["phase"]))
+            np.testing.assert_allclose(got, expected, rtol=1e-8)
+            # The table has nine digits.
+            np.testing.assert_allclose(rows.column(f"{name}.{of}.gain"), np.abs(got), rtol=1e-8)
+        stiffness = STIFFNESS / (2.0 * np.pi) ** 2
+        locked = np.sqrt(stiffness / MOVED[j])
+        free = np.sqrt(stiffness * (1.0 / MOVED[j] + RATIO**2 / ROTOR))
+        # Damping moves peaks by some 1e-3 of their frequency, the grid's step is as large.
+        assert one["antiresonances"] == pytest.approx([locked], rel=3e-3)
+        assert one["resonances"] == pytest.approx([free], rel=3e-3)
+
+
+def test_a_machine_that_is_shaken_swings_as_far(file: Path) -> None:
+    """After a second, in which what it began with has died away; steps of 1e-5 s hold commands."""
+    plant, hz, rows = Plant(load_scene(file)), 20.0, 100_000
+    t = 1e-5 * (np.arange(2 * rows) + 0.5)
+    command = 0.01 * np.cos(2.0 * np.pi * hz * t)[:, np.newaxis] * np.ones(3)
+    plant.run(command[:rows], 1)
+    before = plant.state.q
+    q = plant.run(command[rows:], 1)
+    v = np.diff(np.vstack([before, q]), axis=0) / 1e-5
+    wave = np.exp(-2j * np.pi * hz * t[rows:])
+    found = 2.0 * (v - v.mean(axis=0)).T @ wave / rows / 0.01
+    expected = [two_masses(np.array([2j * np.pi * hz]), j)[1][0] for j in range(3)]
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
+def test_wrong_ranges_and_places_are_refused(file: Path, tmp_path: Path) -> None:
+    for words, line in (
+        (["--low", "900"], "--low must be below the highest frequency"),
+        (["--high", "0"], "--low and --high must be"),
+        (["--pose", "0", "1"], "q must"),
+        (["--picture", str(tmp_path / "no" / "a.png")], "must be writable"),
+        (["--table", str(tmp_path / "no" / "a.csv")], "must be writable"),
+    ):
+        code, _, errors = run("bode", str(file), *words)
+        assert code == 2 and line in errors and errors.count("\n") == 1, errors
