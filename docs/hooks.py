@@ -10,12 +10,10 @@ leads to a page of the site that shows that file. mkdocs calls `on_...` (mkdocs.
 
 from __future__ import annotations
 
-import os
 import posixpath
 import re
 import runpy
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,7 +29,6 @@ TOP = {
     "CONTRIBUTING.md": "contribute/contributing.md",
     "CHANGELOG.md": "contribute/changelog.md",
 }
-COMMAND = re.compile(r"^[\s│|]+([a-z][a-z-]+)\s{2,}\S")
 LANGUAGES = {".h": "c", ".hpp": "cpp", ".py": "python", ".yaml": "yaml", ".c": "c", ".msg": "text"}
 
 
@@ -39,31 +36,12 @@ class Missing(Exception):
     """A page names what is not there."""
 
 
-def command_lines(*words: str) -> str:
-    """Return the help of a command as a terminal without colours shows it.
-
-    Raises:
-        Missing: no such command.
-    """
-    plain = os.environ | {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
-    command = [sys.executable, "-m", "arm_emulator", *words, "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, env=plain, check=False)
-    if done.returncode:
-        raise Missing(f"{' '.join(command)}: {done.stderr}")
-    return done.stdout.rstrip()
-
-
-def commands() -> list[str]:
-    """Return the names of all commands, in the order of the help."""
-    found = (COMMAND.match(line) for line in command_lines().splitlines())
-    return [match[1] for match in found if match]
-
-
 def _help(_: str) -> str:
-    sections = [f"## {name}\n\n```text\n{command_lines(name)}\n```" for name in commands()]
-    if len(sections) < 2:
-        raise Missing("commands in the help of arm_emulator")
-    return "\n\n".join(sections)
+    from arm_emulator.cli.arguments import page_of
+    from arm_emulator.cli.command import command_names, load_command
+
+    pages = ((name, page_of(one)) for name in command_names() if (one := load_command(name)))
+    return "\n\n".join(f"## {name}\n\n```text\n{page.rstrip()}\n```" for name, page in pages)
 
 
 def _command_keys(_: str) -> str:

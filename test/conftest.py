@@ -1,5 +1,6 @@
 """Fixtures shared by all tests."""
 
+import gc
 import os
 import signal
 from collections.abc import Generator, Iterator
@@ -9,6 +10,9 @@ import pytest
 # Before NumPy is loaded: matrices of tests are small, and threads that work on them together beside
 # other work mostly wait for each other, spinning.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# All files are imported before a test runs, and none of that becomes garbage.
+gc.disable()
 
 # In a job that a script has started with `&` it is ignored, by all children as well.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -107,6 +111,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that take longest; the others follow by name."""
     turn = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: (turn.get(item.path.stem, len(turn)), item.path))
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage of the tests alone: what was imported is not looked through again."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

@@ -196,14 +196,22 @@ def test_bash_completes_a_command_and_an_option(tmp_path: Path) -> None:
 
 
 READER_GONE = """
-import os, subprocess, sys
+import os, runpy, sys
+import arm_emulator.cli.command_line  # which all of them import
 for words in sys.stdin.read().splitlines():
     read, write = os.pipe()
     os.close(read)  # before the first word is printed
-    command = [sys.executable, "-m", "arm_emulator", *words.split()]
-    ended = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
-    os.close(write)
-    print(words, ended.returncode, ended.stderr.strip(), sep="|")
+    errors, stderr = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.dup2(write, 1), os.dup2(stderr, 2)
+        sys.argv = ["arm_emulator", *words.split()]
+        runpy.run_module("arm_emulator", run_name="__main__")
+    os.close(write), os.close(stderr)
+    with os.fdopen(errors) as reader:
+        stated = reader.read().strip()
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    print(words, code, stated, sep="|", flush=True)
 """
 
 

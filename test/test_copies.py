@@ -137,8 +137,8 @@ def in_child(work: Callable[[], object]) -> str:
 def test_a_forked_child_goes_on_for_itself(threads: int, tmp_path: Path) -> None:
     keys = {"threads": threads, "integrator.scheme": "paper"}  # those of `test_threads`
     scene = load_scene("three_axis", overrides=keys)
-    plant, fleet = Plant(scene), Fleet(scene, 40, workers=2)
-    rows = np.tile(ROW, (40, 1))
+    plant, fleet = Plant(scene), Fleet(scene, 10, workers=2)
+    rows = np.tile(ROW, (20, 1))
 
     def work() -> list[float]:
         plant.advance(ROW, 1000)

@@ -23,7 +23,8 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     folder = tmp_path_factory.mktemp("drag")
     return write_scene(folder, gantry_urdf(), joints, energy_flow=True, servo_period=PERIOD,
-                       integrator={"scheme": "rosenbrock", "dt": PERIOD / 4})  # fmt: skip
+                       integrator={"scheme": "rosenbrock", "dt": PERIOD / 4},
+                       varied=["joints.*.drag.coefficient"])  # fmt: skip
 
 
 def coasted(scene: Scene) -> tuple[np.ndarray, float, float]:

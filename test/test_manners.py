@@ -41,7 +41,8 @@ from arm_emulator.motion.way_controller import WayController
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]
-VARIED = {"varied": ["joints.*.friction.viscous"], "external_wrench": True}
+# As in `test_campaign`, so that they share their libraries.
+VARIED = {"payload": 1.0, "varied": ["payload.mass"], "external_wrench": True}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def scene() -> Scene:
 def plant(scene: Scene) -> Plant:
     """In motion, with a number and a wrench of its own."""
     plant = Plant(scene)
-    plant.set_parameter("joints.elbow.friction.viscous", 6.5)
+    plant.set_parameter(NAME, 6.5)
     plant.set_external_wrench(scene.chain.joints[1].link, ExternalWrench(force=(1.0, 2.0, 3.0)))
     plant.exchange(np.array(ROW), 7)
     plant.advance(ROW, 13)
@@ -142,9 +143,9 @@ NO_NUMBERS: list[Any] = [
 ]  # fmt: skip
 NO_FLAGS: list[Any] = [None, 0, 1, "off", "True", [], 1.0, np.int8(1), object()]
 NO_BYTES: list[Any] = [None, 5, "abc", b"", b"x" * 100, [1, 2], np.zeros(4), object()]
-NO_NAMES: list[Any] = [None, 5, "x", b"joints.elbow.friction.viscous", [], {}, True, object()]
+NO_NAMES: list[Any] = [None, 5, "x", b"payload.mass", [], {}, True, object()]
 NO_OBJECTS: list[Any] = [None, 5, "x", [], {}, object(), np.zeros(3)]
-NAME = "joints.elbow.friction.viscous"
+NAME = "payload.mass"
 
 
 def calls() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -109,16 +110,19 @@ def sources() -> Iterator[tuple[str, set[str]]]:
                 yield path, in_cxx(file.read_text())
 
 
+@cache
+def seen() -> dict[str, set[str]]:
+    return dict(sources())
+
+
 def test_no_room_names_a_part() -> None:
-    seen = dict(sources())
-    assert len(seen) > 500, "the rooms are there"
-    named = {path: names for path, names in seen.items() if names and path not in ALLOWED}
+    assert len(seen()) > 500, "the rooms are there"
+    named = {path: names for path, names in seen().items() if names and path not in ALLOWED}
     assert not named, f"what these need of a part the part declares: {named}"
 
 
 def test_every_exception_is_needed() -> None:
-    seen = dict(sources())
-    assert not {path for path in ALLOWED if not seen.get(path)}
+    assert not {path for path in ALLOWED if not seen().get(path)}
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

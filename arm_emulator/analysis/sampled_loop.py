@@ -252,14 +252,13 @@ class SampledLoop:
         size = len(self.A)
         once = np.zeros((size + 1, size + 1))
         once[:size, :size], once[:size, size], once[size, size] = self.A, self.B[:, joint], 1.0
-        often = np.linalg.matrix_power(once, every)
-        x = np.zeros(size + 1)
+        ahead = np.linalg.matrix_power(once, every)
+        x = np.zeros((size + 1, 1))
         x[size] = 1.0
-        out = np.empty((rows, len(self.plant.q)))
-        for k in range(rows):
-            out[k] = self.plant.q @ x[:n]
-            x = often @ x
-        return out
+        while x.shape[1] < rows:  # twice as many each time
+            x, ahead = np.hstack([x, ahead @ x]), ahead @ ahead
+        response: FloatArray = (self.plant.q @ x[:n, :rows]).T
+        return response
 
 
 def _margins(w: FloatArray, S: ComplexArray) -> Margins:

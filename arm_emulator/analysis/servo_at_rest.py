@@ -34,18 +34,24 @@ def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float)
     ticks = round(_TIMES / joint.position_gain / period)
     ticks = min(max(ticks, _FEWEST), _MOST)
     count = 2.0 * math.pi / joint.counts_per_turn
-    worst = 0.0
-    for place in _PLACES:
-        state = SERVO.rows("servo_state", 1)
-        servo = SERVO.pointer("servo_joint", numbers), SERVO.pointer("servo_state", state)
-        x, V, q = np.zeros(len(plant.F)), 0.0, np.empty(ticks)
-        target = (5.0 + place) * joint.count_angle
-        for k in range(ticks):
-            current = plant.current[0] @ x + plant.current_by_command[0] * V
-            counts = math.floor(plant.theta[0] @ x / count)
-            law.servo_joint_observe(*servo, counts, current, V)
-            V = law.servo_joint_control(*servo, target, 0.0, 0.0)
-            x = plant.F @ x + plant.G[:, 0] * V
-            q[k] = plant.q[0] @ x
-        worst = max(worst, float(np.ptp(q[ticks // 2 :])))
-    return worst
+    # The same joint at all places, side by side.
+    states = SERVO.rows("servo_state", len(_PLACES))
+    data = SERVO.pointer("servo_joint", numbers)
+    servos = [
+        (data, SERVO.pointer("servo_state", states[k : k + 1]), (5.0 + place) * joint.count_angle)
+        for k, place in enumerate(_PLACES)
+    ]
+    seen = np.array([plant.current[0], plant.theta[0] / count])
+    x, V = np.zeros((len(plant.F), len(servos))), np.zeros(len(servos))
+    q = np.empty((ticks, len(servos)))
+    for k in range(ticks):
+        current, theta = seen @ x
+        current += plant.current_by_command[0] * V
+        counts = np.floor(theta).astype(int)
+        now = zip(servos, counts.tolist(), current.tolist(), V.tolist(), strict=True)
+        for j, ((data, state, target), at, one, given) in enumerate(now):
+            law.servo_joint_observe(data, state, at, one, given)
+            V[j] = law.servo_joint_control(data, state, target, 0.0, 0.0)
+        x = plant.F @ x + plant.G[:, :1] * V
+        q[k] = plant.q[0] @ x
+    return float(np.ptp(q[ticks // 2 :], axis=0).max())

@@ -62,7 +62,10 @@ def tune(
             "present": examine(machine, without, servo),
             "computed": examine(machine, without, computed),
         }
-    _print(console, machine, inertias, pair)
+        swings = {
+            label: predicted_swing(machine, one.servo, inertias) for label, one in pair.items()
+        }
+    _print(console, machine, inertias, pair, swings)
     picture = None
     if out is not None:
         from arm_emulator.design.tune_picture import draw  # slow import
@@ -74,14 +77,17 @@ def tune(
     if write:
         write_gains(servo_file, computed)
         console.print(f"written: {servo_file}")
-    joints = _facts(machine, inertias, pair)
+    joints = _facts(machine, inertias, pair, swings)
     written = servo_file if write else None
     output.facts({"scene": machine.name, "joints": joints, "picture": picture, "written": written})
     return 0
 
 
 def _facts(
-    scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
+    scene: Scene,
+    inertias: list[Range],
+    pair: Mapping[str, Tuned],
+    swings: Mapping[str, list[float]],
 ) -> dict[str, dict[str, object]]:
     """Return the values of the tables by joint, in SI units."""
     facts: dict[str, dict[str, object]] = {
@@ -89,7 +95,6 @@ def _facts(
         for name, inertia in zip(scene.joint_names, inertias, strict=True)
     }
     for label, tuned in pair.items():
-        swings = predicted_swing(scene, tuned.servo, inertias)
         for j, name in enumerate(scene.joint_names):
             loop = tuned.loops.joints[j]
             facts[name][label] = {
@@ -102,7 +107,7 @@ def _facts(
                 "step": tuned.steps[j],
                 "off_on_the_way": tuned.run.worst[j],
                 "count": loop.count_angle,
-                "swing_predicted": swings[j],
+                "swing_predicted": swings[label][j],
                 "swing": tuned.run.swing[j],
             }
     return facts
@@ -116,10 +121,12 @@ def _check(scene: Scene, servo: ServoConfig) -> None:
 
 
 def _print(
-    console: Console, scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
+    console: Console,
+    scene: Scene,
+    inertias: list[Range],
+    pair: Mapping[str, Tuned],
+    swings: Mapping[str, list[float]],
 ) -> None:
-    swings = {label: predicted_swing(scene, one.servo, inertias) for label, one in pair.items()}
-
     def gains(label: str, j: int) -> Iterator[str]:
         one = pair[label].loops.joints[j]
         yield f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else ""
