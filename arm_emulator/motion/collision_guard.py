@@ -12,6 +12,7 @@ from arm_emulator.motion.collisions import collisions_of
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.obstacles import OBSTACLES
 from arm_emulator.motion.reference import Reference
@@ -32,7 +33,8 @@ class CollisionGuard:
     In each period it tests the way on which the joints would come to rest if they braked after it.
     When parts touch there they brake now, on the way that the period before has tested. So they
     rest before they touch, by the margin, whatever was asked for. Motions that are known to their
-    end are checked before they begin.
+    end are checked before they begin: where joints that brake each by itself would touch beside
+    such a way, the arm goes on, and could stop on it.
 
     The looks at a motion are so near that no part touches an obstacle between two of them, however
     thin it is: parts that are the margin or more away before and after a look would have to move
@@ -71,6 +73,11 @@ class CollisionGuard:
                 return touching
         self._rested = way[0] if len(way) == 1 else None
         return ""
+
+    def frees(self, motion: Motion) -> bool:
+        """Whether no parts touch on a motion that `check` has passed, nor after it."""
+        end = motion.at(motion.duration)
+        return not end.v.any() and not self.collisions.first(motion.at(0.0).q)
 
     def along(self, angles: Angles) -> tuple[float, str] | None:
         """Return at which part of a way parts touch first, and which; None: they do not."""

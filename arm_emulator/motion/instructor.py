@@ -20,9 +20,10 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, Kind, Reports, State
 from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
 from arm_emulator.motion.no_way import NoWay
-from arm_emulator.motion.orders import Order, Progress, TargetOrder
+from arm_emulator.motion.orders import Order, Planned, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.slowing_order import SlowingOrder
 from arm_emulator.motion.standstill import Flags, Standstill
 from arm_emulator.motion.stream_order import StreamOrder, is_near
 from arm_emulator.motion.taken_order import TakenOrder
@@ -74,6 +75,7 @@ class Instructor:
         self._hold: FloatArray | None = None
         self._active = None
         self._standing: Standstill | None = None
+        self._only: Planned | None = None  # the only way on which the arm can stop; None: any
         self._coming = ComingOrders()
         self._now_ns: int | None = None  # logical time of the newest joint angles
         self._last: tuple[int, Instruction] | None = None
@@ -265,6 +267,7 @@ class Instructor:
         if self._standing is None:
             if movable is not None and not movable.all():
                 self._standing = Standstill(laws, self._reference(laws, time_ns, q))
+                self._only = None
             return
         if not self._standing.over or (movable is not None and not movable.all()):
             return
@@ -376,13 +379,21 @@ class Instructor:
         self, laws: Laws, time_ns: int, q: FloatArray, instruction: Instruction
     ) -> Instruction:
         """Return an instruction after which the arm can stop before a collision."""
-        guard, taken = laws.guard, self._active
-        if guard is None or taken is None or isinstance(taken.order, JogOrder):
+        guard, taken, before = laws.guard, self._active, self._only
+        if guard is None or taken is None:
+            return instruction
+        if isinstance(taken.order, JogOrder) and before is None:
             return instruction  # jogs look ahead by themselves
         now, then = _begin_and_end(instruction, laws.config.period)
-        touching = guard.ahead(laws.braking, now.q, then)
+        then = taken.order.reference(time_ns + laws.period_ns) or then
+        touching, self._only = guard.ahead(laws.braking, now.q, then), None
         if not touching:
             return instruction
+        planned = taken.order.planned()
+        if planned is not None and guard.frees(planned.motion):
+            self._only = planned
+            return instruction
+        self._only = before
         why = Progress(State.ABORTED, f"collision: {touching} would touch")
         return self._halt(laws, time_ns, now, why)
 
@@ -390,10 +401,17 @@ class Instructor:
         """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
             self._active.report(self.reports, why)
-        stop = JogOrder.stop(time_ns, len(now.q))
+        stop: JogOrder | SlowingOrder
+        if self._only is None:
+            stop = JogOrder.stop(time_ns, len(now.q))
+        else:
+            stop = SlowingOrder(laws, time_ns, self._only)
         stop.begin(laws, time_ns, now)
         self._active = TakenOrder(stop, 0, state=State.MOVING)
-        return stop.instruct(laws, time_ns, now.q)
+        instruction = stop.instruct(laws, time_ns, now.q)
+        if self._only is not None:
+            self._only = stop.planned()
+        return instruction
 
     def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
         """Bring the joints to rest from their measured motion."""
@@ -401,7 +419,7 @@ class Instructor:
         still = np.zeros_like(q)
         q = laws.feedforward.standing(q)
         stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
-        self._active = TakenOrder(stop, 0)
+        self._active, self._only = TakenOrder(stop, 0), None
         return stop.instruct(laws, time_ns, q)
 
     def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:

@@ -112,6 +112,9 @@ class JogOrder:
         """See `Order`."""
         return self._joints.now
 
+    def planned(self) -> None:
+        """See `Order`."""
+
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
         if self._stale and not self._joints.moving:

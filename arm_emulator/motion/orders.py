@@ -15,6 +15,7 @@ from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.path_watch import PathWatch
 from arm_emulator.motion.path_way import plan_path
@@ -22,8 +23,8 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
-from arm_emulator.motion.trajectory_way import AsAsked, Delayed, Slower, within_limits
-from arm_emulator.motion.way_controller import angles_over
+from arm_emulator.motion.trajectory_way import AsAsked, Delayed, InSeconds, Slower, within_limits
+from arm_emulator.motion.way_controller import WayController, angles_over
 
 PATIENCE = 1.0  # s: an error that has not decreased for this long never will
 _SMALLER = 0.99  # decrease that counts
@@ -51,6 +52,15 @@ class Progress:
 MOVING = Progress(State.MOVING)
 
 
+@dataclass(frozen=True)
+class Planned:
+    """A motion that was checked to its end before it began, and where an order is on it."""
+
+    motion: Motion
+    gone: float
+    """Time within it at the end of the motion period [s]."""
+
+
 class Order(Protocol):
     """Interface of all orders.
 
@@ -74,7 +84,11 @@ class Order(Protocol):
         """
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """Continue after a standstill, from rest at `reference`."""
+        """Continue after a standstill, from rest at `reference`.
+
+        Raises:
+            Refusal: it cannot be continued so. Nothing has changed then.
+        """
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """Return the joint targets of this motion period.
@@ -86,6 +100,9 @@ class Order(Protocol):
 
     def reference(self, now_ns: int) -> Reference | None:
         """Return the joints' commanded motion; None: that of the last instruction."""
+
+    def planned(self) -> Planned | None:
+        """Return its motion, after `instruct`, on which parts keep apart; None: not known."""
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """Return its progress, after `instruct`, by the measured angles and speeds."""
@@ -130,6 +147,10 @@ class TargetOrder:
         """See `Order`."""
         return self._law.coming
 
+    def planned(self) -> Planned | None:
+        """See `Order`."""
+        return _planned(self._law) if isinstance(self._law, WayController) else None
+
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
         return self._arrival.progress(now_ns, self._law, q, v)
@@ -152,8 +173,7 @@ class PathOrder:
             law.begin_moving(reference)
         scaled = config.trajectory_limits == "scale"
         self._motion = motion = plan_path(law, self._path, reference, now_ns, scaled)
-        if laws.guard is not None:
-            laws.guard.check(self.kind.topic, angles_over(motion))
+        _check(laws, self.kind, motion)
         laws.leading = law
         law.follow(self._motion)
         self._law, self._arrival = law, _Arrival(config)
@@ -164,6 +184,7 @@ class PathOrder:
         """See `Order`."""
         law = self._law
         left = GoingOn(law.motion, law.gone, reference, law.limits)
+        _check(laws, self.kind, left)
         law.begin_moving(reference)
         laws.leading = law
         law.follow(left)
@@ -178,6 +199,10 @@ class PathOrder:
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""
         return self._law.coming
+
+    def planned(self) -> Planned:
+        """See `Order`."""
+        return _planned(self._law)
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
@@ -207,19 +232,20 @@ class TrajectoryOrder:
         start_ns = self.stamp_ns or now_ns
         scaled = laws.config.trajectory_limits == "scale"
         motion = within_limits(laws.ways, self.trajectory, now_ns, start_ns, reference, scaled)
-        if laws.guard is not None and not self.trajectory.stops:
-            left = motion.end_ns - now_ns
-            laws.guard.check(
-                self.kind.topic,
-                lambda part: np.array([motion.at(now_ns + round(one * left)).q for one in part]),
-            )
-        self._motion = motion
-        self._start_ns, self._at_ns = start_ns, now_ns
+        self._follow(laws, motion, now_ns)
+        self._start_ns = start_ns
         laws.nobody_leads()
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        self._motion = Delayed(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
+        left = Delayed(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
+        self._follow(laws, left, now_ns)
+
+    def _follow(self, laws: Laws, motion: AsAsked | Slower | Delayed, now_ns: int) -> None:
+        whole = InSeconds(motion, now_ns)
+        if not self.trajectory.stops:
+            _check(laws, self.kind, whole)
+        self._motion, self._whole, self._began_ns, self._at_ns = motion, whole, now_ns, now_ns
 
     @property
     def way(self) -> str:
@@ -228,7 +254,7 @@ class TrajectoryOrder:
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
-        self._at_ns = now_ns
+        self._at_ns, self._period = now_ns, laws.config.period
         now, then = (self._motion.at(now_ns + t) for t in (0, laws.period_ns))
         effort = None
         if not self.trajectory.stops:
@@ -239,6 +265,11 @@ class TrajectoryOrder:
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""
         return self._motion.at(now_ns)
+
+    def planned(self) -> Planned | None:
+        """See `Order`."""
+        gone = (self._at_ns - self._began_ns) * _SECONDS + self._period
+        return None if self.trajectory.stops else Planned(self._whole, gone)
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
@@ -255,6 +286,20 @@ class TrajectoryOrder:
         if 0.0 < self._tolerances.goal_time < late:
             return Progress(State.ABORTED, f"{GOAL_TOLERANCE} after {late:.3g} s: {broken}")
         return MOVING
+
+
+def _planned(law: WayController) -> Planned:
+    return Planned(law.motion, law.gone)
+
+
+def _check(laws: Laws, kind: Kind, motion: Motion) -> None:
+    """Check a motion to its end.
+
+    Raises:
+        NoWay: parts would touch.
+    """
+    if laws.guard is not None:
+        laws.guard.check(kind.topic, angles_over(motion))
 
 
 class _Arrival:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.take_over import Rest
@@ -20,7 +21,7 @@ from arm_emulator.motion.timed_distance import TimedDistance
 from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along
 from arm_emulator.motion.tool_path import WHERE, ToolPath
 from arm_emulator.motion.way import AlongLimits, Way
-from arm_emulator.motion.way_controller import Motion, WayController
+from arm_emulator.motion.way_controller import WayController
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import Kind
-from arm_emulator.motion.orders import MOVING, Progress, TargetOrder
+from arm_emulator.motion.orders import MOVING, Planned, Progress, TargetOrder
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.target_stream import GAP, StreamMotion
 from arm_emulator.motion.tool_directions import ToolDirections
@@ -86,6 +86,10 @@ class StreamOrder:
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""
         return self._target.reference(now_ns) if self._rests else self._joints.now
+
+    def planned(self) -> Planned | None:
+        """See `Order`."""
+        return self._target.planned() if self._rests else None
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""

@@ -14,10 +14,11 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import WHERE, JointMotion, JointTrajectory
+from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.path_way import InARow
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.way import Way, WayLimits
-from arm_emulator.motion.way_controller import Motion, WayController
+from arm_emulator.motion.way_controller import WayController
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -101,7 +102,7 @@ class Delayed:
         limits: WayLimits,
     ) -> None:
         self._before, self._since_ns, self._now_ns = before, since_ns, now_ns
-        self._left = GoingOn(_InSeconds(before, since_ns), 0.0, now, limits)
+        self._left = GoingOn(InSeconds(before, since_ns), 0.0, now, limits)
         self.end_ns = now_ns + round(self._left.duration / _SECONDS)
         self.way = f"goes on, in {self._left.duration:.3g} s"
 
@@ -115,7 +116,7 @@ class Delayed:
         return self._before.asked_ns(self._since_ns + round(gone / _SECONDS))
 
 
-class _InSeconds:
+class InSeconds:
     """A motion over logical time as one over the seconds since a moment."""
 
     def __init__(self, motion: AsAsked | Slower | Delayed, since_ns: int) -> None:
@@ -123,6 +124,7 @@ class _InSeconds:
         self.duration = max(0.0, (motion.end_ns - since_ns) * _SECONDS)
 
     def at(self, time: float) -> Reference:
+        """Return the joints at a time since the moment [s]."""
         return self._motion.at(self._since_ns + round(time / _SECONDS))
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +30,7 @@ from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.no_way import NoWay, PastEnd
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
@@ -58,21 +58,6 @@ BEYOND_REACH = "the target is beyond reach"  # as far as is known
 WHERE = "tool_target"
 _STILL = 1e-9  # rad/s, rad/s2 and per reach
 _SAME = 1e-9  # m, and of a rotation's entries: the same target once more
-
-
-class Motion(Protocol):
-    """Motion that the reference follows.
-
-    Attributes:
-        duration: [s]; from then on it rests.
-    """
-
-    @property
-    def duration(self) -> float:
-        """See above."""
-
-    def at(self, time: float) -> Reference:
-        """Return the joints at a time since its begin [s]."""
 
 
 class WayController:
