@@ -34,60 +34,21 @@ pytest.register_assert_rewrite(
     "stick_slip",
 )
 
-# Files that take longest, in turns those that wait for processes and those that wait for a
-# compiler: one that comes late would leave the other half of the machine idle.
-LONGEST = [
-    "test_lockstep",
-    "test_sensitivities",
-    "test_network",
-    "test_hard_cases",
-    "test_recording",
-    "test_lanes",
-    "test_launch",
-    "test_fleet",
-    "test_up",
-    "test_campaign",
-    "test_part_contract",
-    "test_spoiled_files",
-    "test_threads",
-    "test_copies",
-    "test_fuzz",
-    "test_schemes",
-    "test_linearised",
-    "test_mode_loops",
-    "test_fault_replay",
-    "test_search",
-    "test_predicted_rest",
-    "test_by_hand",
-    "test_by_hand_bags",
-    "test_servo_loop",
-    "test_arm_loops",
-    "test_new",
-    "test_sensors",
-    "test_examples",
-    "test_identification",
-    "test_doubles",
-    "test_external_wrench",
-    "test_snippets",
-    "test_advice",
-    "test_library_examples",
-    "test_couplings",
-    "test_validation",
-    "test_motor_kinds",
-    "test_doubtful_records",
-    "test_load_friction",
-    "test_at_rest",
-    "test_documents",
-    "test_compiler",
-    "test_located",
-    "test_bags",
-    "test_extreme_numbers",
-    "test_demo",
-    "test_random_machines",
-    "test_negative_ratio",
-    "test_varied",
-    "test_winding",
-]
+# Files that take more than 5 s, the longest first: one that comes late would leave the other half
+# of the machine idle.
+LONGEST = """
+sensitivities lockstep snippets part_contract campaign schemes by_hand_bags new doubles
+predicted_rest fleet up recording network stream external_wrench mode_loops bags doctor ways
+identification library_examples motor_kinds couplings threads collisions doubtful_records
+validation compiler copies arm_loops at_rest linearised sensors recorder search launch
+random_scenes json located load_friction spoiled_files brake hard_cases stability inputs
+motion_orders fuzz varied_axes varied current_loop fleet_follow splitting campaign_lanes lanes
+dynamics ideal_motors firmware_faults by_hand faults driven_machine progressive_gear
+negative_ratio fault_replay torque_terms command_line jog random_machines motors mounting efforts
+advice repair bound case_bag bisect rotor_friction readings end_stops demo working_folder
+topic_based manutec ethercat_mailbox lugre coupled_moves winding tune alone target_ways outputs
+documents standstill loaded_libraries trees pmsm backlash boundary stribeck number
+""".split()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -110,7 +71,9 @@ def pytest_make_collect_report(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that take longest; the others follow by name."""
     turn = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: (turn.get(item.path.stem, len(turn)), item.path))
+    items.sort(
+        key=lambda item: (turn.get(item.path.stem.removeprefix("test_"), len(turn)), item.path)
+    )
 
 
 def pytest_collection_finish() -> None:

@@ -244,7 +244,7 @@ def test_a_replay_publishes_the_same_bytes_in_the_same_order(recording: tuple[Pa
     got: list[bytes] = []
     # The only listener: the replay waits for no second one.
     with own_domain() as domain, listener(domain, got) as spin:
-        arguments = (bag, "--topics", "motor_states", "--rate", "5", "--wait")
+        arguments = (bag, "--topics", "motor_states", "--rate", "20", "--wait")
         with command_line("replay", *arguments) as process:
             deadline = time.monotonic() + PATIENCE
             while len(got) < len(expected):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import pinocchio as pin
@@ -35,6 +36,11 @@ def whole_model(urdf_xml: str, tool: str = "", masses: bool = False) -> Any:
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.
     """
+    return _built(urdf_xml, tool, masses).copy()
+
+
+@lru_cache(maxsize=8)  # kinematics and torques of one arm begin with the same models
+def _built(urdf_xml: str, tool: str, masses: bool) -> Any:
     robot = parse_urdf(urdf_xml, WHERE)
     complete_limits(robot, WHERE)
     joints = robot.findall("joint") if masses else _needed(robot.findall("joint"), tool)
