@@ -79,6 +79,8 @@ class Fleet(CoreMachines):
         super().__init__(scene_of(scene, "Fleet"), count)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = Shares(self._count, self.lanes, workers)
+        self._period_worth = self._count * self.scene.steps_per_period
+        self._longest = max(1, PIECE * self.lanes // self._period_worth)  # periods of a piece
         self._commands = np.tile(commands_of(self.scene), (self._count, 1))
         self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
         self.reset(q=q, v=v, varied=varied)
@@ -189,7 +191,7 @@ class Fleet(CoreMachines):
             self._commands["value"] = rows
             places = {"joint": self._commands} | ({} if others is None else {"further": others})
             one = ARM.new("arm_command", tick=tick, **places)
-            self._shares.do(self._worth(1), lambda *share: exchange(self._fleet, *share, one))
+            self._shares.do(self._period_worth, lambda *share: exchange(self._fleet, *share, one))
 
     @in_turn
     def step(
@@ -222,7 +224,8 @@ class Fleet(CoreMachines):
         places = out.measurement, out.truth
         for _, some in self._pieces(periods):
             self._shares.do(
-                self._worth(some), lambda *share, n=some: step(fleet, *share, given, n, *places)
+                self._period_worth * some,
+                lambda *share, n=some: step(fleet, *share, given, n, *places),
             )
         return out
 
@@ -293,7 +296,7 @@ class Fleet(CoreMachines):
         for done, some in self._pieces(periods):
             by.links = NULL if links is None else pointer(links[done:])
             if arms is None:
-                self._shares.do(self._worth(some), partial(go, some))
+                self._shares.do(self._period_worth * some, partial(go, some))
             else:
                 go(some, 0, arms)
             if refused:
@@ -302,9 +305,8 @@ class Fleet(CoreMachines):
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""
-        longest = max(1, PIECE * self.lanes // self._worth(1))
-        for done in range(0, periods or 1, longest):
-            yield done, min(longest, periods - done)
+        for done in range(0, periods or 1, self._longest):
+            yield done, min(self._longest, periods - done)
 
     def _frame(self, where: str, out: FleetFrame | None) -> FleetFrame:
         out = self.frame() if out is None else out
@@ -315,9 +317,6 @@ class Fleet(CoreMachines):
     def frame(self) -> FleetFrame:
         """Return arrays for `step` and `follow` to fill."""
         return FleetFrame(self.scene, self._count)
-
-    def _worth(self, periods: int) -> int:
-        return self._count * self.scene.steps_per_period * periods
 
     @in_turn
     def run(self, commands: ArrayLike, steps: int) -> Array:

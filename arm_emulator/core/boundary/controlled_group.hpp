@@ -19,7 +19,9 @@ class ControlledGroup {
         control_(control),
         measured_(measured),
         way_(way),
-        changes_(fleet, group, way) {}
+        changes_(fleet, group, way) {
+    fleet.put_down(group);
+  }
 
   // False if a command was refused.
   bool follow(std::int64_t periods) {

@@ -22,26 +22,29 @@ struct arm_fleet {
       arm::any_drive<Scene>([](const auto& drive) { return drive.has_current_d; });
 
   arm_fleet(const arm_options& options, int count)
-      : arms(count), machine(new arm_machine*[count]), lent(new std::int32_t[count]()) {
+      : arms(count),
+        step(options.step),
+        steps_per_period(options.steps_per_period),
+        machine(new arm_machine*[count]),
+        lent(new std::int32_t[count]()) {
     arm_options own = options;
     for (int k = 0; k < arms; ++k, own.parameters += Scene::parameters) machine[k] = arm_new(&own);
     for (int k = 0; k < arms; ++k) sound = sound && machine[k];
     if (!sound) return;
     group = new Group*[groups()];
-    free_since = new std::int64_t[groups()];
+    known = new Known[groups()];
     for (int k = 0; k < groups(); ++k) {
       Machine* members[lanes];
       int of_group = 0;
       for (; of_group < lanes && k * lanes + of_group < arms; ++of_group)
         members[of_group] = &machine[k * lanes + of_group]->machine;
       group[k] = new Group(options.step, members, of_group);
-      free_since[k] = -1;
     }
   }
   ~arm_fleet() {
     for (int k = 0; group && k < groups(); ++k) delete group[k];
     delete[] group;
-    delete[] free_since;
+    delete[] known;
     for (int k = 0; k < arms; ++k) arm_delete(machine[k]);
     delete[] machine;
     delete[] lent;
@@ -53,6 +56,7 @@ struct arm_fleet {
   void follow(int g, const double* command, std::int64_t stride, std::int64_t rows,
               std::int64_t steps, double* q) {
     const int first = g * lanes, end = end_of(g);
+    put_down(g);
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
     if (powered) {
@@ -97,11 +101,12 @@ struct arm_fleet {
   void exchange(int g, const arm_joint_command* joint, const double* further, std::int64_t tick) {
     const int first = g * lanes, end = end_of(g);
     double given[lanes * N] = {};
+    put_down(g);
     for (int k = first; k < end; ++k) {
       take_commands(k, joint + k * N, further ? further + k * Scene::inputs * N : nullptr, tick);
       for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
     }
-    follow_given(g, given, 0, 1, machine[first]->steps_per_period, nullptr);
+    follow_given(g, given, 0, 1, steps_per_period, nullptr);
     for (int k = first; k < end; ++k)
       if_in_lane(k, [&](const auto& lanes, int l) {
         for (int j = 0; j < N; ++j) machine[k]->applied[j] = lanes.applied(l, j);
@@ -121,29 +126,31 @@ struct arm_fleet {
   template <class G>
   bool is_free([[maybe_unused]] const G& own, [[maybe_unused]] int g) {
     if constexpr (in_lanes) {
-      if (free_since[g] == own.departures()) return true;
+      if (is_known_free(own, g)) return true;
       for (int k = g * lanes; k < end_of(g); ++k) {
         if (!own.is_abreast(k % lanes) || !machine[k]->powered || lent[k]) return false;
         for (int b = 0; b < Scene::brakes; ++b)
           if (machine[k]->machine.wants_brake(b) || machine[k]->machine.brake_closed(b))
             return false;
       }
-      free_since[g] = own.departures();
+      known[g].free_since = own.departures();
       return true;
     }
     return false;
+  }
+  bool is_known_free(const auto& own, int g) const {
+    return known[g].free_since == own.departures();
   }
   // Periods in lanes, of a group that may, under commands in rows of lanes; the positions then go
   // to `q` if it is not null. Whether all arms are still there after them. `note` is due before the
   // machines are read.
   bool glide(int g, const double* given, std::int64_t periods, double* q) {
-    group[g]->follow(given, 0, periods, machine[g * lanes]->steps_per_period, q, lanes);
-    bool still = true;
-    for (int k = g * lanes; k < end_of(g); ++k) still = still && is_abreast(k);
-    return still;
+    group[g]->follow(given, 0, periods, steps_per_period, q, lanes);
+    return are_abreast(g);
   }
   // Put down in the machines what their lanes were commanded in answer to a tick.
-  void note(int g, const double* given, std::int64_t tick) {
+  void note(int g, const double* given, std::int64_t tick) const {
+    known[g].answers = false;
     for (int k = g * lanes; k < end_of(g); ++k) {
       machine[k]->answered = tick;
       double (&applied)[N] = machine[k]->applied;
@@ -155,6 +162,14 @@ struct arm_fleet {
       machine[k]->machine.bound(applied);
     }
   }
+  // The same with what a group that is in its lanes was commanded last, before a machine is read.
+  void put_down(int g) const {
+    if (known[g].answers) note(g, nullptr, known[g].answered);
+  }
+  std::int64_t answered(int k) const {
+    const Known& of = known[k / lanes];
+    return of.answers ? of.answered : machine[k]->answered;
+  }
   // Periods under held commands.
   void hold(int g, const arm_joint_command* joint, const double* further, std::int64_t tick,
             std::int64_t periods) {
@@ -163,8 +178,9 @@ struct arm_fleet {
     double given[lanes * N] = {};
     for (int k = g * lanes; k < end_of(g); ++k)
       for (int j = 0; j < N; ++j) given[j * lanes + k % lanes] = joint[k * N + j].value;
-    glide(g, given, periods, nullptr);
-    note(g, given, tick);
+    known[g].answered = tick;
+    known[g].answers = glide(g, given, periods, nullptr);
+    if (!known[g].answers) note(g, given, tick);
   }
   void take_commands(int k, const arm_joint_command* joint, const double* further,
                      std::int64_t tick) {
@@ -184,11 +200,14 @@ struct arm_fleet {
     std::int64_t steps = 0;
     if (!if_in_lane(k, [&](const auto& group, int l) { steps = group.steps_taken(l); }))
       steps = machine[k]->machine.steps();
-    return steps / machine[k]->steps_per_period;
+    return steps / steps_per_period;
   }
 
   // Move an arm from its lane to its machine, to be read or changed there.
-  void settle(int k) const { group[k / lanes]->settle(k % lanes); }
+  void settle(int k) const {
+    put_down(k / lanes);
+    group[k / lanes]->settle(k % lanes);
+  }
   void settle_lent(int g) {
     for (int k = g * lanes; k < end_of(g); ++k)
       if (lent[k] > 0) settle(k);
@@ -211,9 +230,15 @@ struct arm_fleet {
   bool is_abreast(int k) const {
     return if_in_lane(k, [](const auto&, int) {});
   }
+  bool are_abreast(int g) const {
+    bool all = true;
+    for (int k = g * lanes; k < end_of(g); ++k) all = all && is_abreast(k);
+    return all;
+  }
   int end_of(int g) const { return (g + 1) * lanes < arms ? (g + 1) * lanes : arms; }
 
   void measure(int k, arm_measurement* out) const {
+    put_down(k / lanes);
     const bool done = in_lanes && if_in_lane(k, [&](const auto& lanes, int l) {
                         arm_machine::Motors motors;
                         motors.steps = lanes.steps_taken(l);
@@ -279,11 +304,9 @@ struct arm_fleet {
                      const arm_fleet_truth* truth) const {
     if constexpr (in_lanes) {
       const bool of_gears = truth && truth->gear_torque;
-      bool all = !(truth && (truth->energy || truth->encoder)) &&
-                 (G::has_gear_torques || !of_gears) &&
-                 !(measurement && measurement->current_d && has_current_d);
-      for (int k = g * lanes; k < end_of(g); ++k) all = all && own.is_abreast(k % lanes);
-      if (!all) return false;
+      if ((truth && (truth->energy || truth->encoder)) || (of_gears && !G::has_gear_torques) ||
+          (measurement && measurement->current_d && has_current_d) || !are_abreast(g))
+        return false;
       alignas(64) double current[N * lanes], angle[N * lanes], speed[N * lanes], rows[2][N * lanes];
       if (measurement || (truth && (truth->current || truth->motor_angle || truth->motor_speed)))
         own.report(current, angle, speed);
@@ -304,8 +327,7 @@ struct arm_fleet {
       }
       for (int k = g * lanes; k < end_of(g); ++k) {
         if (truth->fault) truth->fault[k] = -1;
-        if (truth->time)
-          truth->time[k] = static_cast<double>(own.steps_taken(k % lanes)) * machine[k]->step;
+        if (truth->time) truth->time[k] = static_cast<double>(own.steps_taken(k % lanes)) * step;
       }
       return true;
     }
@@ -314,19 +336,25 @@ struct arm_fleet {
   void put_measurement(const auto& own, int g, const arm_fleet_measurement& out,
                        const double* current, const double* angle, const double* applied) const {
     const int first = g * lanes;
+    const bool free = is_known_free(own, g);
+    std::int64_t steps = 0, tick = 0;
     for (int k = first; k < end_of(g); ++k) {
       for (int j = 0; out.joint && j < N; ++j) {
         const int at = j * lanes + k - first;
         arm_joint_measurement& joint = out.joint[k * N + j];
         joint = {arm_machine::counts(j, angle[at]), current[at], applied[at], 0, 0};
       }
-      for (int b = 0; out.joint && b < Scene::brakes; ++b)
+      for (int b = 0; out.joint && !free && b < Scene::brakes; ++b)
         out.joint[k * N + Scene::braked[b]].brake = machine[k]->machine.brake_closed(b);
       for (int j = 0; out.sensors && j < N; ++j) out.sensors[k * N + j] = {};
       for (int j = 0; out.current_d && j < N; ++j) out.current_d[k * N + j] = 0.0;
-      if (out.powered) out.powered[k] = machine[k]->powered != 0;
-      if (out.tick) out.tick[k] = own.steps_taken(k - first) / machine[k]->steps_per_period;
-      if (out.answered) out.answered[k] = machine[k]->answered;
+      if (out.powered) out.powered[k] = free || machine[k]->powered;
+      if (out.tick && steps != own.steps_taken(k - first)) {  // mostly that of the arm before
+        steps = own.steps_taken(k - first);
+        tick = steps / steps_per_period;
+      }
+      if (out.tick) out.tick[k] = tick;
+      if (out.answered) out.answered[k] = answered(k);
     }
   }
   // Rows of lanes to a row of all arms, if it is not null.
@@ -343,7 +371,7 @@ struct arm_fleet {
       double* const to[] = {out.current, out.motor_angle, out.motor_speed, out.q, out.v};
       for (int r = 0; r < 5; ++r)
         for (int j = 0; to[r] && j < N; ++j) to[r][j] = row[r][j];
-      out.time = static_cast<double>(lanes.steps_taken(l)) * machine[k]->step;
+      out.time = static_cast<double>(lanes.steps_taken(l)) * step;
     });
   }
   template <class Number>
@@ -389,7 +417,7 @@ struct arm_fleet {
   }
   int result_of(std::int32_t first, std::int32_t count) const {
     for (std::int32_t k = first; k < first + count; ++k)
-      if (machine[k]->result() != ARM_OK) return ARM_DIVERGED;
+      if (!is_abreast(k) && machine[k]->result() != ARM_OK) return ARM_DIVERGED;
     return ARM_OK;
   }
   // Whether there are so many arms from the first of a group on.
@@ -398,11 +426,20 @@ struct arm_fleet {
   }
   int groups() const { return (arms + lanes - 1) / lanes; }
 
+  // Of a group while all of its arms are in their lanes, where its machines are not read.
+  struct Known {
+    std::int64_t free_since = -1;  // departures from its lanes when it was found free
+    bool answers = false;          // its machines do not have the newest commands yet
+    std::int64_t answered = -1;    // the tick of these
+  };
+
   int arms;
+  double step;
+  std::int64_t steps_per_period;
   arm_machine** machine;
   std::int32_t* lent;  // users of a single arm; while > 0 it leaves its lane after every call
   Group** group = nullptr;
-  std::int64_t* free_since = nullptr;  // departures from a group's lanes when it was found free
+  Known* known = nullptr;
   bool sound = true;
 
  private:

@@ -42,12 +42,9 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
       finite &= arm::is_finite(command[row * stride + k]);
     if (!finite) return ARM_REFUSED;
   }
-  int result = ARM_OK;
   for (std::int32_t k = first; k < end; k += lanes)
     fleet->follow(k / lanes, command + k * N, stride, rows, steps, q + k * N);
-  for (std::int32_t k = first; k < end; ++k)
-    if (fleet->machine[k]->result() != ARM_OK) result = ARM_DIVERGED;
-  return result;
+  return fleet->result_of(first, arms);
 }
 
 std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused() : -1; }
