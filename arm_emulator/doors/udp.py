@@ -15,6 +15,7 @@ import zlib
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.answered_tick import answer_tick
 from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.inputs import further_inputs, input_units
 from arm_emulator.machine.measured import Measured
@@ -193,11 +194,8 @@ class UdpServer:
             if control & RESET or tick == GREETING:
                 return
             rows = {name: given[name] for name in further}
-            session.offer(tick, session.scene.joint_names, given["command"], rows)
-            if session.powered != bool(control & POWER):
-                session.powered = bool(control & POWER)
-            if session.lockstep and session.may_advance:
-                session.advance()
+            names, on = session.scene.joint_names, bool(control & POWER)
+            answer_tick(session, tick, names, given["command"], rows, powered=on)
 
     def _measurement(self) -> bytes:
         session, record = self._session, self._record

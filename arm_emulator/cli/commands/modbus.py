@@ -7,22 +7,18 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.cli.served import served_session
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
 from arm_emulator.doors.fieldbus.modbus_pty import RealTimeService, serial_port, serve
 from arm_emulator.doors.fieldbus.modbus_rtu import LARGEST_STATION
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, check_baud
-from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.page.desk import watched
-from arm_emulator.runs.recorder import Recorder
 
 
 @command(
@@ -67,33 +63,23 @@ def modbus(
         raise Refusal("modbus", "station", f"be 1 to {LARGEST_STATION}", station)
     errors = LineErrors(error_rate, seed)
     machine = load_scene(scene)
-    warn_of_scene(machine)
-    if clock == "realtime":
-        session = real_time_session(machine, "first_answer")
-    else:
-        session = Session(machine, "lockstep", "first_answer")
-    try:
+    with (
+        served_session(machine, clock, kept, page) as session,
+        serial_port(baud, link) as port,
+    ):
         converter = Converter(session, watchdog)
-        waits = clock != "realtime"
-        with (
-            serial_port(baud, link) as port,
-            Recorder(session.plant, kept, waits),
-            watched(session, page),
-        ):
-            at = f"{port.path}{f' ({link})' if link else ''}"
-            output.facts({
-                "scene": machine.name, "port": port.path, "link": link, "station": station,
-                "baud": baud, "clock": clock,
-            })  # fmt: skip
-            print(f"modbus: scene {machine.name} ({len(machine.joints)} joints), station {station}")
-            print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)
-            if clock == "realtime":
-                RealTimeService(port, converter, station, baud, errors).serve()
-            else:
-                line = ModbusLine(converter, station, clock, baud, errors)
-                serve(port, line, converter, baud)
-    finally:
-        session.close()
+        at = f"{port.path}{f' ({link})' if link else ''}"
+        output.facts({
+            "scene": machine.name, "port": port.path, "link": link, "station": station,
+            "baud": baud, "clock": clock,
+        })  # fmt: skip
+        print(f"modbus: scene {machine.name} ({len(machine.joints)} joints), station {station}")
+        print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)
+        if clock == "realtime":
+            RealTimeService(port, converter, station, baud, errors).serve()
+        else:
+            line = ModbusLine(converter, station, clock, baud, errors)
+            serve(port, line, converter, baud)
     return 0
 
 

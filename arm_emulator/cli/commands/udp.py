@@ -6,18 +6,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.address import host_and_port
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.cli.served import served_session
 from arm_emulator.doors.udp import Datagrams, UdpServer
-from arm_emulator.machine.loop_clock import real_time_session
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
-from arm_emulator.page.desk import watched
-from arm_emulator.runs.recorder import Recorder
+from arm_emulator.machine.scene import load_scene
 
 
 @command(
@@ -51,10 +47,7 @@ def udp(
         output.line(text.removesuffix("\n"))
         output.facts({"header": text})
         return 0
-    warn_of_scene(machine)
-    waits = clock == "lockstep"
-    session = _session(machine, waits)
-    try:
+    with served_session(machine, clock, kept, page) as session:
         server = UdpServer(session, host, port)
         layout = server.datagrams
         output.facts({
@@ -62,16 +55,7 @@ def udp(
             "layout": layout.layout, "command": layout.command.descr,
             "measurement": layout.measurement.descr,
         })  # fmt: skip
-        with Recorder(session.plant, kept, waits), watched(session, page):
-            at = "{}:{}".format(*server.address)
-            print(f"udp: scene {machine.name}, {at}, clock {clock}", flush=True)
-            server.serve()
-    finally:
-        session.close()
+        at = "{}:{}".format(*server.address)
+        print(f"udp: scene {machine.name}, {at}, clock {clock}", flush=True)
+        server.serve()
     return 0
-
-
-def _session(scene: Scene, waits: bool) -> Session:
-    if waits:
-        return Session(scene, "lockstep", "first_answer")
-    return real_time_session(scene, "first_answer")
