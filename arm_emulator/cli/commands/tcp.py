@@ -1,0 +1,43 @@
+"""Serve control software in any language by lines of JSON."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.base.address import host_and_port
+from arm_emulator.base.kept import NOTHING
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.cli.served import served_session
+from arm_emulator.doors.tcp import TcpServer
+from arm_emulator.machine.scene import load_scene
+
+
+@command(until_stopped=True, keys="`scene`, `address`, `clock`")
+def tcp(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    listen: Annotated[str, Parameter(metavar="[HOST:]PORT")] = "127.0.0.1:50780",
+    clock: Clock = "lockstep",
+    page: PageAt = None,
+    kept: Keep = NOTHING,
+) -> int:
+    """Serve clients by TCP, one after the other, until Ctrl-C.
+
+    Args:
+        listen: address that clients connect to.
+    """
+    kept.check("tcp")
+    host, port = host_and_port("tcp", "--listen", listen)
+    machine = load_scene(scene)
+    with served_session(machine, clock, kept, page) as session:
+        server = TcpServer(session, host, port)
+        output.facts({"scene": machine.name, "address": server.address, "clock": clock})
+        at = "{}:{}".format(*server.address)
+        print(f"tcp: scene {machine.name}, {at}, clock {clock}", flush=True)
+        server.serve()
+    return 0
