@@ -135,6 +135,10 @@ struct Drive {
     return rotors[which];
   }
 
+  // Whether the gear's torque beyond that of the linear one is all of `rest`.
+  static constexpr bool only_gear_bends =
+      std::is_same_v<Linear, Drive<Motor, LinearOf<Gear>, LinkFriction, Rotor, Extras...>> &&
+      elastic && requires(const Gear& part, Real x) { part.beyond_linear(x, x); };
   // Whether row k of `rest` may differ from 0; g is row `states`.
   static constexpr bool bends(int k) {
     if (driven && k < Motor::states) return !std::is_same_v<LinearOf<Motor>, Motor>;
@@ -152,7 +156,14 @@ struct Drive {
   }
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
-    return rest(x, held, linear());
+    if constexpr (kWidth<X> > 1 && only_gear_bends) {
+      DriveRates<states, X> of_gear = {};
+      of_gear.g = gear.beyond_linear(x.z[tm], x.q);
+      of_gear.f[wm] = -on_rotor(x, of_gear.g);
+      return of_gear;
+    } else {
+      return rest(x, held, linear());
+    }
   }
 
   // Dry friction at the link, with that of a rotor that turns with it. Load friction follows the

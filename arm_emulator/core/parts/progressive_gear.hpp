@@ -24,8 +24,13 @@ struct ProgressiveGear {
 
   template <class X>
   ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X none, bool held) const {
+    return linear().torque(tm, wm, q, v, none, held) + beyond_linear(tm, q);
+  }
+  // What this adds to the torque of the linear gear.
+  template <class X>
+  ARM_INLINE constexpr X beyond_linear(X tm, X q) const {
     const X w = Ng * tm - q;
-    return linear().torque(tm, wm, q, v, none, held) + Kg3 * w * w * w;
+    return Kg3 * w * w * w;
   }
   template <class X>
   ARM_INLINE constexpr X stored(X tm, X q) const {

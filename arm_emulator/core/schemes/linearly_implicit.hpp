@@ -216,7 +216,7 @@ class LinearlyImplicit {
     else if constexpr (extrapolates)
       past() = k1;
     if constexpr (stages == 2 && !extrapolates) evaluate_change(x, k1, change);
-    if constexpr (extrapolates && locates)
+    if constexpr (extrapolates && locates && kWidth<X> == 1)  // lanes have a past
       if (given_.past == Past::unknown) evaluate_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
