@@ -127,11 +127,10 @@ class LinearlyImplicit {
     given_ = {};
   }
 
-  // Set the past for a step from `start` to x that was taken otherwise.
-  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
+  // Set the past for a step from `start` to x that was taken otherwise; `links` are those at x.
+  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row],
+                const Dynamics& links) {
     if constexpr (extrapolates) {
-      Dynamics links;
-      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
       X a[N];
       Modes<S>(n_, x, u, links).accelerations(x, u, links, a, coulomb_);
       typename Links<S, X>::Kinematics kinematics;
