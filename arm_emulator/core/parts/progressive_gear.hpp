@@ -26,7 +26,7 @@ struct ProgressiveGear {
   ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X none, bool held) const {
     return linear().torque(tm, wm, q, v, none, held) + beyond_linear(tm, q);
   }
-  // What this adds to the torque of the linear gear.
+  // Torque that it adds to that of the linear gear.
   template <class X>
   ARM_INLINE constexpr X beyond_linear(X tm, X q) const {
     const X w = Ng * tm - q;
