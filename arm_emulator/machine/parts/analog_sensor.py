@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Self
 
@@ -20,7 +19,6 @@ MOST_JOINTS = 4096  # that draws keep apart
 LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 
-@dataclass(frozen=True, kw_only=True)
 class Converter(Part):
     """(1 + gain_error) x + drift t + noise, limited and rounded. What is None is absent."""
 
@@ -86,7 +84,6 @@ class Converter(Part):
         return [("present", "true"), *super().members(joint, places)]
 
 
-@dataclass(frozen=True, kw_only=True)
 class AnalogSensor(Converter):
     """A sensor of one quantity of a joint, with an offset and a delay.
 

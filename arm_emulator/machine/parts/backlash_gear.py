@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
@@ -14,7 +13,6 @@ from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unk
 NO_TORQUE = 1e-6  # N m, N: rounding
 
 
-@dataclass(frozen=True, kw_only=True)
 class BacklashGear(ElasticGear):
     """An elastic gear whose teeth do not touch within its play."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from arm_emulator.base.section import Section
@@ -15,7 +14,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
 
-@dataclass(frozen=True, kw_only=True)
 class Cogging(Extra):
     """Attraction of the magnets by the stator's teeth, with or without current."""
 

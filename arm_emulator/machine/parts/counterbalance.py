@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.base.section import Section
@@ -15,7 +13,6 @@ from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
-@dataclass(frozen=True, kw_only=True)
 class Counterbalance(Extra):
     """A spring between the link and its parent, by its geometry; a negative force pulls."""
 

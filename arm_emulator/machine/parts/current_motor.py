@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Self
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng
@@ -11,7 +10,6 @@ from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData, 
 from arm_emulator.machine.parts.part import number
 
 
-@dataclass(frozen=True, kw_only=True)
 class CurrentMotor(Motor):
     """The current follows the command, with a bandwidth if there is one."""
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.resting import AtRest, Share
 
 
-@dataclass(frozen=True, kw_only=True)
 class CurrentSensor(AnalogSensor):
     """Of the current of a joint's motor."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Self
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
@@ -10,7 +9,6 @@ from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData, 
 from arm_emulator.machine.parts.part import number
 
 
-@dataclass(frozen=True, kw_only=True)
 class DcMotor(Motor):
     """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
 

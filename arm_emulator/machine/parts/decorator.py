@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
 from arm_emulator.base.section import Section
@@ -18,7 +17,6 @@ class Supply(NamedTuple):
     share: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Decorator(Part):
     """A part around a motor.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.machine.chain import Array
@@ -14,7 +12,6 @@ from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
-@dataclass(frozen=True, kw_only=True)
 class Drag(Extra):
     """A torque against the motion of the link that grows with the square of its speed."""
 

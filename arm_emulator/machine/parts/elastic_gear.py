@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
@@ -10,7 +9,6 @@ from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.part import number
 
 
-@dataclass(frozen=True, kw_only=True)
 class ElasticGear(Gear):
     """A spring and a damper between the rotor, reduced, and the link."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Self
 
@@ -60,7 +60,6 @@ _RIPPLE_ORDER = Number(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
 class Encoder(Part):
     """Encoder on the motor shaft; with `counts_per_turn` alone floor(theta_m counts / (2 pi)).
 
@@ -303,7 +302,6 @@ def unblurred(noise: float) -> float:
     return min(1.0, 2.0 / math.pi * sum(waves))
 
 
-@dataclass(frozen=True, kw_only=True)
 class LinkEncoder(Encoder):
     """Encoder at the link."""
 

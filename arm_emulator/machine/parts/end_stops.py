@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.base.number import Number, between
@@ -26,7 +24,6 @@ _BEYOND = Number(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
 class EndStops(Extra):
     """A spring and a damper at each end that push the link back and never hold it."""
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.part import Part
 
 
-@dataclass(frozen=True)
 class Extra(Part):
     """A part that exerts a torque on the link or the rotor, beside motor, gear and friction.
 

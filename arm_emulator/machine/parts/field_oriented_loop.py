@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.input import CURRENT, Input
 
 
-@dataclass(frozen=True, kw_only=True)
 class FieldOrientedLoop(CurrentLoop):
     """A PI controller for each axis of the rotor: commands are the currents of both.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +18,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 MOSTLY = 0.9
 
 
-@dataclass(frozen=True, kw_only=True)
 class Friction(Part):
     """Viscous, and Coulomb's: `coulomb` while the shaft slides, `breakaway` at rest."""
 
@@ -81,7 +79,6 @@ def sticking_link(at: AtRest, holds: float, slides: float) -> Share:
     return Share(torque=Around(0.0, torque), stuck=stuck)
 
 
-@dataclass(frozen=True, kw_only=True)
 class LinkFriction(Friction):
     """Friction at the link."""
 
@@ -93,7 +90,6 @@ class LinkFriction(Friction):
         return sticking_link(at, holds, slides)
 
 
-@dataclass(frozen=True, kw_only=True)
 class OfRotor(Friction):
     """Any law of friction at the motor's shaft."""
 
@@ -122,6 +118,5 @@ class OfRotor(Friction):
         return kind, f"{kind}{{{members}}}"
 
 
-@dataclass(frozen=True, kw_only=True)
 class RotorFriction(OfRotor):
     """Friction at the motor's shaft."""

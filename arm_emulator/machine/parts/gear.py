@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
 
 
-@dataclass(frozen=True, kw_only=True)
 class Gear(Part):
     """Interface of all gears."""
 
@@ -60,7 +59,6 @@ class Gear(Part):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, kw_only=True)
 class RigidGear(Gear):
     """The rotor turns with its link."""
 

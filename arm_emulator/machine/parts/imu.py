@@ -28,7 +28,6 @@ def _bias() -> Any:
     return number("offset", "", ends=ends, default=None, text="added on this axis")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Axes(Converter):
     """Three sensors along the axes of a unit's frame, equal except for their biases."""
 
@@ -51,7 +50,6 @@ class Axes(Converter):
         return "{" + ", ".join(axes) + "}"
 
 
-@dataclass(frozen=True, kw_only=True)
 class Accelerometer(Axes):
     """Of specific force."""
 
@@ -59,7 +57,6 @@ class Accelerometer(Axes):
     unit = "m/s2"
 
 
-@dataclass(frozen=True, kw_only=True)
 class Gyroscope(Axes):
     """Of angular rate."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.machine.chain import Array
@@ -15,7 +13,6 @@ from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
-@dataclass(frozen=True, kw_only=True)
 class Inverter(Decorator):
     """Dead time and transistors take a voltage along the current."""
 

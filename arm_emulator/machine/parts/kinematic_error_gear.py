@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from arm_emulator.base.section import Section
@@ -16,7 +15,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
 
 
-@dataclass(frozen=True, kw_only=True)
 class KinematicErrorGear(ElasticGear):
     """An elastic gear whose twist has an error that depends on both angles."""
 

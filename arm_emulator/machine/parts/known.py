@@ -73,7 +73,7 @@ def read_motor(section: Section) -> Motor:
 def ideal_motor(takes: Input, inertia: float) -> Motor:
     """Return the motor that gives at once what it is commanded, and takes only that."""
     kind = next(one for one in MOTORS if one.inputs == (takes,))
-    return kind(rotor_inertia=inertia)  # type: ignore[call-arg]
+    return kind(rotor_inertia=inertia)
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:

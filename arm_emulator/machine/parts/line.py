@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from arm_emulator.base.number import Number
 from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, share
@@ -22,7 +21,6 @@ def _late(symbol: str) -> float | None:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
 class Line(Part):
     """A perfect line, whose numbers faults change. No scene states it."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.machine.chain import Array
@@ -14,7 +12,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
 
-@dataclass(frozen=True, kw_only=True)
 class LoadFriction(Friction):
     """Further friction: `load` times the gear's torque on that shaft."""
 
@@ -57,11 +54,9 @@ class LoadFriction(Friction):
         return self.coulomb > 0.0 or self.load > 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
 class LinkLoadFriction(LoadFriction, LinkFriction):
     """Friction of a link that grows with the load on its gear."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class RotorLoadFriction(OfRotor, LoadFriction):
     """Friction of a rotor that grows with the load on its gear."""

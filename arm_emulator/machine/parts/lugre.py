@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.machine.chain import Array
@@ -17,7 +15,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
 
-@dataclass(frozen=True, kw_only=True)
 class LuGre(Extra):
     """Bristle friction, for motion before sliding: positioning, reversals, stick-slip."""
 
@@ -86,7 +83,6 @@ class LuGre(Extra):
         return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
 
 
-@dataclass(frozen=True, kw_only=True)
 class LinkLuGre(LuGre):
     """Friction of a link by bristles that bend before they slip."""
 
@@ -103,7 +99,6 @@ class LinkLuGre(LuGre):
         return sticking_link(at, self.breakaway, self.coulomb)
 
 
-@dataclass(frozen=True, kw_only=True)
 class RotorLuGre(LuGre):
     """Friction of a rotor by bristles that bend before they slip."""
 

@@ -76,7 +76,6 @@ def inertia_of_rotor() -> Any:
     return number("Mm", "kg m2", above=0.0, sought="known", text=text)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Motor(Part):
     """A motor, with the gear's primary side on its rotor."""
 

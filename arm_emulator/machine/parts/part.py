@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
+from arm_emulator.base.declared import Declared
 from arm_emulator.base.number import REQUIRED, Ends, Number, between, field_of, numbers_of
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
@@ -60,8 +61,7 @@ def number(
     return field_of(PartNumber("", unit, symbol=symbol, default=default, **bounds, **declared))
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(Declared):
     """A part of a joint's drive; see the top of this file."""
 
     owners: ClassVar[str] = "joints"  # the section of the scene that has whom it belongs to

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Self
 
 from arm_emulator.base.section import Section
@@ -27,7 +26,6 @@ AMPLITUDE = math.sqrt(3.0)  # of the supply to the largest that an inverter make
 POLE_PAIRS = 4  # of servo motors, where none are given
 
 
-@dataclass(frozen=True, kw_only=True)
 class Pmsm(Motor):
     """A permanent-magnet synchronous motor in the frame of its rotor, amplitudes of its phases."""
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
 
 
-@dataclass(frozen=True, kw_only=True)
 class ProgressiveGear(ElasticGear):
     """An elastic gear whose spring has a cubic part, too."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor, inertia_of_rotor
@@ -11,7 +9,6 @@ from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 
 
-@dataclass(frozen=True, kw_only=True)
 class Stepper(Motor):
     """Two phases whose currents follow their commands; the rotor's teeth follow the currents."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.machine.chain import Array
@@ -20,7 +18,6 @@ def stribeck_torque(coulomb: float, breakaway: float, stribeck: float, speed: Ar
     return torque
 
 
-@dataclass(frozen=True, kw_only=True)
 class Stribeck(Friction):
     """From `breakaway` at rest to `coulomb`, by exp(-(speed / stribeck)^2)."""
 
@@ -44,11 +41,9 @@ class Stribeck(Friction):
         return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
 
 
-@dataclass(frozen=True, kw_only=True)
 class LinkStribeck(Stribeck, LinkFriction):
     """Friction of a link that falls as it begins to slide."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class RotorStribeck(OfRotor, Stribeck):
     """Friction of a rotor that falls as it begins to turn."""

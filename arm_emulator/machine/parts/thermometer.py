@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import READINGS, Output
 
 
-@dataclass(frozen=True, kw_only=True)
 class Thermometer(AnalogSensor):
     """Of the temperature of a joint's winding."""
 

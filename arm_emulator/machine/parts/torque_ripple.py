@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from arm_emulator.base.section import Section
@@ -15,7 +14,6 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
 
-@dataclass(frozen=True, kw_only=True)
 class TorqueRipple(Decorator):
     """A motor's torque per current varies with the angle of its rotor."""
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import Output
 
 
-@dataclass(frozen=True, kw_only=True)
 class TorqueSensor(AnalogSensor):
     """Sensor of the torque of a joint's gear on its link."""
 

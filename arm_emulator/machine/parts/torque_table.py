@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -25,7 +24,6 @@ _ANGLES = Number.within("angles", "rad", 1e4)
 _TORQUES = Number.within("torques", "N m", LARGEST)
 
 
-@dataclass(frozen=True, kw_only=True)
 class TorqueTable(Extra):
     """A torque over the angle: points, joined by monotone cubics."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from arm_emulator.base.section import Section
@@ -17,7 +15,6 @@ from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
-@dataclass(frozen=True, kw_only=True)
 class Winding(Decorator):
     """The copper loss heats the winding, and resistance and constants follow its temperature.
 
