@@ -59,8 +59,10 @@ def poses(kind: str, home: Pose) -> list[Array]:
     return [home.p_WT + np.array(one) for one in points]
 
 
-def drive(scene_name: str, kind: str, speed: float) -> Run:
-    """Send the tool along a path."""
+def drive(
+    scene_name: str, kind: str, speed: float, comes_from: tuple[float, ...] | None = None
+) -> Run:
+    """Send the tool along a path, to whose first pose it comes from beside it [m] or rests."""
     file = find_scene(scene_name)
     scene, gains = load_scene(file), load_gains(file)
     motion = dataclasses.replace(
@@ -77,6 +79,9 @@ def drive(scene_name: str, kind: str, speed: float) -> Run:
     R_WT, p_WT = kinematics.forward(scene.start)
     way = [Pose(p, R_WT) for p in poses(kind, Pose(p_WT, R_WT))]
     settle = round(2.0 / scene.servo_period)
+    if comes_from is not None:
+        one.instructor.add(0, Pose(way[0].p_WT + np.array(comes_from), R_WT))
+        one.advance(settle)
     one.instructor.add_path(one.controller, way[:1])
     one.advance(settle)
     one.instructor.reports.take()

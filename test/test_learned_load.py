@@ -188,6 +188,21 @@ def test_friction_that_held_the_joint_is_no_reason_for_a_factor(stuck: float) ->
     assert sum(abs(factor - 1.0) > 0.1 for factor in swung.factors) < 40
 
 
+@pytest.mark.parametrize("seed", some(range(12), 2))
+@pytest.mark.parametrize("scene", ["ur5", "panda"])
+def test_friction_that_lets_go_of_what_it_held_at_rest_is_no_disturbance(
+    scene: str, seed: int
+) -> None:
+    """A circle whose start is reached from drawn sides: friction holds another part of the weight.
+
+    With announced torques that do not know it the tool is up to 0.61 mm beside it (panda: 0.72).
+    """
+    side = tuple(np.random.default_rng(seed).normal(0.0, 0.03, 3).tolist())
+    one = drive(scene, "circle", 0.25, side)
+    assert one.end == "REACHED"
+    assert one.off.max() < 0.4e-3
+
+
 @pytest.mark.parametrize("kind", some(["line", "circle", "corners"], 1))
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
 def test_friction_that_held_the_arm_at_rest_is_no_reason_for_a_factor(

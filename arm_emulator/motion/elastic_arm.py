@@ -100,6 +100,10 @@ class ElasticArm:
         omega = 0.5 * (begins.omega + ends.omega)
         return gear + self._friction(self._of_rotor, omega)[0]
 
+    def sliding(self, v: FloatArray) -> FloatArray:
+        """Return the share of dry friction that acts at speeds v (N,), 0 to 1."""
+        return np.asarray(np.abs(v) / np.hypot(v, self._smooth))
+
     def weight(self, q: FloatArray) -> FloatArray:
         """Return the torques that the gears carry at rest (N,) [N m]."""
         return self._links.at(q, np.zeros_like(q))

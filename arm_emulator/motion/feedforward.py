@@ -91,6 +91,7 @@ class Feedforward:
             return
         if movable is not None and not movable.all():
             self._held, self._at_rest = np.where(movable, self._held, 0.0), None  # as the integrals
+            self._load.brakes(movable)
             tau = None
         before = self._before
         sound = tau is not None and bool(np.isfinite(tau).all())
@@ -140,7 +141,8 @@ class Feedforward:
         tau = arm.over(begins, ends, self._period) + self._held
         if self._before is None or not self._before.rests:
             self._at_rest = None
-            return tau
+            mean = np.zeros_like(tau) if self._before is None else self._before.mean
+            return tau - self._load.let_go(arm.sliding(mean))
         weight = arm.over(ends, ends, self._period)
         if self._at_rest is None:
             self._at_rest = weight + self._held

@@ -6,9 +6,12 @@ links load their gears with. It follows slowly while the reference rests, and st
 motion, so that it never makes a target jump.
 
 Friction holds a part of the weight at rest, of either sign: what it leaves uncertain counts as
-predicted right, and a weight of that size is no evidence. A joint without evidence of its own, as
-one that turns about a vertical axis, moves what the next joints carry: it is taken to be as wrong
-as they are. A factor within 0.5 to 2 cannot wind up a gear against an obstacle for ever.
+predicted right, and a weight of that size is no evidence. When the joint sets out friction lets go
+of that part: it is taken off the announced torques then, as the servo has it in its integral.
+
+A joint without evidence of its own, as one that turns about a vertical axis, moves what the next
+joints carry: it is taken to be as wrong as they are. A factor within 0.5 to 2 cannot wind up a gear
+against an obstacle for ever.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 LEAST, MOST = 0.5, 2.0
 _SETTLED = 0.1  # s at rest before the motors' torques count: links swing after a motion
 _FOLLOWS = 0.3  # s, in which the factor follows
+_TAKEN = 1.0  # s of motion, in which the servo's integral takes over what friction has let go of
 _FINE = 1e-5  # rad: a wind-up that nobody sees
 # Known friction is known within this factor; more of it holds a joint that stands.
 _FRICTION = 1.5
@@ -52,11 +56,28 @@ class RestLoad:
         with np.errstate(divide="ignore"):
             self._uncertain: FloatArray = _FRICTION * dry + _FINE / softness
         self._period, self._outboard = period, outboard
+        self._dry = dry
+        self._held: FloatArray = np.zeros(len(dry))  # by friction at rest, N m
         self._rested = 0.0  # s
 
     def moves(self) -> None:
         """Take note that the joints do not rest, or cannot move."""
         self._rested = 0.0
+
+    def brakes(self, free: npt.NDArray[np.bool_]) -> None:
+        """Take note which joints can move (N,): brakes hold the others, or nothing does."""
+        self._held = np.where(free, self._held, 0.0)
+        self.moves()
+
+    def let_go(self, sliding: FloatArray) -> FloatArray:
+        """Return what friction held at rest and holds no longer in a motion period (N,) [N m].
+
+        Args:
+            sliding: share of its dry friction with which a joint slides (N,), 0 at rest.
+        """
+        gone = sliding * self._held
+        self._held = self._held - min(1.0, self._period / _TAKEN) * gone
+        return gone
 
     def rests(self, tau: FloatArray, weight: FloatArray) -> None:
         """Follow the load in a motion period of rest.
@@ -76,4 +97,5 @@ class RestLoad:
             surplus -= min(max(surplus, -uncertain), uncertain)
             found = expected + surplus * w / (w**2 + uncertain**2)
             wanted[j] = min(max(found, LEAST), MOST)
+        self._held = np.clip(tau - self.factor * weight, -self._dry, self._dry)
         self.factor = self.factor + min(1.0, self._period / _FOLLOWS) * (wanted - self.factor)
