@@ -93,7 +93,8 @@ def servo_of(scene: Scene) -> ServoConfig:
 
 def test_every_kind_states_what_a_servo_must_know() -> None:
     for kind in MOTORS:
-        assert "servo_data" in vars(kind), "each has a statement of its own"
+        for name in ("servo_data", "torque_per_command", "largest_command", "felt_at_link"):
+            assert name in vars(kind), f"{kind.__name__} states no {name}"
 
 
 OTHERS = [kind for kind in MOTORS if kind not in SIZED_MOTORS]

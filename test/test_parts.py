@@ -6,6 +6,7 @@ import contextlib
 import math
 import re
 import runpy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -158,6 +159,7 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
             assert number.number.least <= number.value <= number.number.most, name
 
 
+TESTS = Path(__file__).parent
 TABLES = runpy.run_path(str(DOCS / "tables.py"))
 
 
@@ -207,6 +209,25 @@ def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]
     of_others = {kind.section.partition(".")[2] for kind in PARTS}
     known = {key.partition(".")[0] for key in declared}
     assert section.keys_asked - of_others == known - of_others
+
+
+# Parts of nearly every scene, whose equations stand in docs/concepts/physics.md.
+IN_PHYSICS = {"dc_motor", "elastic_gear", "gear", "progressive_gear"}
+
+
+@pytest.mark.parametrize("part", (*PARTS, *SENSOR_PARTS), ids=lambda part: part.__name__)
+def test_a_part_has_its_page_and_a_test_with_it(part: type[Part]) -> None:
+    module = part.__module__.rsplit(".", 1)[1]
+    page = DOCS / "reference" / "parts" / f"{module}.md"
+    assert page.exists() or module in IN_PHYSICS, f"write {page.relative_to(DOCS.parent)}"
+    known_by = (
+        part.section.rpartition(".")[2],
+        getattr(part, "kind", ""),
+        *vars(part).get("named_by", ()),
+    )
+    name = re.compile("|".join(rf'"{word}"|\b{part.__name__}\b' for word in known_by if word))
+    tests = (file for file in TESTS.glob("test_*.py") if file != Path(__file__))
+    assert any(name.search(file.read_text()) for file in tests), f"write test/test_{module}.py"
 
 
 def test_rows_state_units_ranges_and_defaults() -> None:
