@@ -178,11 +178,11 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
             assert next(values) == pytest.approx(next(values), rel=friction), f"{one.name} {name}"
         if one.gear.stiffness is not None:
             assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=stiffness)
-    # Masses of links 1 to 5 are not identifiable, to some 50 %: the way to the minimum decides a
-    # tenth of that.
+    # Masses of links 1 to 5 are not identifiable, to some 50 %: the last places of derivatives decide
+    # the way to the minimum, and so a fifth of that.
     for link, true in zip(made.chain.joints, shipped.chain.joints, strict=True):
         if simulate:
-            assert link.body.mass == pytest.approx(true.body.mass, rel=0.05), link.name
+            assert link.body.mass == pytest.approx(true.body.mass, rel=0.1), link.name
 
 
 def test_truth_lies_within_the_confidence_reported() -> None:
