@@ -17,7 +17,12 @@ from machines import GANTRY, GRAVITY, gantry_urdf
 from numpy.typing import NDArray
 
 from arm_emulator import Plant, Refusal, Scene, load_scene, sensitivities
-from arm_emulator.analysis.sensitivities import QUANTITIES, differentiable, numbers_of
+from arm_emulator.analysis.sensitivities import (
+    QUANTITIES,
+    SensitiveMachine,
+    differentiable,
+    numbers_of,
+)
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.varied import Varied
@@ -94,10 +99,34 @@ def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> 
     compare(scene, commands(scene, 0))
 
 
+def mixture(folder: Path, seed: int) -> Scene:
+    scheme = ("extrapolated", "rosenbrock")[seed % 2]
+    return load_scene(write_mixture(folder, seed), {"integrator.scheme": scheme})
+
+
 @pytest.mark.parametrize("seed", range(20) if FULL else [3])
 def test_derivatives_by_every_number_of_a_mixture(seed: int, tmp_path: Path) -> None:
-    scene = load_scene(write_mixture(tmp_path, seed))
+    scene = mixture(tmp_path, seed)
     compare(scene, commands(scene, seed))
+
+
+def test_derivatives_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
+    """As many as fill a vector, one more and one less: what is shared by several does not change.
+
+    In the library of the test above, by some of its numbers and starts, drawn with repetition.
+    """
+    scene = mixture(tmp_path, 3)
+    machine = SensitiveMachine(scene, [*inner(scene), "start.*"])
+    rows, rng = commands(scene, 3), np.random.default_rng(0)
+    every, places = machine.run(rows).by, np.array(machine._places)
+    for count in (1, 7, 8, 9, 16, 17, 64, 65):
+        which = rng.integers(len(places), size=count)
+        machine._places = places[which].tolist()
+        for quantity, by in machine.run(rows).by.items():
+            expected = every[quantity][..., which]
+            off = np.abs(by - expected).max(axis=(0, 1))
+            # Rounding of sums in another order.
+            assert (off <= 1e-9 * np.abs(expected).max(axis=(0, 1))).all(), (count, quantity)
 
 
 @pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 1))

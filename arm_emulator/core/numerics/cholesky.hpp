@@ -116,7 +116,7 @@ struct Cholesky<N, Dual<directions>, Pattern> {
   }
   ARM_INLINE void solve(X* x) const {
     double values[N];
-    Row by[N];
+    Lanes<directions> by[N];
     for (int j = 0; j < N; ++j) values[j] = x[j].value, by[j] = x[j].by;
     of_values.solve(values);
     for (int j = 0; j < N; ++j) {
