@@ -77,7 +77,8 @@ struct LinearDrive {
       for (int r = 0; r < K; ++r) {
         if (r == c) continue;
         const X factor = W[r][c];
-        if (!any(factor != 0.0)) continue;
+        if constexpr (!kDifferentiates)  // a factor of 0 may have some
+          if (!any(factor != 0.0)) continue;
         for (int m = 0; m < K; ++m) W[r][m] -= factor * W[c][m], E[r][m] -= factor * E[c][m];
       }
     }
