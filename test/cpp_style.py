@@ -18,7 +18,7 @@ from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import VERSIONS, unit_of
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.doors.microcontroller.microcontroller import runner_unit
-from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
+from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,6 +36,7 @@ def units() -> Iterator[Unit]:
     scene = load_scene("three_axis")
     for variant in VARIANTS:
         yield machine_unit(load_scene("three_axis", variant))
+    yield equations_unit(scene)
     yield fleet_unit(scene)
     yield real_time_unit()
     yield ethercat_unit()

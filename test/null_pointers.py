@@ -19,8 +19,8 @@ from arm_emulator.build.c_header import NULL
 from arm_emulator.doors.fieldbus.drives_unit import DRIVES
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.call_arguments import options_of
-from arm_emulator.machine.compiler import fleet_library_of, real_time_library
-from arm_emulator.machine.core_calls import ARM, FIRMWARE_LOOP, FLEET, REAL_TIME
+from arm_emulator.machine.compiler import equations_library_of, fleet_library_of, real_time_library
+from arm_emulator.machine.core_calls import ARM, EQUATIONS, FIRMWARE_LOOP, FLEET, REAL_TIME
 from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
 from arm_emulator.runs.breakpoint import BREAKPOINT, breakpoint_library
@@ -74,6 +74,7 @@ def main() -> None:
     libraries = [
         (ARM, fleet_library),
         (FLEET, fleet_library),
+        (EQUATIONS, equations_library_of(scene)),
         (REAL_TIME, real_time_library()),
         (FIRMWARE_LOOP, firmware_loop()),
         (RING, record_ring()),

@@ -15,7 +15,7 @@ from arm_emulator.build.unit import Unit
 from arm_emulator.campaign.program import judges_unit
 from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives_unit import drives_unit
-from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
+from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
@@ -69,7 +69,13 @@ def printed(*words: str) -> str:
 
 def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
-    units = machine_unit(scene), fleet_unit(scene), drives_unit("drives"), servo_unit()
+    units = (
+        machine_unit(scene),
+        equations_unit(scene),
+        fleet_unit(scene),
+        drives_unit("drives"),
+        servo_unit(),
+    )
     units += servo_step_unit(), firmware_loop_unit(), real_time_unit(), record_ring_unit()
     units += (
         breakpoint_unit(),

@@ -16,7 +16,6 @@ from arm_emulator.machine.scene import load_scene
 
 # Of these some pointers may be null, as their headers state.
 MAY = {
-    "arm_linear_drives": "out",
     "arm_join_schedule": "machine",  # 0: not permitted
     "arm_set_truth": "",
 }

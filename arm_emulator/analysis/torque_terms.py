@@ -11,15 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from arm_emulator.base.by_value import ByValue
-from arm_emulator.build.c_header import NULL, Header, pointer
-from arm_emulator.core import BOUNDARY
+from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.compiler import library_with
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
-
-HEADER = Header(BOUNDARY / "torque_terms.h", (BOUNDARY,))
-_SOURCE = '#include "boundary/torque_terms.hpp"\n'
 
 # Rows of arm_torque_terms before those of extras.
 _OF_LINK = (
@@ -50,7 +45,7 @@ class TermsNow(ByValue):
 
 
 class TorqueTerms:
-    """Computes the torques of machines of a scene; compiles a library at its first use.
+    """Computes the torques of machines of a scene; compiles its equations at its first use.
 
     Args:
         scene: the scene.
@@ -61,7 +56,7 @@ class TorqueTerms:
 
     @cached_property
     def _plant(self) -> Plant:
-        return Plant(self._scene, core=library_with(self._scene, "torque-terms", _SOURCE, HEADER))
+        return Plant(self._scene)
 
     def of(self, saved: bytes, command: Array) -> TermsNow:
         """Return the torques of a machine under commands that begin now.
@@ -76,9 +71,9 @@ class TorqueTerms:
         plant, scene = self._plant, self._scene
         plant.restore(saved)
         N = len(scene.joints)
-        out = np.zeros((plant.core.arm_torque_terms(plant.machine, NULL, NULL), N))
-        given = np.ascontiguousarray(command, np.float64)
-        plant.core.arm_torque_terms(plant.machine, pointer(given), pointer(out))
+        out = np.zeros((plant.equation("arm_torque_terms", NULL, NULL), N))
+        given = np.ascontiguousarray(command, np.float64) * plant.powered
+        plant.equation("arm_torque_terms", pointer(given), pointer(out))
         k, n = len(_OF_LINK), len(_OF_LINK) + len(_OF_ROTOR)
         link, rotor = (
             dict(zip(_OF_LINK, out, strict=False)),

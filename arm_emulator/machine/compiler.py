@@ -1,4 +1,4 @@
-"""From scenes to shared libraries, cached by content: of machines, of fleets, and of real time."""
+"""From scenes to shared libraries, cached by content: machines, equations, fleets, real time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, compile_units, library
 from arm_emulator.core import CORE
-from arm_emulator.machine.core_calls import ARM, FLEET, REAL_TIME, SENSITIVITY
+from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET, REAL_TIME, SENSITIVITY
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.scene_unit import scene_unit
 
@@ -80,6 +80,11 @@ def library_with(scene: Scene, name: str, source: str, header: Header) -> Librar
     )
 
 
+def equations_library_of(scene: Scene) -> Library:
+    """Return the compiled equations of a scene's machines, see `library_of`."""
+    return library(equations_unit(scene))
+
+
 def fleet_library_of(scene: Scene) -> Library:
     """Return the scene's compiled fleet, see `library_of`."""
     return library(fleet_unit(scene))
@@ -103,7 +108,7 @@ def real_time_library() -> Library:
 def compile_ahead(
     scene: Scene, target: str, folder: Path | None, fleet: bool = False
 ) -> list[Path]:
-    """Compile machine and real-time loop, see `arm_emulator.build.unit.compile_units`.
+    """Compile machine, equations and real-time loop, see `arm_emulator.build.unit.compile_units`.
 
     Args:
         scene: the scene.
@@ -114,8 +119,16 @@ def compile_ahead(
     Raises:
         Refusal: see there.
     """
-    units = [machine_unit(scene), real_time_unit(), *([fleet_unit(scene)] if fleet else [])]
+    units = [machine_unit(scene), equations_unit(scene), real_time_unit()]
+    units += [fleet_unit(scene)] if fleet else []
     return compile_units(units, target, folder)
+
+
+def equations_unit(scene: Scene) -> Unit:
+    """Return the sources of `equations_library_of`."""
+    about = f"equations of {scene.name} ({len(scene.joints)} joints)"
+    source = scene_unit(scene, "boundary/equations.hpp")
+    return _unit(f"{scene.name}-equations", source, (EQUATIONS,), scene.where, about)
 
 
 def fleet_unit(scene: Scene) -> Unit:

@@ -6,6 +6,7 @@ from arm_emulator.build.c_header import Header
 from arm_emulator.core import BOUNDARY
 
 ARM = Header(BOUNDARY / "arm.h")
+EQUATIONS = Header(BOUNDARY / "equations.h")
 FLEET = Header(BOUNDARY / "arm_fleet.h")
 SENSITIVITY = Header(BOUNDARY / "sensitivity.h")
 REAL_TIME = Header(BOUNDARY / "real_time.h")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, Library, pointer
 from arm_emulator.machine.call_arguments import options_of, refusal_of, truth_at
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.compiler import library_of
+from arm_emulator.machine.compiler import equations_library_of, library_of
 from arm_emulator.machine.core_calls import ARM, REFUSED
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.linear_drive import LinearDrive
@@ -81,9 +82,28 @@ class CoreMachine(Turns):
     def renew_threads(self) -> None:  # noqa: D102
         self.core.arm_begin_threads(self.machine)
 
-    def _call(self, name: str, *arguments: Any) -> Any:
+    def equation(self, name: str, *arguments: Any) -> Any:
+        """Call a function of core/boundary/equations.h at the machine's numbers and state now.
+
+        The first call compiles the scene's equations.
+
+        Args:
+            name: the function.
+            arguments: of it, behind the point.
+
+        Raises:
+            Refusal: they cannot be compiled.
+        """
+        library, point = self._equations
         with self.turn:
-            return getattr(self.core, name)(self.machine, *arguments)
+            self.core.arm_get_point(self.machine, point)
+            return getattr(library, name)(point, *arguments)
+
+    @cached_property
+    def _equations(self) -> tuple[Library, CData]:
+        """The equations, and the place of the point at which they are taken."""
+        size = self.core.arm_get_point(self.machine, NULL)
+        return equations_library_of(self.scene), ARM.ffi.new("double[]", size)
 
     @property
     @in_turn
@@ -243,9 +263,9 @@ class CoreMachine(Turns):
             loaded: whether a tooth is in contact in gears with play.
         """
         loaded = as_flag(loaded, "Plant.linear_drives", "loaded")
-        K = self.core.arm_linear_drives(self.machine, loaded, NULL)
+        K = self.equation("arm_linear_drives", loaded, NULL)
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
-        self.core.arm_linear_drives(self.machine, loaded, pointer(numbers))
+        self.equation("arm_linear_drives", loaded, pointer(numbers))
         return [LinearDrive.of(row, K) for row in numbers]
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:

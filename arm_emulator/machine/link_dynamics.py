@@ -36,7 +36,7 @@ class LinkDynamics:
     refused is of another shape, not finite, or so large that the answer would not be finite.
 
     Args:
-        call: makes a call of the core, by its name, on the machine.
+        call: makes a call of the machine's equations, by its name; the first one compiles them.
         joints: N.
     """
 

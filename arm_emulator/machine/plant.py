@@ -282,7 +282,7 @@ class Plant(CoreMachine):
     @property
     def links(self) -> LinkDynamics:
         """Dynamics of the links alone: mass matrix, nle, inverse and forward dynamics."""
-        return LinkDynamics(self._call, self._N)
+        return LinkDynamics(self.equation, self._N)
 
     @property
     @in_turn
@@ -292,8 +292,9 @@ class Plant(CoreMachine):
         return bool(self.measurement.powered)
 
     @powered.setter
+    @in_turn
     def powered(self, on: bool) -> None:
-        self._call("arm_power", as_flag(on, "Plant", "powered"))
+        self.core.arm_power(self.machine, as_flag(on, "Plant", "powered"))
 
     @property
     @in_turn
@@ -426,14 +427,14 @@ class Plant(CoreMachine):
             Refusal: wrong shape or not finite.
         """
         where, N = "Plant.equations", self._N
-        u = np.array(self._as_command(command, where))  # to be put within its bounds
+        given = ANY_COMMAND.row(where, by_joint(command, self.scene, where), N)
+        u = given.copy()  # to be put within its bounds
         slides = as_flag(slides, where, "slides")
-        size = N * (self.core.arm_linear_drives(self.machine, False, NULL) + 2)
+        size = N * (self.equation("arm_linear_drives", False, NULL) + 2)
         at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
-        given = pointer(at), pointer(u), x is None, slides, pointer(numbers)
-        if self.core.arm_linearise(self.machine, *given) == REFUSED:
-            raise self._refusal(where, "another one")
+        places = pointer(at), pointer(u), x is None, slides, pointer(numbers)
+        self.equation("arm_linearise", *places)
         return Equations.of(at, u, numbers)
 
 

@@ -24,7 +24,7 @@ from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
-from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
+from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
@@ -66,6 +66,7 @@ def units(folder: Path) -> Iterator[Unit]:
     for name in ("three_axis", "ur5", "panda"):
         scene = load_scene(name)
         yield machine_unit(scene)
+        yield equations_unit(scene)
         yield fleet_unit(scene)
         yield unit_of(scene, variables(scene), "3")[0]
         yield unit_of(scene, scalars(scene), "2")[0]
@@ -78,6 +79,7 @@ def units(folder: Path) -> Iterator[Unit]:
         integrator = {"integrator.scheme": scheme, "integrator.events": events}
         scene = load_scene(mixture, overrides=integrator)
         yield machine_unit(scene)
+        yield equations_unit(scene)
         yield fleet_unit(scene)
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
     yield from (record_ring_unit(), breakpoint_unit(), judges_unit(), sampler_unit())

@@ -26,7 +26,7 @@
 extern "C" {
 #endif
 
-#define ARM_VERSION 5
+#define ARM_VERSION 6
 
 typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
@@ -313,34 +313,12 @@ int arm_powers(const arm_machine* machine, const double* command, double* out);
 /* As `arm_advance`; the energy supplied and dissipated meanwhile goes to `out` [J]. */
 int arm_advance_metered(arm_machine* machine, const double* command, int64_t steps, double* out);
 
-/* The linear part of every drive (drive_table.hpp), for the analysis of small motions: what the
- * schemes treat implicitly, and the linearisation about a gear that is not wound up, wherever the
- * machine is now. Rows of K states; returns K. out, per joint: how many states it has, the carried
- * rotor, D (K), F (K rows of K + 3), G (K + 3), and what motor current and motor angle are (K + 3
- * each); the columns are z, q, v and u. A gear with play has a tooth in contact if `loaded`, else
- * none. With `out` null only K is returned. */
-int arm_linear_drives(const arm_machine* machine, int32_t loaded, double* out);
+/* ---------------------------------------------------------------------------------- equations */
 
-/* The machine about a state, for what changes little, with what each joint does there held: one
- * that sticks rests, a current at its limit stays, a tooth touches or does not. x has the K states
- * of each drive, z[state * joints + joint], then q and v; those of the machine are taken
- * (`as_it_is`), or those given, and written there, with what follows at once where it then is;
- * commands are put within the bounds of the drives. With `slides` there is no dry friction. Out:
- * rows of an entry for each number of x and each command, and the row's own value; the rows are D
- * dz/dt, dv/dt, the motors' currents [A] and their angles [rad]. Behind them D, whether each joint
- * sticks, and how many states its drive has. K is what `arm_linear_drives` returns. */
-int arm_linearise(const arm_machine* machine, double* x, double* command, int32_t as_it_is,
-                  int32_t slides, double* out);
-
-/* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau, under the external
- * wrenches that act now. */
-void arm_forward_dynamics(const arm_machine* machine, int64_t count, const double* q,
-                          const double* v, const double* tau, double* a);
-void arm_inverse_dynamics(const arm_machine* machine, int64_t count, const double* q,
-                          const double* v, const double* a, double* tau);
-/* M (joints x joints, symmetric) and nle of the same, for each row of q and v. */
-void arm_link_dynamics(const arm_machine* machine, int64_t count, const double* q, const double* v,
-                       double* M, double* nle);
+/* Write the numbers at which equations.h takes the machine: its varied numbers and brakes, the
+ * wrenches on its links, its state. Returns how many; with a null pointer that is all. Since
+ * version 6, in which the equations have left this header. */
+int32_t arm_get_point(const arm_machine* machine, double* out);
 
 #ifdef __cplusplus
 }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "boundary/arm_machine.hpp"
+#include "boundary/point.hpp"
 
 #pragma GCC visibility push(default)
 
@@ -260,6 +261,17 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   return machine->result();
 }
 
+ARM_ONCE std::int32_t arm_get_point(const arm_machine* machine, double* out) {
+  using Point = arm::Point<Scene>;
+  if (!machine || !out) return Point::size;
+  for (int k = 0; k < Point::own; ++k) *out++ = machine->machine.parameter(k);
+  for (int link = 0; link < Point::wrenches; ++link)
+    for (double number : machine->given[link].numbers) *out++ = number;
+  auto x = machine->machine.state();
+  arm::for_each_number(x, [&](double number) { *out++ = number; });
+  return Point::size;
+}
+
 void arm_get_winding_temperatures(const arm_machine* machine, double* out) {
   if (machine && out) machine->machine.winding_temperatures(out);
 }
@@ -325,5 +337,5 @@ int arm_run(arm_machine* machine, const double* command, std::int64_t rows, std:
 
 #pragma GCC visibility pop
 
-#include "boundary/machine_equations.hpp"
+#include "boundary/metered_machine.hpp"
 #include "boundary/saved_machine.hpp"

@@ -1,0 +1,118 @@
+// The functions of equations.h for one scene. Included last in a unit after its `struct Scene`.
+#pragma once
+
+#include "boundary/equations.h"
+#include "boundary/point.hpp"
+#include "mechanics/command_bounds.hpp"
+#include "mechanics/linearisation.hpp"
+#include "mechanics/torque_terms.hpp"
+#include "schemes/linear_drive.hpp"
+
+#pragma GCC visibility push(default)
+
+ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded, double* out) {
+  constexpr int K = arm::most_states<Scene>();
+  if (!out) return K;
+  if (!point) return 0;
+  const arm::Point<Scene> at(point);
+  const auto copy = [&](const double* from, int count) {
+    for (int k = 0; k < count; ++k) *out++ = from[k];
+  };
+  at.numbers.for_each_drive([&](const auto& drive, int) {
+    const auto linear = arm::LinearDrive<K, arm::most_modes<Scene>()>::of(
+        drive, loaded ? drive.held_under_load : 0);
+    *out++ = drive.states;
+    *out++ = drive.carried();
+    copy(linear.D, K);
+    for (int k = 0; k < K; ++k) copy(linear.F[k], K + 3);
+    copy(linear.G, K + 3);
+    using Drive = std::remove_cvref_t<decltype(drive)>;
+    for (int column = 0; column < K + 3; ++column) {
+      typename Drive::template Input<double> one = {};
+      linear.template set<Drive>(one, column, 1.0);
+      out[column] = drive.current(one), out[K + 3 + column] = drive.motor_angle(one);
+    }
+    out += 2 * (K + 3);
+  });
+  return K;
+}
+
+ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std::int32_t as_it_is,
+                            std::int32_t slides, double* out) {
+  using Linear = arm::Linearisation<Scene>;
+  if (!point || !x || !command || !out) return;
+  const arm::Point<Scene> given(point);
+  const arm::Numbers<Scene>& numbers = given.numbers;
+  arm::State<Scene> at = given.state;
+  if (!as_it_is)
+    for (int k = 0; k < Linear::numbers; ++k) Linear::number(at, k) = x[k];
+  arm::bound_commands(numbers, at, command);
+  arm::follow_at_once(numbers, at, command);
+  for (int k = 0; k < Linear::numbers; ++k) x[k] = Linear::number(at, k);
+  const Linear linear(numbers, at, command, slides);
+  linear.write(at, command, out);
+  linear.write_structure(out + Linear::rows * (Linear::numbers + Scene::N + 1));
+}
+
+void arm_forward_dynamics(const double* point, std::int64_t count, const double* q, const double* v,
+                          const double* tau, double* a) {
+  constexpr int N = Scene::N;
+  using Links = arm::Links<Scene>;
+  if (!point || !q || !v || !tau || !a) return;
+  const arm::Point<Scene> at(point);
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
+    Links::Dynamics links;
+    double x[N];
+    Links::dynamics_apart(at.numbers, q, v, links);
+    for (int j = 0; j < N; ++j) x[j] = tau[j] - links.nle[j];
+    arm::MassFactors<Scene> factors;
+    factors.factor(links.M.at);
+    factors.solve(x);
+    for (int j = 0; j < N; ++j) a[j] = x[j];
+  }
+}
+
+void arm_inverse_dynamics(const double* point, std::int64_t count, const double* q, const double* v,
+                          const double* a, double* tau) {
+  constexpr int N = Scene::N;
+  using Links = arm::Links<Scene>;
+  if (!point || !q || !v || !a || !tau) return;
+  const arm::Point<Scene> at(point);
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, a += N, tau += N) {
+    Links::Dynamics links;
+    Links::dynamics_apart(at.numbers, q, v, links);
+    for (int i = 0; i < N; ++i) {
+      tau[i] = links.nle[i];
+      for (int j = 0; j < N; ++j) tau[i] += links.M.at[i < j ? i : j][i < j ? j : i] * a[j];
+    }
+  }
+}
+
+void arm_link_dynamics(const double* point, std::int64_t count, const double* q, const double* v,
+                       double* M, double* nle) {
+  constexpr int N = Scene::N;
+  using Links = arm::Links<Scene>;
+  if (!point || !q || !v || !M || !nle) return;
+  const arm::Point<Scene> at(point);
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, M += N * N, nle += N) {
+    Links::Dynamics links;
+    Links::dynamics_apart(at.numbers, q, v, links);
+    for (int i = 0; i < N; ++i) {
+      nle[i] = links.nle[i];
+      for (int j = 0; j < N; ++j) M[i * N + j] = links.M.at[i < j ? i : j][i < j ? j : i];
+    }
+  }
+}
+
+std::int32_t arm_torque_terms(const double* point, const double* command, double* out) {
+  using Terms = arm::TorqueTerms<Scene>;
+  if (!point || !command || !out) return Terms::rows;
+  const arm::Point<Scene> at(point);
+  double within[Scene::N];
+  for (int j = 0; j < Scene::N; ++j) within[j] = command[j];
+  arm::bound_commands(at.numbers, at.state, within);
+  Terms::write(at.numbers, at.state, within, out);
+  return Terms::rows;
+}
+
+#pragma GCC visibility pop

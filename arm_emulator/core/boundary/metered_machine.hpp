@@ -1,0 +1,51 @@
+// The functions of arm.h that meter energy: powers supplied and dissipated, and their integrals.
+#pragma once
+
+#include "boundary/arm_machine.hpp"
+
+#pragma GCC visibility push(default)
+
+namespace {
+
+void write_flow(const auto& flow, double* out) {
+  for (int j = 0; j < arm_machine::N; ++j) {
+    out[j] = flow.given[j];
+    out[arm_machine::N + j] = flow.dissipated[j];
+  }
+}
+
+// Call meter(), which is compiled for scenes that meter energy alone.
+template <class S>
+int metered([[maybe_unused]] auto* machine, [[maybe_unused]] auto&& meter) {
+  if (!machine) return ARM_REFUSED;
+  if constexpr (S::energy_flow)
+    return meter(*machine);
+  else
+    return machine->refuse(-1, "energy_flow", "be true in the scene", 0.0);
+}
+
+}  // namespace
+
+int arm_powers(const arm_machine* machine, const double* command, double* out) {
+  return metered<Scene>(machine, [&](const auto& one) {
+    if (one.check_finite(command, "command") || one.check_there(out, "out")) return ARM_REFUSED;
+    write_flow(one.machine.powers(one.with_power(command)), out);
+    return ARM_OK;
+  });
+}
+
+int arm_advance_metered(arm_machine* machine, const double* command, std::int64_t steps,
+                        double* out) {
+  return metered<Scene>(machine, [&](auto& one) -> int {
+    if (one.check_finite(command, "command") || one.check_there(out, "out") ||
+        one.check_count(steps, "steps"))
+      return ARM_REFUSED;
+    arm::EnergyFlow<Scene> flow;
+    const double* given = one.with_power(command);
+    one.go(steps, [&](std::int64_t some) { one.machine.advance_metered(given, some, flow); });
+    write_flow(flow, out);
+    return one.result();
+  });
+}
+
+#pragma GCC visibility pop
