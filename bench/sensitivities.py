@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from arm_emulator import Fleet, Plant, load_scene, sensitivities
-from arm_emulator.analysis.sensitivities import differentiable, numbers_of
+from arm_emulator import Fleet, Plant, load_scene
+from arm_emulator.analysis.sensitivities import SensitiveMachine, differentiable, numbers_of
 
 ROUNDS = 9
 SECONDS = 1.0
@@ -55,13 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         fleet.reset()
         fleet.run(both, steps)
 
-    def one() -> None:
-        sensitivities(scene, rows, names[:1])
-
-    sensitivities(scene, rows, names)  # compiled
-    one()
+    few, all_of_them = SensitiveMachine(scene, names[:1]), SensitiveMachine(scene, names)
     alone, single, exact, central = least_of(
-        ROUNDS, run, one, lambda: sensitivities(scene, rows, names), differences
+        ROUNDS, run, lambda: few.run(rows), lambda: all_of_them.run(rows), differences
     )
     cores = len(os.sched_getaffinity(0))
     print(f"{scene.name}, {SECONDS:g} s, {cores} cores")

@@ -178,7 +178,7 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
             assert next(values) == pytest.approx(next(values), rel=friction), f"{one.name} {name}"
         if one.gear.stiffness is not None:
             assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=stiffness)
-    # Masses of links 1 to 5 are not identifiable, to some 50 %: the last places of derivatives decide
+    # Masses of links 1 to 5 are not identifiable, to some 50 %: last places of derivatives decide
     # the way to the minimum, and so a fifth of that.
     for link, true in zip(made.chain.joints, shipped.chain.joints, strict=True):
         if simulate:
