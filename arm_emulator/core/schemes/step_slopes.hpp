@@ -1,22 +1,17 @@
-// The derivatives of a step, or a part of it, of a linearly implicit scheme
-// with two stages, by all directions at once: what costs the most is done once
-// for all of them.
+// The derivatives of a step, or a part of it, of a linearly implicit scheme with two stages, by
+// all directions at once: what costs the most is done once for all of them.
 //
-// The drives' part of a step (drive_steps.hpp) is taken with numbers whose
-// directions are the inputs of one joint, the same for all joints, since no
-// drive depends on another joint: its states z, q, v, and the link's
-// accelerations k1 and k2 in both stages. What that gives are the rows of a
-// small matrix per joint. The links' part has derivatives by q and v
-// (link_slopes.hpp). With d for the change along a direction, the stages of
-// linearly_implicit.hpp are then
+// The drives' part of a step (drive_steps.hpp) is taken with numbers whose directions are the
+// inputs of one joint, the same for all joints, since no drive depends on another joint: its
+// states z, q, v, and the link's accelerations k1 and k2 in both stages. What that gives are the
+// rows of a small matrix per joint. The links' part has derivatives by q and v (link_slopes.hpp).
+// With d for the change along a direction, the stages of linearly_implicit.hpp are then
 //
-//   W dk1 = first (dz, dq, dv) - (dM k1 + dnle)         W = M + carried +
-//   diagonal W dk2 = second (dz, dq, dv, dk1) - dM k2 - sqrt(2) dnle + change
-//   of the links
+//   W dk1 = first (dz, dq, dv) - (dM k1 + dnle)                     W = M + carried + diagonal
+//   W dk2 = second (dz, dq, dv, dk1) - dM k2 - sqrt(2) dnle + change of the links
 //
-// of which W is factored once. Numbers that change along a direction add what
-// they do at a state that does not change (OwnSlopes), in the joints that they
-// belong to.
+// of which W is factored once. Numbers that change along a direction add what they do at a state
+// that does not change (OwnSlopes), in the joints that they belong to.
 #pragma once
 
 #include "mechanics/link_slopes.hpp"
@@ -35,8 +30,7 @@ template <class S>
 struct OwnSlopes {
   using Row = Directions;
   static constexpr int N = S::N, K = most_states<S>();
-  bool at[N] = {}, links = false;  // joints whose drives have such numbers, and
-                                   // whether links have
+  bool at[N] = {}, links = false;  // joints whose drives have such numbers, and whether links have
   Row first[N], second[N], z[K > 0 ? K : 1][N], carried[N], diagonal[N];
   Row links_first[N], links_second[N];
 
@@ -56,8 +50,8 @@ class StepSlopes {
   using Own = OwnSlopes<S>;
   static constexpr int N = S::N, K = State<S>::K, row = Method::row;
 
-  // Take those of the step of `method` from x on, all without derivatives;
-  // `modes_at` gives the modes at a state.
+  // Take those of the step of `method` from x on, all without derivatives; `modes_at` gives the
+  // modes at a state.
   void take(Method& method, const Numbers<S>& n, const LinkSlopes<S>& links, const State<S>& x,
             const Real (&u)[row], const Memory& past, double h, auto&& modes_at) {
     for (int from = 0; from < inputs; from += width) {
@@ -101,6 +95,7 @@ class StepSlopes {
       }
     }
   }
+
   // Take what the numbers of `method` and n add.
   void take_own(Method& method, const Numbers<S>& n, const Modes<S>& modes, State<S> x,
                 const Real (&u)[row], double h, Own& own) const {
@@ -142,8 +137,8 @@ class StepSlopes {
         });
   }
 
-  // The same of one machine alone, from `start` with the derivatives of x:
-  // `method` and `own_n` have those of its numbers.
+  // The same of one machine alone, from `start` with the derivatives of x: `method` and `own_n`
+  // have those of its numbers.
   void move_alone(Method& method, const Numbers<S>& own_n, const Numbers<S>& n,
                   const LinkSlopes<S>& links, const Modes<S>& modes, const State<S>& start,
                   State<S>& x, const Real (&u)[row], Memory& past, Own& own, double h) {
