@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -298,6 +299,9 @@ def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
     for number in (one.newest + 1, one.newest + 8):
         one.take(number)
     assert one.lost == 6, f"beside {lost} that are forgotten"
+    for more in (0, 2):  # the middleware reports what was forgotten late, and more at once
+        one.on_lost(SimpleNamespace(total_count=lost + 6 + more))
+        assert one.lost == 6 + more
 
     publishers = draw.randrange(2, 5)
     several = Numbered(lambda: publishers)

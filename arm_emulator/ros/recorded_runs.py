@@ -67,8 +67,9 @@ class Numbered:
         return max(gaps - self._forgotten[0], reported - self._forgotten[1])
 
     def forget(self) -> None:
-        """Count what is lost from now on."""
-        self._forgotten = self._all_lost()
+        """Count what is lost from now on; the middleware may report later what gaps have shown."""
+        gaps, reported = self._all_lost()
+        self._forgotten = gaps, max(gaps, reported)
 
     def _all_lost(self) -> tuple[int, int]:
         return self._gaps + self._join(self._chains), self._reported_lost
