@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import threading
 import time
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 import pytest
+from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.tcp import LONGEST, TcpServer
@@ -47,18 +47,9 @@ class Client:
         return reply
 
 
-@contextlib.contextmanager
-def served(session: Session) -> Iterator[TcpServer]:
+def served(session: Session) -> AbstractContextManager[TcpServer]:
     """Serve a session on a port that is free."""
-    server = TcpServer(session, port=0)
-    thread = threading.Thread(target=server.serve)
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.close()
-        thread.join()
-        session.close()
+    return serving(TcpServer(session, port=0), session)
 
 
 def test_clients_one_after_the_other_get_the_bits_of_the_plant() -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 import socket
 import subprocess
-import threading
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.udp import (
@@ -34,18 +33,9 @@ PMSM = {"kind": "pmsm", "resistance": 0.5, "inductance_d": 1e-3, "inductance_q":
         "pole_pairs": 4, "rotor_inertia": 1e-4}  # fmt: skip
 
 
-@contextlib.contextmanager
-def served(session: Session) -> Iterator[UdpServer]:
+def served(session: Session) -> AbstractContextManager[UdpServer]:
     """Serve a session on a port that is free."""
-    server = UdpServer(session, port=0)
-    thread = threading.Thread(target=server.serve)
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.close()
-        thread.join()
-        session.close()
+    return serving(UdpServer(session, port=0), session)
 
 
 def lockstep() -> Session:

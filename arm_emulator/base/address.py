@@ -23,3 +23,9 @@ def host_and_port(where: str, quantity: str, text: str) -> tuple[str, int]:
         raise Refusal(where, quantity, "be [HOST:]PORT", text, "8080, 0.0.0.0:8080")
     check_count(where, f"{quantity}, port", int(port), 0, 65535)
     return host.strip("[]") or LOCAL, int(port)
+
+
+def not_free(where: str, host: str, port: int, error: OSError | OverflowError) -> Refusal:
+    """Return the refusal of an address where a server cannot listen."""
+    why = getattr(error, "strerror", None) or error
+    return Refusal(where, f"address {host}:{port}", "be free", why)

@@ -12,6 +12,7 @@ import socket
 import threading
 from typing import Any
 
+from arm_emulator.base.address import not_free
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answered_tick import answer_tick
 from arm_emulator.machine.answers import Needless
@@ -52,8 +53,7 @@ class TcpServer:
         try:
             self._socket = socket.create_server((host, port), backlog=1)
         except (OSError, OverflowError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise Refusal("tcp", f"address {host}:{port}", "be free", why) from None
+            raise not_free("tcp", host, port, error) from None
         self.address: tuple[str, int] = self._socket.getsockname()
         self.refused = 0
         self._closing = threading.Event()

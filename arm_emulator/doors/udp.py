@@ -14,6 +14,7 @@ import zlib
 
 import numpy as np
 
+from arm_emulator.base.address import not_free
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answered_tick import answer_tick
 from arm_emulator.machine.answers import Needless
@@ -135,8 +136,7 @@ class UdpServer:
             self._socket.bind((host, port))
         except (OSError, OverflowError) as error:
             self._socket.close()
-            why = getattr(error, "strerror", None) or error
-            raise Refusal("udp", f"address {host}:{port}", "be free", why) from None
+            raise not_free("udp", host, port, error) from None
         self.address: tuple[str, int] = self._socket.getsockname()
         self.refused = 0
         self._peer: tuple[str, int] | None = None  # who sent last

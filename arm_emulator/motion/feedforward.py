@@ -127,22 +127,22 @@ class Feedforward:
         factor = self._factor
         begins = arm.at(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
         ends = arm.at(q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor)
-        self._before = _Period(now, mean, q_end, ends, rests)
+        self._before = present = _Period(now, mean, q_end, ends, rests)
         self.wound = begins.theta - q
-        tau = self._announced(arm, begins, ends) if instruction.tau is None else instruction.tau
+        tau = self._announced(arm, begins, present) if instruction.tau is None else instruction.tau
         return Instruction(begins.theta, (ends.theta - begins.theta) / period, tau, now)
 
-    def _announced(self, arm: ElasticArm, begins: Drive, ends: Drive) -> FloatArray:
+    def _announced(self, arm: ElasticArm, begins: Drive, present: _Period) -> FloatArray:
         """Return the torques of the present period (N,).
 
         At rest they stay as they are while the factor follows: the servo's integrals hold the rest
         of the weight, and torques that change without a motion would be wrong evidence to it.
         """
+        ends = present.ends
         tau = arm.over(begins, ends, self._period) + self._held
-        if self._before is None or not self._before.rests:
+        if not present.rests:
             self._at_rest = None
-            mean = np.zeros_like(tau) if self._before is None else self._before.mean
-            return tau - self._load.let_go(arm.sliding(mean))
+            return tau - self._load.let_go(arm.sliding(present.mean))
         weight = arm.over(ends, ends, self._period)
         if self._at_rest is None:
             self._at_rest = weight + self._held

@@ -13,7 +13,7 @@ import socket
 import time
 from collections import deque
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.address import not_free
 from arm_emulator.doors.fieldbus.canopen_node import Frame
 
 PORT = 29536  # of socketcand
@@ -50,8 +50,7 @@ class CanServer:
             self._listening.listen(MOST_CLIENTS)
         except (OSError, OverflowError) as error:
             self._listening.close()
-            why = getattr(error, "strerror", None) or error
-            raise Refusal("canopen", f"address {host}:{port}", "be free", why) from None
+            raise not_free("canopen", host, port, error) from None
         self._listening.setblocking(False)
         self.address: tuple[str, int] = self._listening.getsockname()
         self.ignored = 0

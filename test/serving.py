@@ -1,0 +1,34 @@
+"""A server of a session in a thread of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from typing import Protocol, TypeVar
+
+from arm_emulator import Session
+
+
+class Server(Protocol):
+    """Serves until it is closed."""
+
+    def serve(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+One = TypeVar("One", bound=Server)
+
+
+@contextlib.contextmanager
+def serving(server: One, session: Session) -> Iterator[One]:
+    """Serve a session; both are closed at the end."""
+    thread = threading.Thread(target=server.serve)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.close()
+        thread.join()
+        session.close()
