@@ -379,21 +379,21 @@ class Instructor:
         self, laws: Laws, time_ns: int, q: FloatArray, instruction: Instruction
     ) -> Instruction:
         """Return an instruction after which the arm can stop before a collision."""
-        guard, taken, before = laws.guard, self._active, self._only
+        guard, taken = laws.guard, self._active
         if guard is None or taken is None:
             return instruction
-        if isinstance(taken.order, JogOrder) and before is None:
+        if isinstance(taken.order, JogOrder) and self._only is None:
             return instruction  # jogs look ahead by themselves
         now, then = _begin_and_end(instruction, laws.config.period)
         then = taken.order.reference(time_ns + laws.period_ns) or then
-        touching, self._only = guard.ahead(laws.braking, now.q, then), None
+        touching = guard.ahead(laws.braking, now.q, then)
         if not touching:
+            self._only = None
             return instruction
         planned = taken.order.planned()
         if planned is not None and guard.frees(planned.motion):
             self._only = planned
             return instruction
-        self._only = before
         why = Progress(State.ABORTED, f"collision: {touching} would touch")
         return self._halt(laws, time_ns, now, why)
 
