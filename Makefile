@@ -18,6 +18,7 @@ help:
 	@echo 'make fuzz               random scenes, files, messages, machines and frames, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
 	@echo 'make pages              measure the tables and draw the pictures of docs/ and README.md anew'
+	@echo 'make tables             write the generated tables of docs/ anew'
 	@echo 'make docs               build the site of the pages into out/site/'
 	@echo 'make lint               check style, types and what imports what'
 	@echo 'make tidy               check the names and habits of the C++ (clang-tidy)'
@@ -203,6 +204,9 @@ bench: setup .venv/.robots .venv/.bench
 pages: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench.pages $(ARGS)
 
+tables: setup
+	@$(RUN) && python -m docs.generated
+
 # Warnings are errors (mkdocs.yml, `strict`); a quiet run would not count them.
 docs: setup .venv/.docs
 	@$(call quietly,site,$(RUN) && NO_MKDOCS_2_WARNING=1 mkdocs build)
@@ -215,6 +219,7 @@ lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy \
 	  && mypy --config-file test/mypy.ini && lint-imports --no-logo --no-cache
 	@.venv/bin/python test/banned_words.py
+	@$(RUN) && python -m docs.generated --check
 	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
 
 .venv/.tidy: requirements-tidy.txt .venv/.requirements
@@ -237,4 +242,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages docs lint tidy format clean distclean FORCE
+.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE

@@ -1,27 +1,20 @@
-"""Additions of the site to the pages: generated text, and files that pages link.
+"""Additions of the site to the pages: a page for each file of the repository that they link.
 
-A page may hold a line
-
-    <!-- generated: KIND ARGUMENT -->
-
-in whose place `GENERATORS[KIND]` puts text. A link to a file of the repository outside of docs/
-leads to a page of the site that shows that file. mkdocs calls `on_...` (mkdocs.yml, `hooks`).
+A link to a file outside of docs/ leads to a page of the site that shows that file. mkdocs calls
+`on_...` (mkdocs.yml, `hooks`).
 """
 
 from __future__ import annotations
 
 import posixpath
 import re
-import runpy
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-GENERATED = re.compile(r"^<!-- generated: (\w+)(?: (\S+))? -->$", re.M)
-DOOR = re.compile(r"^<!-- door: (.+?) \| (.+) -->$", re.M)
 LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
 # Pages of the site for the pages at the top of the repository.
 TOP = {
@@ -36,107 +29,16 @@ class Missing(Exception):
     """A page names what is not there."""
 
 
-def _help(_: str) -> str:
-    from arm_emulator.cli.arguments import page_of
-    from arm_emulator.cli.command import command_names, load_command
+def code_block(place: str) -> str:
+    """Return a file of the repository as a block of code.
 
-    pages = ((name, page_of(one)) for name in command_names() if (one := load_command(name)))
-    return "\n\n".join(f"## {name}\n\n```text\n{page.rstrip()}\n```" for name, page in pages)
-
-
-def _command_keys(_: str) -> str:
-    from arm_emulator.cli.command import command_names, load_command
-
-    rows = (f"| `{name}` | {one.keys} |" for name in command_names() if (one := load_command(name)))
-    return "\n".join(("| command | keys |", "|---|---|", *rows))
-
-
-def _code(place: str) -> str:
+    Raises:
+        Missing: no such file.
+    """
     file = ROOT / place
     if not file.is_file():
         raise Missing(place)
     return f"```````{LANGUAGES.get(file.suffix, 'text')}\n{file.read_text().rstrip()}\n```````"
-
-
-def _interfaces(place: str) -> str:
-    files = sorted((ROOT / place).glob("*.msg")) or sorted((ROOT / place).glob("*.srv"))
-    if not files:
-        raise Missing(f"messages in {place}")
-    return "\n\n".join(
-        f"### {file.stem}\n\n```text\n{file.read_text().rstrip()}\n```" for file in files
-    )
-
-
-def _doors(which: str) -> str:
-    """Return a row for each page that states what its door offers, in a comment `door: ...`.
-
-    Args:
-        which: what it `needs`, the last of the columns; or nothing, for the others.
-    """
-    heads = ["door", "control law", "time", "measurements", "true state", "record",
-             "needs beside Python and a compiler"]  # fmt: skip
-    rows = [heads, ["---"] * len(heads)]
-    for page in sorted(DOCS.rglob("*.md"), key=lambda one: (one.parent.name, one), reverse=True):
-        if stated := DOOR.search(page.read_text()):
-            at = posixpath.relpath(page.relative_to(DOCS).as_posix(), "reference")
-            rows.append([f"[{stated[1]}]({at})", *stated[2].split(" | ")])
-    if len(rows) < 3:
-        raise Missing("pages of doors")
-    shown = ([row[0], row[-1]] if which == "needs" else row[:-1] for row in rows)
-    return "\n".join(f"| {' | '.join(row)} |" for row in shown)
-
-
-def _of_campaigns(what: str) -> str:
-    """Return a table of what a campaign's file may have, from its declaration."""
-    from arm_emulator.campaign.described import TABLES
-
-    if what not in TABLES:
-        raise Missing(f"{what} of campaigns; valid: {', '.join(TABLES)}")
-    return TABLES[what]()
-
-
-def _of_parts(table: str) -> Callable[[str], str]:
-    """Return the generator of a table in tables.py beside this file."""
-
-    def text(argument: str) -> str:
-        made: str = runpy.run_path(str(DOCS / "tables.py"))[table](argument)
-        return made
-
-    return text
-
-
-GENERATORS: dict[str, Callable[[str], str]] = {
-    "campaign": _of_campaigns,
-    "command_keys": _command_keys,
-    "commands": _help,
-    "doors": _doors,
-    "faults": _of_parts("faults"),
-    "file": _code,
-    "inputs": _of_parts("inputs"),
-    "interfaces": _interfaces,
-    "joint_keys": _of_parts("joint_keys"),
-    "keys": _of_parts("keys"),
-    "outputs": _of_parts("outputs"),
-    "parts": _of_parts("parts"),
-    "scene_keys": _of_parts("scene_keys"),
-    "schemes": _of_parts("schemes"),
-    "sensors": _of_parts("sensors"),
-}
-
-
-def expand(text: str) -> str:
-    """Return a page's text with what is generated in it.
-
-    Raises:
-        Missing: a generator or what it shows is not there.
-    """
-
-    def text_of(place: re.Match[str]) -> str:
-        if place[1] not in GENERATORS:
-            raise Missing(f"generator {place[1]}; valid: {', '.join(GENERATORS)}")
-        return GENERATORS[place[1]](place[2] or "")
-
-    return GENERATED.sub(text_of, text)
 
 
 def shown_at(target: str) -> str:
@@ -182,7 +84,7 @@ def source_page(target: str) -> str:
             ["git", "ls-files", target], cwd=ROOT, capture_output=True, text=True, check=True
         ).stdout.split()
         return f"# {target}\n\n" + "\n".join(f"- `{file}`" for file in listed)
-    return f"# {target}\n\n{_code(target)}"
+    return f"# {target}\n\n{code_block(target)}"
 
 
 def with_pages(nav: Any) -> Any:
@@ -241,8 +143,8 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Generate what a page asks for, and lead its links to pages of the site."""
+    """Lead the links of a page to pages of the site."""
     place = page.file.src_uri
     if place.startswith("source/") or (place in TOP.values() and place != "index.md"):
         return markdown
-    return relink(expand(markdown), f"docs/{place}", place)[0]
+    return relink(markdown, f"docs/{place}", place)[0]

@@ -1,0 +1,145 @@
+"""Generated text of the pages: tables of keys, messages, commands and doors, and examples.
+
+It stands on its page between two comments,
+
+    <!-- generated: KIND ARGUMENT -->
+    ...
+    <!-- end generated -->
+
+and follows from the code by `GENERATORS[KIND]`. It is kept in the repository, so that the pages can
+be read there. `make tables` writes it; `make lint` refuses a page whose text has fallen behind.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import sys
+from collections.abc import Callable, Iterator
+
+from docs import tables
+from docs.hooks import DOCS, ROOT, Missing, code_block
+
+PLACE = re.compile(
+    r"^(<!-- generated: (\w+)(?: (\S+))? -->\n)(.*?)^(<!-- end generated -->)$", re.M | re.S
+)
+BEGIN = re.compile(r"^<!-- generated: ", re.M)
+DOOR = re.compile(r"^<!-- door: (.+?) \| (.+) -->$", re.M)
+
+
+def _help(_: str) -> str:
+    from arm_emulator.cli.arguments import page_of
+    from arm_emulator.cli.command import command_names, load_command
+
+    pages = ((name, page_of(one)) for name in command_names() if (one := load_command(name)))
+    return "\n\n".join(f"## {name}\n\n```text\n{page.rstrip()}\n```" for name, page in pages)
+
+
+def _command_keys(_: str) -> str:
+    from arm_emulator.cli.command import command_names, load_command
+
+    rows = (f"| `{name}` | {one.keys} |" for name in command_names() if (one := load_command(name)))
+    return "\n".join(("| command | keys |", "|---|---|", *rows))
+
+
+def _interfaces(place: str) -> str:
+    files = sorted((ROOT / place).glob("*.msg")) or sorted((ROOT / place).glob("*.srv"))
+    if not files:
+        raise Missing(f"messages in {place}")
+    return "\n\n".join(
+        f"### {file.stem}\n\n```text\n{file.read_text().rstrip()}\n```" for file in files
+    )
+
+
+def _doors(which: str) -> str:
+    """Return a row for each page that states what its door offers, in a comment `door: ...`.
+
+    Args:
+        which: what it `needs`, the last of the columns; or nothing, for the others.
+    """
+    heads = ["door", "control law", "time", "measurements", "true state", "record",
+             "needs beside Python and a compiler"]  # fmt: skip
+    rows = [heads, ["---"] * len(heads)]
+    for page in sorted(DOCS.rglob("*.md"), key=lambda one: (one.parent.name, one), reverse=True):
+        if stated := DOOR.search(page.read_text()):
+            at = posixpath.relpath(page.relative_to(DOCS).as_posix(), "reference")
+            rows.append([f"[{stated[1]}]({at})", *stated[2].split(" | ")])
+    if len(rows) < 3:
+        raise Missing("pages of doors")
+    shown = ([row[0], row[-1]] if which == "needs" else row[:-1] for row in rows)
+    return "\n".join(f"| {' | '.join(row)} |" for row in shown)
+
+
+def _of_campaigns(what: str) -> str:
+    """Return a table of what a campaign's file may have, from its declaration."""
+    from arm_emulator.campaign.described import TABLES
+
+    if what not in TABLES:
+        raise Missing(f"{what} of campaigns; valid: {', '.join(TABLES)}")
+    return TABLES[what]()
+
+
+GENERATORS: dict[str, Callable[[str], str]] = {
+    "campaign": _of_campaigns,
+    "command_keys": _command_keys,
+    "commands": _help,
+    "doors": _doors,
+    "faults": tables.faults,
+    "file": code_block,
+    "inputs": tables.inputs,
+    "interfaces": _interfaces,
+    "joint_keys": tables.joint_keys,
+    "keys": tables.keys,
+    "outputs": tables.outputs,
+    "parts": tables.parts,
+    "scene_keys": tables.scene_keys,
+    "schemes": tables.schemes,
+    "sensors": tables.sensors,
+}
+
+
+def fill(text: str) -> str:
+    """Return the text of a page with its generated parts as the code has them.
+
+    Raises:
+        Missing: a generator or its subject does not exist, or a part has no end.
+    """
+
+    def part(place: re.Match[str]) -> str:
+        if place[2] not in GENERATORS:
+            raise Missing(f"generator {place[2]}; valid: {', '.join(GENERATORS)}")
+        return f"{place[1]}\n{GENERATORS[place[2]](place[3] or '').strip()}\n\n{place[5]}"
+
+    filled, count = PLACE.subn(part, text)
+    if count != len(BEGIN.findall(text)):
+        raise Missing("<!-- end generated --> of a generated part")
+    return filled
+
+
+def outdated_pages() -> Iterator[tuple[str, str]]:
+    """Yield the path below docs/ and the new text of each page that has fallen behind the code."""
+    for page in sorted(DOCS.rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if (filled := fill(text)) != text:
+            yield page.relative_to(DOCS).as_posix(), filled
+
+
+def main(check: bool) -> int:
+    """Write the pages that have fallen behind the code, or name them.
+
+    Args:
+        check: name them alone.
+
+    Returns:
+        1 if `check` found a page, else 0.
+    """
+    outdated = dict(outdated_pages())
+    for path, text in outdated.items():
+        print(f"docs/{path}: {'behind the code; run make tables' if check else 'written'}")
+        if not check:
+            (DOCS / path).write_text(text, encoding="utf-8")
+    return int(check and bool(outdated))
+
+
+if __name__ == "__main__":
+    sys.exit(main("--check" in sys.argv[1:]))
