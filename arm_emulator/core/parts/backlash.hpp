@@ -3,6 +3,9 @@
 //
 // Its mode is `held` while a tooth pushes, and the mode's number is the twist where it began to
 // touch: then T = Kg (w - offset) + Dg dw/dt.
+//
+// A play of 0 is the elastic gear, whose damper pulls, too: always `held`, with offset 0. Teeth that
+// push and never pull would meet an event at each change of the torque's sign.
 #pragma once
 
 #include "parts/gear.hpp"
@@ -34,15 +37,18 @@ struct BacklashGear {
   }
   constexpr Real dissipated(Real tm, Real wm, Real q, Real v, bool held) const {
     const Real w = Ng * tm - q, rate = Ng * wm - v;
+    if (is_tight()) return Dg * rate * rate;
     return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, held);
   }
 
   constexpr Mode mode_at(Real tm, Real wm, Real q, Real v) const {
+    if (is_tight()) return {true, 0.0};
     const Real w = Ng * tm - q, rate = Ng * wm - v, way = w < 0.0 ? -1.0 : 1.0;
     if (tooth().pushes(way * w - gap(), way * rate)) return {true, way * gap()};
     return {};
   }
   constexpr Real margin(Real tm, Real wm, Real q, Real v, const Mode& mode) const {
+    if (is_tight()) return 1.0;
     const Real w = Ng * tm - q, rate = Ng * wm - v;
     // While no tooth pushes, the margin is that of the nearer one.
     const Real way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
@@ -51,6 +57,7 @@ struct BacklashGear {
   }
 
  private:
+  constexpr bool is_tight() const { return play == 0.0; }
   constexpr Real gap() const { return 0.5 * play; }
   constexpr OneSided tooth() const { return {Kg, Dg}; }
 };
