@@ -218,9 +218,11 @@ def report(figures: dict[str, Any]) -> str:
     arms = figures["arms"]
     names = list(next(iter(arms.values()))["times"])
     lines = [
-        "One integration step of the whole machine (motors, gears, links under gravity; three_axis "
-        "has none), voltages held, medians of interleaved repetitions with half the distance of "
-        "the quartiles. Ours is timed in `Plant.run` over 20 000 steps, MuJoCo in one "
+        "One integration step of each machine stripped to what the peers have, too (motors, gears, "
+        "links under gravity; three_axis has none): no brakes, end stops, current loops, sticking "
+        "friction (bench/bare.py). README.md has a step of each scene as shipped. Voltages held, "
+        "medians of interleaved repetitions with half the distance of the quartiles. "
+        "Ours is timed in `Plant.run` over 20 000 steps, MuJoCo in one "
         "`mj_step(model, data, nstep=2000)` on the same machine. Beyond 12 joints our recursions "
         "are loops and no longer unrolled. The chains of 12 and 24 links carry the motors and "
         "gears of three_axis (bench/chains.py).",

@@ -36,7 +36,7 @@ ANY_BEGIN = re.compile(BEGIN.format(r"(\w+)"))
 def tables() -> dict[str, Path]:
     """Return the page of each measured table, by the name of its bench."""
     found = {}
-    for page in sorted((ROOT / "docs").rglob("*.md")):
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
         for name in ANY_BEGIN.findall(page.read_text(encoding="utf-8")):
             found[name] = page
     return found

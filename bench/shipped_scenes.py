@@ -1,0 +1,89 @@
+"""Time of an integration step of each shipped scene: as its file has it, and stripped."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from arm_emulator import Plant, Scene, load_scene
+from bench.bare import BARE
+from bench.closed_loop import DemoMotion
+from bench.measure import Task, compile_all, interleaved, progress
+from bench.motion import Array
+
+TITLE = "A step of each scene as shipped"
+
+SCENES = ("three_axis", "ur5", "panda")
+REST = 0.2  # s of rest at the end of the motion, before it is timed and while it is timed
+MOVING, RESTING, STRIPPED = "in the demo's motion", "at rest under the servo", "stripped, moving"
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure every scene under the commands of the demo's motion, recorded in closed loop."""
+    repetitions = 5 if quick else 15
+    shipped = {name: load_scene(name) for name in SCENES}
+    stripped = {name: load_scene(name, BARE) for name in SCENES}
+    compile_all([*shipped.values(), *stripped.values()])
+    figures = {}
+    with progress("a step as shipped", 3 * repetitions * len(SCENES)) as done:
+        for name, scene in shipped.items():
+            tasks, steps = _tasks(scene, stripped[name])
+            timings = interleaved(tasks, repetitions, done)
+            figures[name] = {
+                "joints": len(scene.joints),
+                "dt": scene.integrator.dt,
+                "scheme": scene.integrator.scheme,
+                "events": scene.integrator.events,
+                "times": {task: asdict(timings[task].per(steps[task])) for task in tasks},
+            }
+    return figures
+
+
+def _tasks(scene: Scene, stripped: Scene) -> tuple[dict[str, Task], dict[str, int]]:
+    """Return what is timed of a scene, and how many steps each task takes."""
+    motion = DemoMotion(scene)
+    _, rows = motion.run(scene)
+    moving = rows[motion.settle :]
+    rest = np.repeat(rows[-1:], round(REST / scene.servo_period), axis=0)
+    tasks = {
+        MOVING: _timed(Plant(scene), rows[: motion.settle], moving),
+        RESTING: _timed(Plant(scene), np.concatenate((rows, rest)), rest),
+        STRIPPED: _timed(Plant(stripped), moving[:0], _voltages(stripped, len(moving))),
+    }
+    lengths = {MOVING: len(moving), RESTING: len(rest), STRIPPED: len(moving)}
+    return tasks, {task: lengths[task] * _steps(scene) for task in tasks}
+
+
+def _timed(plant: Plant, before: Array, rows: Array) -> Task:
+    """Return the task of running under `rows`, once the machine has run under `before`."""
+    steps = _steps(plant.scene)
+
+    def prepare(_: int) -> None:
+        plant.reset()
+        plant.run(before, steps)
+
+    return Task(lambda _: plant.run(rows, steps), prepare)
+
+
+def _steps(scene: Scene) -> int:
+    return scene.steps_per_period
+
+
+def _voltages(scene: Scene, periods: int) -> Array:
+    """Return 3 V of changing sign from joint to joint: a stripped motor takes voltages."""
+    return np.tile(3.0 * (-1.0) ** np.arange(len(scene.joints)), (periods, 1))
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the table of README.md."""
+    lines = [
+        f"| one step on one core | {MOVING} | {RESTING} | {STRIPPED} |",
+        "|---|---|---|---|",
+    ]
+    for name, scene in figures.items():
+        times = (f"{1e9 * scene['times'][task]['median']:.0f} ns" for task in scene["times"])
+        about = f"{scene['joints']} joints, {1e6 * scene['dt']:g} µs, events `{scene['events']}`"
+        lines.append(f"| `{name}` ({about}) | {' | '.join(times)} |")
+    return "\n".join(lines)
