@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
@@ -92,8 +91,8 @@ def _variable(node: Node, section: str, one: Entry, name: str) -> Iterable[str]:
     yield "ObjectType=0x7"
     yield f"DataType=0x{_CODES[one.type]:04X}"
     yield f"AccessType={one.access}"
-    if one.access in ("const", "rw"):
-        yield f"DefaultValue={_default(node, one)}"
+    if one.access in ("const", "rw") and (default := _default(node, one)) is not None:
+        yield f"DefaultValue={default}"
     yield f"PDOMapping={int(one.rx or one.tx)}"
     signed = one.type.startswith("INTEGER")
     half = 1 << max(one.bits - 1, 0)
@@ -110,7 +109,8 @@ def _number(value: int, signed: bool) -> str:
     return str(value) if signed else f"0x{value:X}"
 
 
-def _default(node: Node, one: Entry) -> str:
+def _default(node: Node, one: Entry) -> str | None:
+    """Return the text of an entry's value, or None if tools of masters read no common one."""
     raw = node.upload(one.index, one.sub)
     if not one.bits:
         return raw.decode()
@@ -118,7 +118,7 @@ def _default(node: Node, one: Entry) -> str:
     cob = one.index == 0x1014 or (one.sub == 1 and one.index & 0xFE00 in (0x1400, 0x1800))
     if cob:
         return f"$NODEID+0x{value - node.number:X}"
-    if one.type in REALS:
-        return repr(*struct.unpack(REALS[one.type], raw))
+    if one.type in REALS:  # Lely's tools read the bits as a whole number, others the number itself
+        return None if any(raw) else "0"
     signed = one.type.startswith("INTEGER")
     return _number(int.from_bytes(raw, "little", signed=signed), signed)
