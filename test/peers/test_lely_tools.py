@@ -7,6 +7,7 @@ import struct
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -31,7 +32,7 @@ NEW = ("planar", "scara", "gantry", "telescopic", "five_joints")
 NEW += ("spherical_wrist", "tilted", "seven_joints", "on_a_rail", "nine_joints")
 # The drive of a joint as a configuration of ros2_canopen has it: interpolation over 50 ms at a
 # SYNC of 10 ms, statusword and mode, position and speed out, controlword and mode, targets in.
-NODE = {
+NODE: dict[str, Any] = {
     "revision_number": 0x10000,
     "sdo": [
         {"index": 0x60C2, "sub_index": 1, "value": 50},
@@ -56,8 +57,8 @@ def run(*words: str | Path) -> None:
     """Run a tool, which must neither fail nor warn."""
     done = subprocess.run(list(map(str, words)), capture_output=True, text=True, check=False)
     # setuptools warns that the tool imports pkg_resources.
-    said = [line for line in done.stderr.splitlines() if "pkg_resources" not in line]
-    assert done.returncode == 0 and not said, done.stderr
+    reported = [line for line in done.stderr.splitlines() if "pkg_resources" not in line]
+    assert done.returncode == 0 and not reported, done.stderr
 
 
 def bus(sheets: list[Path], folder: Path) -> Path:
