@@ -322,8 +322,9 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     beside = [drawn_case(one.variation, index) for index in range(20)]
     rows = Outcomes.joined(list(runs_of(one).runs(beside)))
     kept = Kept(record=record)
-    assert campaign(file, replay=17, kept=kept) == 0
+    code = campaign(file, replay=17, kept=kept)
     facts = json.loads(json.dumps(plain(output.collected)))
+    assert code == int(facts["failed"]) and bool(facts["missed"]) == facts["failed"]
     assert list(facts["robustness"].values()) == rows.robustness[17].tolist()
     assert list(facts["measures"].values()) == rows.measures[17].tolist()
     assert facts["values"] == beside[17].values

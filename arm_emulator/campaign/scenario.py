@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from arm_emulator.base.bound import POSITION, TOOL_POSITION
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine.scene import Scene
+from arm_emulator.runs.target_limits import check_targets
 from arm_emulator.runs.target_table import TargetTable, load_target_table
 
 Array = NDArray[np.float64]
@@ -91,9 +93,11 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
         raise section.refusal("moves" if moves else "table", rule, "several")
     found = None
     if table:
-        found = load_target_table(folder / table, names)
+        found = load_target_table(folder / table, names, partial(check_targets, scene))
     elif targets:
         found = _targets(section, targets, names, start)
+        where = f"{section.where}: scenario"
+        check_targets(scene, where, [f"targets.{k}" for k in range(len(targets))], found.t, found.q)
     return Scenario(seconds, start, found, _moves(section, moves))
 
 

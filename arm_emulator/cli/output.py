@@ -63,6 +63,13 @@ class Output:
         """Add values to the object."""
         self.collected.update(facts)
 
+    def judge(self, command: str, missed: str) -> int:
+        """Report why a command has missed its goal, or nothing if empty; return the exit code."""
+        self.facts({"missed": missed or None})
+        if missed:
+            print(f"arm_emulator: {command}: goal not reached: {missed}", file=sys.stderr)
+        return 1 if missed else 0
+
     def end(self) -> None:
         """Print the object, once."""
         if not self.as_json:

@@ -20,7 +20,7 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, Kind, Reports, State
 from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
 from arm_emulator.motion.no_way import NoWay
-from arm_emulator.motion.orders import Order, Planned, Progress, TargetOrder
+from arm_emulator.motion.orders import MOVING, Order, Planned, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.slowing_order import SlowingOrder
@@ -54,12 +54,14 @@ class Instructor:
         restarts: how often that happened.
         trouble: why, the last time, in words.
         reports: results of targets, trajectories and paths.
+        progress: that of the order that holds now, by the newest measurement.
     """
 
     def __init__(self, config: MotionConfig | None = None) -> None:
         self.restarts = 0
         self.trouble = ""
         self.reports = Reports()
+        self.progress = MOVING
         self._config = config or MotionConfig()
         self._coming = ComingOrders()
         self._active: TakenOrder | None = None
@@ -361,7 +363,7 @@ class Instructor:
             moved = bool((before.v != 0.0).any())
             state = State.ABORTED if moved else State.REFUSED
             return self._halt(laws, time_ns, before, Progress(state, str(reason)))
-        progress = taken.order.progress(time_ns, q, v)
+        progress = self.progress = taken.order.progress(time_ns, q, v)
         way = taken.order.way
         if taken.state is State.ACCEPTED or (taken.state is State.MOVING and way != taken.way):
             taken.way = way

@@ -89,6 +89,11 @@ class Reports:
         number = self.next_number(kind)
         self.waiting.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
 
+    @property
+    def newest(self) -> MotionReport | None:
+        """The newest report that was not taken yet, or None."""
+        return self.waiting[-1] if self.waiting else None
+
     def take(self) -> list[MotionReport]:
         """Return the reports, and clear them."""
         taken = list(self.waiting)

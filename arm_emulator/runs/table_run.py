@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
@@ -22,6 +22,7 @@ from arm_emulator.machine.session import Session
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.target_limits import check_targets
 from arm_emulator.runs.target_table import TargetTable, load_target_table
 from arm_emulator.servo.drives import Drives
 
@@ -163,7 +164,7 @@ def load_table_run(
     """
     file = find_scene(scene_name)
     scene = load_scene(file)
-    targets = load_target_table(table, scene.joint_names)
+    targets = load_target_table(table, scene.joint_names, partial(check_targets, scene))
     if library is not None:
         return TableRun(scene, targets, Firmware(library, progress)), targets
     config = load_gains(file).servo
@@ -172,10 +173,8 @@ def load_table_run(
     return TableRun(scene, targets, ServoStep(Drives(config), place)), targets
 
 
-def off_target(session: Session, targets: TargetTable, ticks: int) -> npt.NDArray[np.float64]:
-    """Return what the tool lacks to its target after so many ticks, in the world (3,) [m]."""
+def off_target(session: Session, wanted: FloatArray) -> FloatArray:
+    """Return what the tool lacks to joint targets (N,) [rad or m], in the world (3,) [m]."""
     scene = session.scene
-    at = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
     forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward
-    wanted = forward(targets.q[at - 1] if at else scene.start)[1]
-    return np.asarray(wanted - forward(session.state.q)[1])
+    return np.asarray(forward(wanted)[1] - forward(session.state.q)[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from arm_emulator.base.bound import POSITION
 from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.table_file import Table, read_table
+
+RowCheck = Callable[[str, Sequence[str], FloatArray, FloatArray], None]
 
 LATEST = 1e9  # s
 _ROUNDING = 1e-6  # of a period: a time that was written with a few digits is that of its tick
@@ -41,12 +43,20 @@ class TargetTable:
         return [math.ceil(t / period - _ROUNDING) for t in self.t.tolist()]
 
 
-def load_target_table(file: Path, joint_names: Sequence[str]) -> TargetTable:
+def load_target_table(
+    file: Path, joint_names: Sequence[str], check: RowCheck | None = None
+) -> TargetTable:
     """Read a table.
+
+    Args:
+        file: the CSV file.
+        joint_names: joints of its columns, in the order of the result.
+        check: refuses targets beyond an arm's limits, given the file's name, the names of the rows,
+            and times and targets in that order; None: the numbers are no targets of an arm.
 
     Raises:
         Refusal: no such file, other columns, a row with a gap, a value that is no number or too
-            large, or times that do not ascend from 0 s or later.
+            large, times that do not ascend from 0 s or later, or what `check` refuses.
     """
     wanted = ["t", *joint_names]
     units = {name: "rad or m" for name in joint_names} | {"t": "s"}
@@ -59,6 +69,8 @@ def load_target_table(file: Path, joint_names: Sequence[str]) -> TargetTable:
     if not len(numbers):
         raise Refusal(table.where, "table", "have a row of targets", "none")
     _check(numbers, table, wanted)
+    if check is not None:
+        check(table.where, [f"line {line}" for line in table.lines], numbers[:, 0], numbers[:, 1:])
     return TargetTable(numbers[:, 0], numbers[:, 1:])
 
 

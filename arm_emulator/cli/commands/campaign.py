@@ -22,6 +22,7 @@ from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.crew import Crew, Pool, Progress
 from arm_emulator.campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
 from arm_emulator.campaign.lanes import runs_of
+from arm_emulator.campaign.outcome import Outcome
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results, column_units, digest_of
 from arm_emulator.campaign.search.method import Finding
@@ -44,8 +45,9 @@ BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shr
     keys=(
         "`count`, `per_run`, `estimate` (s of all runs), `bytes`; after the runs `shares`, "
         "`quantiles`, `confidence`, `digest`, `results`; with the option replay `index`, "
-        "`values`, `robustness`, `measures`, `failed`; with shrink `index`, `requirement`, "
-        "`changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`, `scene`, `record`, `bag`"
+        "`values`, `robustness`, `measures`, `failed`, `missed`; with shrink `index`, "
+        "`requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`, `scene`, "
+        "`record`, `bag`"
     ),
 )
 def campaign(
@@ -65,7 +67,8 @@ def campaign(
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
 
-    Ctrl-C keeps all that is done; the same command goes on with what is missing.
+    The exit code is 1 where the only run, or that of --replay, fails a requirement. Ctrl-C keeps
+    all that is done; the same command goes on with what is missing.
 
     Args:
         file: the campaign, YAML.
@@ -115,7 +118,10 @@ def campaign(
         output.line(f"report  {write_report(one, results, columns, summary, findings)}")
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
-    return 130 if interrupted else 0
+        return 130
+    fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
+    missed = f"the only run fails {', '.join(fails)}" if fails and one.search is None else ""
+    return output.judge("campaign", missed)
 
 
 def _all_of(dask: str | None) -> int:
@@ -239,15 +245,24 @@ def _replay(one: Campaign, case: Case, kept: Kept, page: str | None, bag: Path |
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
     recorded = kept != NOTHING or page is not None
+    code = output.judge("campaign", _failures(outcome))
     if bag is None and not recorded:
-        return 0
+        return code
     simulator = Simulator(one)
     if bag is not None:
         write_case_bag(one, simulator, case, bag)
         output.line(f"wrote   {bag}")
     if recorded:
         record_case(simulator, case, kept, page)
-    return 0
+    return code
+
+
+def _failures(outcome: Outcome) -> str:
+    """Return as text what failed in a run; empty: nothing."""
+    if math.isfinite(outcome.diverged):
+        return f"run {outcome.index} diverged at {outcome.diverged:g} s"
+    names = [name for name, value in outcome.robustness.items() if not value >= 0.0]
+    return f"run {outcome.index} fails {', '.join(names)}" if names else ""
 
 
 def _time(seconds: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,6 +52,7 @@ from arm_emulator_msgs.msg import EmulatorStatus
 
 Array = NDArray[np.float64]
 
+NEAR = 0.01  # of the way to the target: what counts as arrived without a prediction
 LATELY = 20  # 1 / the final share of the instructions, and of a prediction's radius
 PATIENCE = 120.0  # s, wall: on an idle machine the nodes need a second or two
 
@@ -70,7 +72,8 @@ class DemoResult:
     keys=(
         "`scene`, `clock`, `start_mm`, `residual_mm`, `rotation_mrad`, "
         "`instructions_to_1_percent`, `real_time_factor`, `deviations_m`, `predicted_mm`, "
-        "`predicted_within_mm`, `predicted_radius_mm`, `target`, `residual_within_prediction`; "
+        "`predicted_within_mm`, `predicted_radius_mm`, `target`, `residual_within_prediction`, "
+        "`missed` (why the target was not reached); "
         "or `not_predicted`"
     ),
 )
@@ -82,6 +85,8 @@ def demo(
     out: Annotated[Path, Parameter(metavar="FOLDER")] = Path("out"),
 ) -> int:
     """Displace the tool with three nodes, and draw the deviation of each displacement.
+
+    The exit code is 1 where the tool does not come to rest at its target as predicted.
 
     Args:
         scene: scene file or name, or a robot's URDF.
@@ -118,8 +123,9 @@ def demo(
     unclean = {name: code for name, code in codes.items() if code != 0}
     if unclean:
         console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")
-    _report(machine, clock, predicted, result, out, console)
-    return 1 if unclean else 0
+    missed = missed_by(predicted, result.deviations)
+    _report(machine, clock, predicted, result, missed, out, console)
+    return max(output.judge("demo", missed), 1 if unclean else 0)
 
 
 def _predict(
@@ -292,6 +298,18 @@ class _Observer(Node):
             raise Refusal("demo", "emulator/joint_states", "come without a gap", f"t = {now} ns")
 
 
+def missed_by(predicted: PredictedRest | Refusal, deviations: Array) -> str:
+    """Return as text why the tool has not reached its target, from its deviations; empty: it has.
+
+    It has where it rests as predicted, or, without a prediction, within `NEAR` of its way.
+    """
+    if isinstance(predicted, PredictedRest):
+        reached = predicted.arrival is Arrival.REACHED and predicted.contains(deviations[-1])
+        return "" if reached else re.sub(r"\[/?red\]", "", verdict(predicted, deviations))
+    start, end = np.linalg.norm(deviations[[0, -1]], axis=1) * 1e3
+    return "" if end <= NEAR * start else f"the tool is {end:.4g} of {start:.4g} mm off its target"
+
+
 def verdict(predicted: PredictedRest, deviations: Array) -> str:
     """Return as text how the tool came to rest, from its deviations before each instruction."""
     residual = deviations[-1]
@@ -311,6 +329,7 @@ def _report(
     clock: str,
     predicted: PredictedRest | Refusal,
     result: DemoResult,
+    missed: str,
     out: Path,
     console: Console,
 ) -> None:
@@ -324,7 +343,7 @@ def _report(
     )
     start = float(np.linalg.norm(deviations[0]))
     distance = np.linalg.norm(deviations, axis=1)
-    below = np.flatnonzero(distance < 0.01 * start)
+    below = np.flatnonzero(distance < NEAR * start)
     summary = {
         "scene": scene.name,
         "clock": clock,
@@ -334,6 +353,7 @@ def _report(
         "instructions_to_1_percent": int(below[0]) if len(below) else None,
         "real_time_factor": result.real_time_factor,
         "deviations_m": deviations.tolist(),
+        "missed": missed or None,
     }
     console.print(f"residual (mm)             {_row(residual)}")
     if isinstance(predicted, PredictedRest):

@@ -11,6 +11,7 @@ import termios
 import time
 import tty
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -33,8 +34,10 @@ from arm_emulator.machine.scene import load_scene
 from arm_emulator.page.desk import watched
 from arm_emulator.page.watched import stay
 from arm_emulator.runs.breakpoint import Breakpoint
+from arm_emulator.runs.goal import last_target, missed_target
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, off_target
+from arm_emulator.runs.target_limits import check_targets
 from arm_emulator.runs.target_table import load_target_table
 
 _WHERE = ("stdout", "pty", "none")
@@ -61,6 +64,8 @@ def firmware(
 ) -> int:
     """Run unmodified firmware of a microcontroller in the loop with a machine.
 
+    The exit code is 1 where a joint is not within 0.01 rad of the last row of the targets.
+
     Args:
         board: wiring of the registers (YAML).
         firmware: ELF file.
@@ -72,7 +77,8 @@ def firmware(
     machine = load_scene(find_scene(scene))
     warn_of_scene(machine)
     wiring = load_board(board, machine.joint_names)
-    table = None if targets is None else load_target_table(targets, machine.joint_names)
+    check = partial(check_targets, machine)
+    table = None if targets is None else load_target_table(targets, machine.joint_names, check)
     if seconds is None:
         seconds = (table.seconds if table else None) or 10.0
     ticks = ticks_of(seconds, machine)
@@ -101,8 +107,10 @@ def firmware(
                 output.facts({"scene": machine.name, "failed": explain(fault)})
                 return 1
         wall = time.perf_counter() - started
-        off = off_target(one.session, table, ticks) if table else None
+        wanted = None if table is None else last_target(machine, table, ticks)
+        off = None if wanted is None else off_target(one.session, wanted)
         report(one.session, ticks, wall, off)
+        missed = "" if wanted is None else missed_target(one.session, wanted)
         figures = chip.figures
         awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
         each = figures.instructions / ticks
@@ -120,7 +128,7 @@ def firmware(
             print(f"first fault       {chip.fault}")
         if page is not None:
             stay()
-        return 0
+        return output.judge("firmware", missed)
 
 
 def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:

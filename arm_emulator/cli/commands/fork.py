@@ -18,10 +18,12 @@ from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.ros.bag import Bag
+from arm_emulator.runs.goal import missed_order
+from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import MoveTool, Order, Push, ScaleGains, SetVaried, SwitchPower
 
 
-@command(of_ros=True, keys="`bag`, `parent`, `tick`, `ticks`, `orders`, `diverged`")
+@command(of_ros=True, keys="`bag`, `parent`, `tick`, `ticks`, `orders`, `diverged`, `missed`")
 def fork(
     bag: Path,
     new: Path,
@@ -98,7 +100,9 @@ def fork(
             "diverged": diverged or None,
         }
     )
-    return 1 if diverged else 0
+    if diverged or displacement is None or not isinstance(line.run, OfflineRun):
+        return 1 if diverged else 0
+    return output.judge("fork", missed_order(line.run))
 
 
 def _set(text: str) -> SetVaried:

@@ -33,6 +33,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import END_OF_TIME, Session
 from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.goal import last_target, missed_order, missed_target
 from arm_emulator.runs.guarded import guarded
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.runs.order import NO_VECTOR, MoveTool
@@ -43,7 +44,10 @@ from arm_emulator.runs.timeline import Timeline
 
 
 @command(
-    keys="`scene`, `logical_time`, `wall_time`, `ticks`, `tool_off`, `energy`, `q`, `diverged`",
+    keys=(
+        "`scene`, `logical_time`, `wall_time`, `ticks`, `tool_off`, `energy`, `q`, `diverged`, "
+        "`missed` (why the goal was not reached)"
+    ),
 )
 def run(
     scene: SceneName = "three_axis",
@@ -58,6 +62,9 @@ def run(
     kept: Keep = NOTHING,
 ) -> int:
     """Run machine, servo and motion controller in one process, in lock-step.
+
+    The exit code is 1 where the goal is not reached at the end: the displaced tool by the measure
+    of motion control, the last row of a table, or else the start, within 0.01 rad of each joint.
 
     Args:
         displacement: displacement of the tool from its start (m, in the world; default: none).
@@ -96,6 +103,8 @@ def run(
             return _diverged(fault, session)
         wall = time.perf_counter() - started
         report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+    missed = missed_order(one) if displacement else missed_target(session, machine.start)
+    code = output.judge("run", missed)
     if line is not None and bag is not None:
         from arm_emulator.bags.timeline_bag import write_timeline
 
@@ -103,7 +112,7 @@ def run(
         output.line(f"bag               {bag}")
     if line is not None and page is not None:
         _serve(line, page)
-    return 0
+    return code
 
 
 def _serve(line: Timeline[OfflineRun], at: str) -> None:
@@ -164,8 +173,9 @@ def _report_table(one: TableRun, targets: TargetTable, seconds: float | None, ke
         except Diverged as fault:
             return _diverged(fault, session)
         wall = time.perf_counter() - started
-        report(session, ticks, wall, off_target(session, targets, ticks))
-    return 0
+        wanted = last_target(session.scene, targets, ticks)
+        report(session, ticks, wall, off_target(session, wanted))
+    return output.judge("run", missed_target(session, wanted))
 
 
 @contextlib.contextmanager

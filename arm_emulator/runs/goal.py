@@ -1,0 +1,62 @@
+"""Whether a run has reached its goal: the joints' last target, or the motion controller's order."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import Session
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_report import MotionReport, State, left
+from arm_emulator.motion.orders import Progress
+from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.target_table import TargetTable
+
+# rad, or of the arm's length for a joint that slides: a tenth of what a servo without integral part
+# leaves is far below it, and an arm that fell, or met a stop, is far beyond it.
+NEAR = 0.01
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def last_target(scene: Scene, targets: TargetTable, ticks: int) -> FloatArray:
+    """Return the joint targets that hold after so many ticks (N,) [rad or m]."""
+    begun = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
+    return np.asarray(targets.q[begun - 1] if begun else scene.start)
+
+
+def missed_target(session: Session, wanted: FloatArray) -> str:
+    """Return as text which joint is not at its target (N,) [rad or m]; empty: all are near."""
+    scene = session.scene
+    scale = Kinematics(scene.urdf, scene.joint_names, scene.tool).joint_scale
+    off = np.abs(session.state.q - wanted)
+    j = int(np.argmax(off / scale))
+    if off[j] <= NEAR * scale[j]:
+        return ""
+    unit = "rad" if scale[j] == 1.0 else "m"
+    return (
+        f"joint {scene.joint_names[j]} is {off[j]:.3g} {unit} off its target, "
+        f"more than {NEAR * scale[j]:.3g}"
+    )
+
+
+def missed_order(run: OfflineRun) -> str:
+    """Return as text why the motion controller's newest order is not reached; empty: it is."""
+    instructor = run.instructor
+    newest, now = instructor.reports.newest, instructor.progress
+    if newest is None:
+        return "it was not taken"
+    if newest.state is not State.REACHED:
+        under_way = not newest.state.final
+        if under_way and instructor.waits_for:
+            return f"{newest.state.name.lower()}: {instructor.waits_for}"
+        return _in_words(newest.state, now if under_way else newest)
+    if now.state is State.REACHED:
+        return ""
+    return f"reached, and left again, {_in_words(now.state, now)}"
+
+
+def _in_words(state: State, progress: Progress | MotionReport) -> str:
+    why = f": {progress.reason}" if progress.reason else ""
+    return f"{state.name.lower()}{left(progress.distance, progress.angle)}{why}"
