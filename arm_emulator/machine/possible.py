@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
 from arm_emulator.machine.joint import Joint
+from arm_emulator.machine.parts.analog_sensor import PROPORTIONAL
+from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.line import line_numbers
 from arm_emulator.machine.varied import Varied
@@ -30,8 +34,18 @@ def possible_faults(
     imus: tuple[Imu, ...],
     payload: float | None,
     gravity: tuple[float, ...] | None,
+    varied: Collection[str],
 ) -> dict[str, SceneFault]:
-    """Return the faults that a scene could list, by their names; `payload` is its mass [kg]."""
+    """Return the faults that a scene could list, by their names.
+
+    Args:
+        joints: of the scene.
+        chain: its links.
+        imus: its measurement units.
+        payload: mass of the payload [kg]; None: there is no payload.
+        gravity: of the scene [m/s2]; None: there is no gravity.
+        varied: names of the numbers that it lists as varied.
+    """
     # Only where they are asked for: most scenes have none and are loaded in less time.
     from arm_emulator.machine.faults.known import FAULTS
 
@@ -44,6 +58,11 @@ def possible_faults(
         f"joints.{joint.name}.{joint.motor.section}.{one.hides}"
         for joint in joints if joint.motor for one in joint.decorators if one.hides
     }  # fmt: skip
+    hidden |= {
+        f"joints.{joint.name}.{CurrentSensor.section}.{key}"
+        for joint in joints if joint.motor and not joint.motor.has_current
+        for key in PROPORTIONAL
+    }  # fmt: skip
     numbers = {
         place: value
         for name, part in parts
@@ -51,7 +70,7 @@ def possible_faults(
         if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
     }
     numbers |= {one.name: one.value for link in chain.links for one in varied_body(link)}
-    numbers |= line_numbers([joint.name for joint in joints])
+    numbers |= line_numbers({joint.name: joint.motor is not None for joint in joints})
     if any(joint.motor and joint.motor.has_winding for joint in joints):
         numbers["supply.share"] = 1.0
     if gravity is not None:
@@ -63,4 +82,4 @@ def possible_faults(
         "links": [link.link for link in chain.links],
         "imus": [imu.name for imu in imus],
     }
-    return faults_of(FAULTS, owners, numbers)
+    return faults_of(FAULTS, owners, numbers, varied)

@@ -208,12 +208,13 @@ def _build(root: Section, file: Path) -> Scene:
     if unfit is not None:
         raise root.refusal(*unfit)
     imus = _imus(root, chain)
+    varied = _varied(root, could_vary(joints, chain, imus), mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
     if root.has("faults"):
-        possible = possible_faults(joints, chain, imus, mass, gravity)
+        names = {one.name for one in varied}
+        possible = possible_faults(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
-    varied = _varied(root, could_vary(joints, chain, imus), mass, numbers["seed"])
     varied += tuple(one.varied for one in faults)
     scene = Scene(
         name=name,

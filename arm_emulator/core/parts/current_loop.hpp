@@ -60,12 +60,12 @@ struct CurrentLoop : Motor {
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool held, X* f) const {
     const X V = held ? offset : asked(z, u, wm);
-    f[0] = V - this->R * z[0] - this->Kb * wm;
+    f[0] = V - this->R_circuit() * z[0] - this->Kb * wm;
     f[1] = held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
   }
   // The integral is set to hold a current that is set by hand.
   constexpr void put_current(Real* z, Real current) const {
-    z[0] = current, z[1] = this->R * current;
+    z[0] = current, z[1] = this->R_circuit() * current;
   }
   static constexpr bool never_follows = true;
   constexpr void follow(Real*, Real, Real) const {}

@@ -20,7 +20,8 @@ struct CurrentMotor {
   Real current_limit = 0.0;  // A; 0: none
 
   static constexpr bool present = true;
-  static constexpr int states = 1;  // i [A]
+  static constexpr int states = 1;     // i [A]
+  static constexpr int regulated = 1;  // of them, see open_winding.hpp
   static constexpr int modes = 0;
   static constexpr Command takes = Command::current;
 

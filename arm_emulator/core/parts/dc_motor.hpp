@@ -1,6 +1,6 @@
 // A direct-current motor: armature circuit, and the torque on its rotor.
 //
-//   (1)  L di/dt = V - R i - Kb wm          torque  Kt i
+//   (1)  L di/dt = V - (R + R_contact) i - Kb wm          torque  Kt i
 //
 // With L = 0 the current follows at once. At its limit the drive reduces the voltage so that the
 // current stays there. Its mode (mode.hpp) is `held` there, and the mode's number is the limit,
@@ -23,6 +23,7 @@ struct DcMotorOf {
   Real Kb;                   // V s/rad
   Real Mm;                   // kg m2, with the gear's primary side
   Real current_limit = 0.0;  // A, of one that has a limit
+  Real R_contact = 0.0;      // ohm, in series with the winding, which it does not heat
 
   static constexpr bool present = true;
   static constexpr int states = 1;  // i [A]
@@ -38,7 +39,7 @@ struct DcMotorOf {
   constexpr Real inertia(int, bool held) const { return held ? 0.0 : L; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool held, X* f) const {
-    f[0] = held ? offset - i[0] : V - R * i[0] - Kb * wm;
+    f[0] = held ? offset - i[0] : V - R_circuit() * i[0] - Kb * wm;
   }
   template <class X>
   ARM_INLINE constexpr X torque(const X* i, X) const {
@@ -49,10 +50,11 @@ struct DcMotorOf {
     return i[0];
   }
   constexpr void put_current(Real* i, Real current) const { i[0] = current; }
+  constexpr Real R_circuit() const { return R + R_contact; }
 
   // Set the current if it is algebraic.
   constexpr void follow(Real* i, Real V, Real wm) const {
-    if (L == 0.0) i[0] = (V - Kb * wm) / R;
+    if (L == 0.0) i[0] = (V - Kb * wm) / R_circuit();
     if constexpr (limited) i[0] = clamp(i[0], current_limit);
   }
 
@@ -73,10 +75,10 @@ struct DcMotorOf {
   }
   constexpr Real margin(const Real* i, Real V, Real wm, const Mode& mode) const {
     if (!mode.held) {
-      const Real now = L > 0.0 ? i[0] : (V - Kb * wm) / R;
+      const Real now = L > 0.0 ? i[0] : (V - Kb * wm) / R_circuit();
       return current_limit * (1.0 + kRounding) - magnitude(now);
     }
-    const Real rounding = kRounding * (magnitude(V) + R * current_limit);
+    const Real rounding = kRounding * (magnitude(V) + R_circuit() * current_limit);
     const Real left = surplus(mode.offset, V, wm);
     return (mode.offset < 0.0 ? -left : left) + rounding;
   }
@@ -90,12 +92,16 @@ struct DcMotorOf {
   }
   template <class X>
   ARM_INLINE constexpr X dissipated(const X* i) const {
+    return R_circuit() * i[0] * i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X copper_loss(const X* i) const {
     return R * i[0] * i[0];
   }
   // Power from the supply, and the surplus from unequal constants [W].
   template <class X>
   ARM_INLINE constexpr X given(const X* i, X V, X, X wm, bool held) const {
-    const X applied = held ? R * i[0] + Kb * wm : V;
+    const X applied = held ? R_circuit() * i[0] + Kb * wm : V;
     return applied * i[0] + (Kt - Kb) * wm * i[0];
   }
   // The most that it can be given at the voltage V, for the best i [W].
@@ -113,7 +119,7 @@ struct DcMotorOf {
   }
   // The voltage that is left to raise the current [V]. Held at the limit, a current needs some in
   // the limit's way, or it would fall by itself.
-  constexpr Real surplus(Real i, Real V, Real wm) const { return V - R * i - Kb * wm; }
+  constexpr Real surplus(Real i, Real V, Real wm) const { return V - R_circuit() * i - Kb * wm; }
 };
 
 using DcMotor = DcMotorOf<false>;

@@ -56,7 +56,7 @@ struct FieldOrientedLoop : Motor {
   }
   // The integral is set to hold a current that is set by hand.
   constexpr void put_current(Real* z, Real current) const {
-    z[1] = current, z[4] = this->R * current;
+    z[1] = current, z[4] = this->R_circuit() * current;
   }
 
   // ud has priority in the circle of the current limit, too.

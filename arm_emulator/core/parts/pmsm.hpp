@@ -1,8 +1,8 @@
 // A permanent-magnet synchronous motor in the frame of its rotor, d along the magnets' flux, in
 // amplitudes of its phases:
 //
-//   Ld did/dt = ud - R id + p wm Lq iq
-//   Lq diq/dt = uq - R iq - p wm (Ld id + psi)
+//   Ld did/dt = ud - (R + R_contact) id + p wm Lq iq
+//   Lq diq/dt = uq - (R + R_contact) iq - p wm (Ld id + psi)
 //   torque      3/2 p (psi iq + (Ld - Lq) id iq)
 //
 // An inverter with space vectors reaches the amplitude supply / sqrt(3). ud has priority, and uq
@@ -26,6 +26,7 @@ struct PmsmOf {
   Real p;                    // pole pairs
   Real Mm;                   // kg m2, with the gear's primary side
   Real current_limit = 0.0;  // A, of its drive's current loops; 0: none
+  Real R_contact = 0.0;      // ohm, in series with each phase, which it does not heat
 
   static constexpr bool present = true;
   static constexpr int states = 3;  // id [A], iq [A], ud [V], which rests
@@ -33,14 +34,16 @@ struct PmsmOf {
   static constexpr Command takes = Command::voltage_dq;  // uq
   static constexpr int further = 1;                      // ud
 
-  constexpr PmsmOf<false> linear() const { return {R, Ld, Lq, psi, p, Mm, current_limit}; }
+  constexpr PmsmOf<false> linear() const {
+    return {R, Ld, Lq, psi, p, Mm, current_limit, R_contact};
+  }
 
   constexpr Real inertia(int k, bool) const { return k == 0 ? Ld : k == 1 ? Lq : 1.0; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X uq, X, X wm, X, bool, X* f) const {
     const X id = z[0], iq = z[1], ud = z[2];
-    f[0] = ud - R * id;
-    f[1] = uq - R * iq - p * psi * wm;
+    f[0] = ud - R_circuit() * id;
+    f[1] = uq - R_circuit() * iq - p * psi * wm;
     f[2] = X{};
     if constexpr (whole) {
       f[0] += p * Lq * wm * iq;
@@ -59,6 +62,7 @@ struct PmsmOf {
     return z[1];
   }
   constexpr void put_current(Real* z, Real current) const { z[1] = current; }
+  constexpr Real R_circuit() const { return R + R_contact; }
   constexpr Real current_d(const Real* z) const { return z[0]; }
   constexpr Real largest_current() const { return 0.0; }
   static constexpr bool never_follows = true;
@@ -81,6 +85,10 @@ struct PmsmOf {
   }
   template <class X>
   ARM_INLINE constexpr X dissipated(const X* z) const {
+    return 1.5 * R_circuit() * (z[0] * z[0] + z[1] * z[1]);
+  }
+  template <class X>
+  ARM_INLINE constexpr X copper_loss(const X* z) const {
     return 1.5 * R * (z[0] * z[0] + z[1] * z[1]);
   }
   template <class X>

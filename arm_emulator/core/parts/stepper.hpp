@@ -26,7 +26,8 @@ struct StepperMotorOf {
   Real current_limit = 0.0;  // A, of a phase; 0: none
 
   static constexpr bool present = true;
-  static constexpr int states = 3;  // ia, ib [A], ub [A], which rests
+  static constexpr int states = 3;     // ia, ib [A], ub [A], which rests
+  static constexpr int regulated = 2;  // the first of them, see open_winding.hpp
   static constexpr int modes = 0;
   static constexpr Command takes = Command::current;  // ua
   static constexpr int further = 1;                   // ub

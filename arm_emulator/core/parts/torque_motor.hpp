@@ -19,7 +19,8 @@ struct TorqueMotor {
   Real torque_limit = 0.0;  // N m; 0: none
 
   static constexpr bool present = true;
-  static constexpr int states = 1;  // tau [N m]
+  static constexpr int states = 1;     // tau [N m]
+  static constexpr int regulated = 1;  // of them, see open_winding.hpp
   static constexpr int modes = 0;
   static constexpr Command takes = Command::torque;
 

@@ -1,7 +1,8 @@
 // The temperature of a motor's winding, as one body: its rise Theta over the ambient [K] is a
 // state,
 //
-//   C dTheta/dt = P - Theta / Rth          P = copper loss at the temperature now
+//   C dTheta/dt = P - Theta / Rth          P = copper loss at the temperature now, without that
+//                                          of contacts
 //   R = R0 (1 + alpha (T - Tref))          T = ambient + Theta
 //   Kt, Kb (psi) = those at Tref times (1 + beta (T - Tref)), at least 0
 //
@@ -62,7 +63,7 @@ struct HeatedMotor : Motor {
       } else if (this->obeys_circuit(held)) {
         f[0] -= R * z[0] + flux * this->Kb * wm;
       }
-      f[rise] += dissipated(z);
+      f[rise] += resistance(z) * Motor::copper_loss(z);
     }
   }
   template <class X>
@@ -78,7 +79,8 @@ struct HeatedMotor : Motor {
   }
   template <class X>
   ARM_INLINE constexpr X dissipated(const X* z) const {
-    return resistance(z) * Motor::dissipated(z);
+    const X copper = Motor::copper_loss(z);
+    return resistance(z) * copper + (Motor::dissipated(z) - copper);
   }
   template <class X>
   ARM_INLINE constexpr X given_at_most(const X* z, X u, X wm) const {

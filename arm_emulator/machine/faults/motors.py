@@ -4,31 +4,37 @@ from __future__ import annotations
 
 from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 
+_OF_MAGNETS = (
+    "motor.torque_constant",
+    "motor.torque_per_current",
+    "motor.back_emf_constant",
+    "motor.flux",
+)
+
 FAULTS = (
     Fault(
         "magnets_weaken",
         "the magnets lose a share of their strength",
-        sets=falling("motor.torque_constant", "motor.back_emf_constant", "motor.flux"),
+        sets=falling(*_OF_MAGNETS),
         magnitude=share(0.3),
     ),
     Fault(
         "contact_resistance",
         "a contact between drive and winding has a resistance",
-        sets=rising("motor.resistance"),
+        sets=rising("motor.contact"),
         magnitude=rise("ohm", 1.0, 1e9),
     ),
     Fault(
         "winding_opens",
-        "a wire of the winding breaks: its resistance is 1e4 times as large",
-        sets={"motor.resistance": "{x} * (1.0 + 1e4 * {m})"},
+        "the wires of all phases break: a millionth of the current is left",
+        sets=rising("motor.open"),
         magnitude=share(),
     ),
     Fault(
         "turns_short",
         "a share of the winding's turns is shorted",
         sets={
-            **falling("motor.torque_constant", "motor.back_emf_constant", "motor.flux"),
-            **falling("motor.resistance"),
+            **falling(*_OF_MAGNETS, "motor.resistance"),
             **dict.fromkeys(
                 ("motor.inductance", "motor.inductance_d", "motor.inductance_q"),
                 "{x} * (1.0 - {m}) * (1.0 - {m})",
@@ -45,7 +51,12 @@ FAULTS = (
     Fault(
         "current_loop_slows",
         "the loop of current or torque within the drive has less bandwidth",
-        sets=falling("motor.bandwidth"),
+        sets=falling(
+            "motor.bandwidth",
+            "motor.current_loop.bandwidth",
+            "motor.current_loop.proportional_gain",
+            "motor.current_loop.integral_gain",
+        ),
         magnitude=share(0.9, 0.999),
     ),
 )

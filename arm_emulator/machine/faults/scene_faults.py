@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from arm_emulator.machine import cxx_literals
@@ -37,29 +37,37 @@ def faults_of(
     kinds: Iterable[Fault],
     owners: Mapping[str, Iterable[str]],
     numbers: Mapping[str, float | None],
+    varied: Collection[str],
 ) -> dict[str, SceneFault]:
     """Return the faults that a scene can have, by their names.
+
+    A fault that would change no motion and no measurement is none of them.
 
     Args:
         kinds: of faults.
         owners: names of joints, links and measurement units, by the sections of the scene.
         numbers: all numbers that can be changed, by their places in the scene; None: left out.
+        varied: places of numbers that get other values while the machine runs.
     """
     found = {}
     for kind in kinds:
         for owner in owners.get(kind.of, ("",)):
             of = f"{kind.of}.{owner}." if kind.of else ""
-            changes = []
+            changes = {}
             for place, expression in kind.sets.items():
                 value = numbers.get(of + place)
                 if value is None and of + place in numbers:
                     value = kind.absent
                 if value is not None:
-                    changes.append(Change(of + place, value, expression))
-            if changes and of + kind.needs in {of, *numbers}:
+                    changes[place] = Change(of + place, value, expression)
+            acts = any(
+                one.number in varied or kind.changes(one.value, place)
+                for place, one in changes.items()
+            )
+            if acts and of + kind.needs in {of, *numbers}:
                 name = f"{owner}.{kind.name}" if owner else kind.name
                 number = replace(kind.magnitude, name=f"faults.{name}", text=kind.text)
-                found[name] = SceneFault(kind, Varied(number, 0.0), tuple(changes))
+                found[name] = SceneFault(kind, Varied(number, 0.0), tuple(changes.values()))
     return found
 
 

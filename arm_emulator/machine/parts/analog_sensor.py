@@ -16,6 +16,7 @@ from arm_emulator.machine.parts.resting import AtRest, Share
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
 MOST_JOINTS = 4096  # that draws keep apart
+PROPORTIONAL = ("gain_error", "range")  # numbers that change no reading of 0
 LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 

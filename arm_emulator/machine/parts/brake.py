@@ -88,8 +88,8 @@ class Brake(Part):
         )
 
     def fault_numbers(self) -> dict[str, float | None]:
-        """Its numbers, and whether it is closed."""
-        return {**super().fault_numbers(), "closed": 0.0}
+        """Its numbers, and whether it is closed, as it is before the drives get power."""
+        return {**super().fault_numbers(), "closed": 1.0}
 
     def rotor(
         self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str

@@ -14,6 +14,7 @@ class CurrentMotor(Motor):
     """The current follows the command, with a bandwidth if there is one."""
 
     kind = "current"
+    regulated = True
     header = "current_motor.hpp"
     cxx = "CurrentMotor"
     inputs = (CURRENT,)

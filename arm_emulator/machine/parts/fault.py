@@ -17,8 +17,9 @@ class Fault:
         of: what has it: "joints", "links" or "imus" of the scene, or "" for the machine.
         text: what happens, in a line.
         sets: expressions by places of numbers, such as ``{"gear.stiffness": "{x} * (1.0 - {m})"}``;
-            ``x`` is the number without the fault, ``m`` the magnitude. At magnitude 0 they give x.
-            Numbers that the scene does not have are left out, and one must be there.
+            ``x`` is the number without the fault, ``m`` the magnitude. At magnitude 0 they give x,
+            and those that begin with ``{x} *`` are proportional to it. Numbers that the scene does
+            not have are left out, and one must be there.
         magnitude: unit and range; its default is the magnitude that shows the fault well.
         absent: what a number is that could be there and that the scene leaves out; None: such a
             number cannot be changed.
@@ -38,6 +39,10 @@ class Fault:
     def changes_commands(self) -> bool:
         """Whether motors get other commands than were sent, within their limits."""
         return any(place.startswith(("line.", "supply.")) for place in self.sets)
+
+    def changes(self, value: float, place: str) -> bool:
+        """Return whether it changes the number at a place of `sets` from a value."""
+        return value != 0.0 or not self.sets[place].startswith("{x} *")
 
     @property
     def sections(self) -> set[str]:

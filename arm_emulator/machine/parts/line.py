@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 from arm_emulator.base.number import Number
 from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, share
 from arm_emulator.machine.parts.part import Part, number
 
 LATEST = 16.0  # servo periods
+COMMANDED = ("command_", "silent")  # numbers that change no joint without a motor begin so
 
 
 def _probability(symbol: str) -> float | None:
@@ -77,12 +78,19 @@ class Line(Part):
         )  # fmt: skip
 
 
-def line_numbers(joints: Sequence[str]) -> dict[str, None]:
-    """Return the numbers of joints' lines that faults can change, base to tool."""
-    numbers = {f"joints.{name}.{Line.section}.{key}": None for name in joints
-               for key in Line.numbers()}  # fmt: skip
-    del numbers[f"joints.{joints[-1]}.{Line.section}.swapped"]  # it has no next joint
-    return numbers
+def line_numbers(joints: Mapping[str, bool]) -> dict[str, None]:
+    """Return the numbers of joints' lines that faults can change.
+
+    Args:
+        joints: whether each has a motor, which takes commands, by its name, base to tool.
+    """
+    *_, last = joints  # has no next joint
+    return {
+        f"joints.{name}.{Line.section}.{key}": None
+        for name, driven in joints.items()
+        for key in Line.numbers()
+        if (driven or not key.startswith(COMMANDED)) and (name != last or key != "swapped")
+    }
 
 
 def lines(seed: str, joints: Iterable[str], places: Mapping[str, str]) -> str:

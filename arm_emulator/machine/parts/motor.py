@@ -30,6 +30,7 @@ class CxxMotor(NamedTuple):
     value: str
 
 
+OPEN = 1e6  # of its resistance an open winding has, as in open_winding.hpp
 AT_ONCE = 1e9  # Hz, the bandwidth of what follows its command at once
 
 
@@ -84,6 +85,8 @@ class Motor(Part):
     kind: ClassVar[str]  # `motor.kind` in the scene
     is_default: ClassVar[bool] = False  # whether it is meant where a scene gives no kind
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
+    has_current: ClassVar[bool] = True  # that a sensor of it reads
+    regulated: ClassVar[bool] = False  # whether its drive regulates its currents or its torque
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
     rules: ClassVar[tuple[str, ...]] = ()
@@ -128,7 +131,39 @@ class Motor(Part):
             joint: the joint's name.
             places: where the values of varied numbers stand, by their name.
         """
-        return inner
+        opened = self._opened(joint, places)
+        if not opened or not self.regulated:
+            return inner
+        kind = f"arm::OpenedMotor<{inner.type}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {opened}}}")
+
+    def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
+        opened = self.regulated and self._opened(joint, places)
+        return (self.header, *(["open_winding.hpp"] if opened else []))
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
+        """Its numbers, and the resistance of a contact or an open wire if a voltage drives it."""
+        members = super().members(joint, places)
+        if self.regulated:
+            return members
+        series = []
+        if contact := places.get(f"joints.{joint}.{self.section}.contact"):
+            series.append(contact)
+        if opened := self._opened(joint, places):
+            series.append(f"{OPEN:g} * {dict(members)['R']} * {opened}")
+        return [*members, ("R_contact", " + ".join(series))] if series else members
+
+    def fault_numbers(self) -> dict[str, float | None]:
+        """Its numbers, how far its winding is open, and the resistance of its contacts.
+
+        A current that is regulated by an ideal drive does not depend on a resistance.
+        """
+        contact = {} if self.regulated else {"contact": 0.0}
+        return {**super().fault_numbers(), **contact, "open": 0.0}
+
+    def _opened(self, joint: str, places: Mapping[str, str]) -> str | None:
+        """Return how far its winding is open, in C++; None: no fault of it is listed."""
+        return places.get(f"joints.{joint}.{self.section}.open")
 
     @property
     def follows_speed_at_once(self) -> bool:

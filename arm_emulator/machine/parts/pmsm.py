@@ -115,7 +115,8 @@ class Pmsm(Motor):
         return {**super().fault_numbers(), "phase_lost": 0.0}
 
     def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
-        return (self.header, *(["torque_ripple.hpp"] if self._lost(joint, places) else []))
+        ripple = ["torque_ripple.hpp"] if self._lost(joint, places) else []
+        return (*super().headers(joint, places), *ripple)
 
     def around(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
         """Return it with the ripple of a lost phase.

@@ -13,6 +13,7 @@ class Stepper(Motor):
     """Two phases whose currents follow their commands; the rotor's teeth follow the currents."""
 
     kind = "stepper"
+    regulated = True
     limit = "current_limit"
     header = "stepper.hpp"
     cxx = "StepperMotor"

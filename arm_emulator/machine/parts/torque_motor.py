@@ -14,6 +14,8 @@ class TorqueMotor(Motor):
     """The torque follows the command, with a bandwidth if there is one."""
 
     kind = "torque"
+    regulated = True
+    has_current = False
     header = "torque_motor.hpp"
     cxx = "TorqueMotor"
     inputs = (TORQUE,)
