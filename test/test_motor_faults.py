@@ -46,7 +46,7 @@ KINDS: dict[str, dict[str, Any]] = {
 
 CONTACTS = ("dc_at_once", "dc_in_loop", "pmsm", "pmsm_in_loop")  # at a voltage
 
-# What physics leaves of the faults of motors: a drive that regulates the current of an ideal
+# Physics decides which faults of motors act: a drive that regulates the current of an ideal
 # source overcomes a resistance, one that regulates the torque weaker magnets and fewer turns.
 OF_MAGNETS = {"magnets_weaken", "turns_short"}
 OF_CIRCUIT = {"contact_resistance", *OF_MAGNETS, "inverter_ages", "cooling_fails", "ambient_rises"}
@@ -165,7 +165,7 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
             name = f"{joint}.{kind.name}"
             if kind.name in of_motors:
                 expected = kind.name in EFFECTIVE[joint] | ALWAYS
-                assert (name in listed) == expected, f"{name} is possible, and physics says no"
+                assert (name in listed) == expected, f"{name} is possible: {name in listed}"
             if name not in listed:
                 with pytest.raises(Refusal, match="faults that this scene can have"):
                     machine(tmp_path, faults=[name])

@@ -41,7 +41,7 @@ def faults_of(
 ) -> dict[str, SceneFault]:
     """Return the faults that a scene can have, by their names.
 
-    A fault that would change no motion and no measurement is none of them.
+    They leave out those that would change no motion and no measurement.
 
     Args:
         kinds: of faults.
