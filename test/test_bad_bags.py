@@ -55,6 +55,12 @@ def empty_folder(folder: Path) -> Path:
     return folder
 
 
+def other_storage(folder: Path) -> Path:
+    folder.mkdir()
+    (folder / "bag_0.db3").write_bytes(b"SQLite format 3\0")
+    return folder
+
+
 def text_file(folder: Path) -> Path:
     file = folder.with_suffix(".mcap")
     file.write_text("this is not a bag\n")
@@ -66,6 +72,8 @@ def text_file(folder: Path) -> Path:
     [
         (lambda folder: folder, "the bag must exist"),
         (empty_folder, "the bag must hold *.mcap files"),
+        (other_storage, "the bag's storage must be mcap, got sqlite3 (*.db3)"),
+        (lambda folder: other_storage(folder) / "bag_0.db3", "must be mcap, got sqlite3"),
         (text_file, "the bag must be undamaged MCAP"),
         (damaged, "the bag must be undamaged MCAP"),
         (other_topics, "the bag must have one topic motor_states, got /talk"),

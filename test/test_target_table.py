@@ -70,6 +70,8 @@ BAD_TABLES = {
     GOOD + "1e12,0.1,0.2,0.3\n": "line 4, t must be from 0 to 1e+09 s",
     "t,waist,shoulder,elbow\n-1,0,0,0\n": "line 2, t must be from 0 to 1e+09 s, got -1.0",
     GOOD + '1.0,"0.1,0.2,0.3\n': "must be well-formed CSV",
+    "t;waist;shoulder;elbow\n0;0,1;0,2;0,3\n": "must separate columns by commas, got semicolons",
+    "t\twaist\tshoulder\telbow\n0\t1\t2\t3\n": "must separate columns by commas, got tabs",
     "\udcff\udcfe": "file must be text in UTF-8",
     "\0": "table.csv: ",
 }

@@ -27,7 +27,7 @@ class Refusal(ValueError):
         self.got = got
         self.valid = valid
         line = f"{_one_line(where, 120, of_end=True)}: {_one_line(quantity, 200)} must "
-        line += f"{_one_line(rule, 300)}, got {_one_line(got, 80)}"
+        line += f"{_one_line(rule, 300)}, got {_one_line(got, 200)}"
         super().__init__(line if valid is None else f"{line}; valid: {_one_line(valid, 500)}")
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -19,6 +19,7 @@ from arm_emulator.base.text_file import read_text
 MOST_BYTES = 2**28
 MOST_COLUMNS = 1000
 LONGEST_LINE = 2**16  # characters
+_OTHER_MARKS = {";": "semicolons", "\t": "tabs"}  # between columns, as spreadsheets write them
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,10 @@ def read_table(file: Path, units: Mapping[str, str]) -> Table:
     rows = _rows(file)
     _, head = next(rows, (1, []))
     columns = tuple(cell.strip() for cell in head)
+    for mark, name in _OTHER_MARKS.items():
+        if len(columns) == 1 and mark in columns[0]:
+            rule = "separate columns by commas"
+            raise Refusal(where, "heading", rule, name, "commas, and points in decimal numbers")
     if len(columns) > MOST_COLUMNS:
         raise Refusal(where, "heading", f"have at most {MOST_COLUMNS} columns", len(columns))
     values, lines = array("d"), array("q")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import MOST_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
+from arm_emulator.design.source_packages import source_packages
 
 _XACRO = re.compile(r"<xacro:|\$\{|\$\(")  # as no URDF has it, whatever the file's name is
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
@@ -51,7 +53,11 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
         valid = "pip install xacro, or give the output of `xacro FILE > robot.urdf`"
         raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
     given = [f"{name}:={value}" for name, value in arguments.items()]
-    command = [sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), *given]
+    packages = {name: str(folder) for name, folder in source_packages(file.parent).items()}
+    command = [
+        sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), json.dumps(packages),
+        *given,
+    ]  # fmt: skip
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         try:
             done = subprocess.run(
@@ -67,6 +73,10 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
         reason = " ".join(errors.read(2000).decode(errors="replace").split())
     if code < 0:
         reason = f"more than {expand_xacro.SECONDS} s, or more than it may write"
+    elif code == expand_xacro.NO_PACKAGE:
+        rule = "name a package whose package.xml is around the file, or one of the shell"
+        valid = ", ".join(sorted(packages)) or "a clone with package.xml, or a sourced workspace"
+        raise Refusal(file.name, f"$(find {reason})", rule, "none", valid)
     elif code == 0 and len(text) <= MOST_BYTES:
         return text.decode(errors="replace")
     raise Refusal(file.name, "file", "be expandable by xacro", reason or "nothing")

@@ -29,6 +29,7 @@ except ImportError as error:  # a stock ROS 2 machine has none
     ) from None
 
 
+SQLITE = ".db3"  # suffix of rosbag2's other storage, the default before Iron
 WINDOW = 10_000  # messages: largest difference of the orders of reception and publication
 
 
@@ -177,6 +178,9 @@ def files_of(path: Path) -> list[Path]:
     """
     if not path.exists():
         raise Refusal(str(path), "the bag", "exist", "no such file or folder")
+    if path.suffix == SQLITE or (path.is_dir() and any(path.glob(f"*{SQLITE}"))):
+        valid = "`ros2 bag convert` with storage_id: mcap, or `ros2 bag record --storage mcap`"
+        raise Refusal(str(path), "the bag's storage", "be mcap", f"sqlite3 (*{SQLITE})", valid)
     files = sorted(path.glob("*.mcap"), key=_place) if path.is_dir() else [path]
     if not files:
         raise Refusal(str(path), "the bag", "hold *.mcap files", "none", "storage mcap")

@@ -122,7 +122,7 @@ def _stages() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
 
 
 def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
-    if not data.is_dir():
+    if not data.is_dir() and data.suffix not in (".mcap", ".db3"):
         return read_run(data, nominal, angles, side)
     from arm_emulator.bags.bag_run import read_bag_run  # ROS, where it is needed
 
