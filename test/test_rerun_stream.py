@@ -271,6 +271,21 @@ def test_layout_names_and_meshes_are_in_the_stream(tmp_path):
     assert ("/odd_arm/visual_geometries/a/visual_0", "Asset3D:blob") in columns
 
 
+def test_the_viewers_command_is_one_that_a_shell_finds(monkeypatch, tmp_path):
+    """In a shell of the project by its name, in any other one by its path."""
+    from arm_emulator.view.viewer_command import viewer_command
+
+    viewer = tmp_path / "bin" / "rerun"
+    viewer.parent.mkdir()
+    viewer.touch(mode=0o755)
+    monkeypatch.setattr("sys.executable", str(viewer.with_name("python")))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(viewer.parent))
+    assert viewer_command("my run.rrd") == "rerun 'my run.rrd'"
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert viewer_command(tmp_path / "a.rrd") == f"bin/rerun {tmp_path}/a.rrd"
+
+
 # Isolation of the control path
 
 

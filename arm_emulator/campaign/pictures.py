@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +100,7 @@ def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[st
     figure, axes = _figure(WIDTH, 2.3 * down, down, across)
     for axis, (name, title) in zip(axes, requirements.items(), strict=False):
         values = columns[name][np.isfinite(columns[name])]
-        axis.set_title(title, loc="left")
+        axis.set_title(wrapped(title, 24), loc="left")
         if len(values):
             edges = np.histogram_bin_edges(values, bins=60)
             low, high = edges[0], edges[-1]
@@ -140,7 +141,7 @@ def influences(
                 axis.set_visible(False)
                 continue
             _cloud(axis, columns[of][some], values[some])
-            axis.set_xlabel(_in(short(of), units.get(of)))
+            axis.set_xlabel(wrapped(_in(short(of), units.get(of))))
         scatters[0].set_ylabel(_in("margin", units.get(name)))
     return figure
 
@@ -157,10 +158,11 @@ def bars_of(found: Finding) -> Figure:
         sizes, errors = [[float(row[k]) for row in rows] for k in (at, at + 1)]
         axis.barh(range(len(rows)), sizes, xerr=errors, color=HOLDS, height=0.62,
                   error_kw={"ecolor": INK, "elinewidth": 1.0})  # fmt: skip
-        axis.set_yticks(range(len(rows)), [short(str(row[1])) for row in rows], fontsize=8.5)
+        names = [wrapped(short(str(row[1])), 34) for row in rows]
+        axis.set_yticks(range(len(rows)), names, fontsize=8.5)
         axis.set_xlim(0.0, None)
         axis.tick_params(axis="y", length=0)
-        axis.set_title(str(output))
+        axis.set_title(wrapped(str(output)))
         axis.set_xlabel(found.bars)
     for axis in axes[len(outputs) :]:
         axis.set_visible(False)
@@ -170,10 +172,10 @@ def bars_of(found: Finding) -> Figure:
 def _bars(axis: Axes, strongest: Mapping[str, float], title: str) -> None:
     names = list(strongest)[::-1]
     axis.barh(range(len(names)), [strongest[name] for name in names], color=HOLDS, height=0.62)
-    axis.set_yticks(range(len(names)), [short(name) for name in names], fontsize=8.5)
+    axis.set_yticks(range(len(names)), [wrapped(short(name), 34) for name in names], fontsize=8.5)
     axis.set_xlim(0.0, 1.0)
     axis.tick_params(axis="y", length=0)
-    axis.set_title(title)
+    axis.set_title(wrapped(title, 34))
     axis.set_xlabel("share of the margin's spread")
 
 
@@ -224,7 +226,7 @@ def coordinates(
         axis.text(place, -0.03, f"{low:.3g}", ha="center", va="top", fontsize=8)
     axis.set_xlim(-0.4, len(names) - 0.6)
     axis.set_ylim(-0.12, 1.12)
-    axis.set_xticks(range(len(names)), [short(name).replace(".", "\n") for name in names])
+    axis.set_xticks(range(len(names)), [wrapped(short(name), 12) for name in names])
     axis.tick_params(length=0)
     axis.set_yticks([])
     for side in ("left", "bottom"):
@@ -240,6 +242,19 @@ def _scaled(values: Array) -> Array:
 
 def _in(name: str, unit: str | None) -> str:
     return f"{name} [{unit}]" if unit else name
+
+
+def wrapped(text: str, width: int = 26) -> str:
+    """Return a text in lines of at most `width` letters, broken after dots, underscores, blanks.
+
+    A label that is longer than its panel is cut off, or covers that of the next panel.
+    """
+    lines = [""]
+    for word in re.findall(rf"[^._ ]{{1,{width - 1}}}[._ ]*|[._ ]+", text):
+        if lines[-1] and len(lines[-1]) + len(word.rstrip()) > width:
+            lines.append("")
+        lines[-1] += word
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def short(name: str) -> str:

@@ -17,16 +17,23 @@ NANOSECONDS = 1_000_000_000
 
 _DISPLACEMENT = Number.within("displacement", "m", 100.0)
 _SETTLE = Number("settle", "s", at_least=0.0, at_most=1000.0)
+_SHOWN = Number.within("shown", "m", 100.0)
 _INSTRUCTIONS = Number("instructions", at_least=1, at_most=1_000_000, whole=True)
 
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """A displacement of the tool, its start, and the time of observation."""
+    """A displacement of the tool, its start, and the time of observation.
+
+    Attributes:
+        shown: displacement that the tool is given after the observation, as long as that, so that
+            the recording has a motion of the arm that can be seen; or None for no such motion.
+    """
 
     displacement: NDArray[np.float64]  # m (3,), of the tool in the world
     settle_ns: int  # logical time before the target holds, a multiple of the motion period
     instructions: int
+    shown: NDArray[np.float64] | None = None  # m (3,), of the tool in the world
 
     @classmethod
     def load(cls, scene: Path, period_ns: int) -> DemoPlan:
@@ -39,8 +46,14 @@ class DemoPlan:
         section = Section(read_yaml(file), file.name)
         displacement = section.vector(_DISPLACEMENT)
         settle, instructions = section.number(_SETTLE), section.integer(_INSTRUCTIONS)
+        shown = section.vector(_SHOWN)
         section.finish()
         if displacement is None:
             raise section.refusal("displacement", "be given", "nothing")
         periods = round(settle * NANOSECONDS / period_ns)
-        return cls(np.array(displacement), periods * period_ns, instructions)
+        return cls(
+            np.array(displacement),
+            periods * period_ns,
+            instructions,
+            None if shown is None else np.array(shown),
+        )

@@ -13,6 +13,7 @@ from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
 from arm_emulator.runs.row_process import RowProcess
+from arm_emulator.view.viewer_command import viewer_command
 
 PROCESS = "arm_emulator.runs.recorder_process"
 
@@ -49,7 +50,8 @@ class Recorder:
 
     def _stay(self) -> None:
         """Let viewers look at what has ended, until Ctrl-C."""
-        print(f"rerun: a viewer may connect to port {self._kept.rerun} until Ctrl-C", flush=True)
+        show = viewer_command(f"rerun+http://127.0.0.1:{self._kept.rerun}/proxy")
+        print(f"rerun: until Ctrl-C a viewer may connect: {show}", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()
 

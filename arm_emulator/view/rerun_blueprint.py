@@ -79,11 +79,16 @@ def blueprint(
             ),
             *map(_within, limited),
         ),
-        _plot("Motor current [A]", "signals/current", legend=False),
-        _plot("Motor command", "signals/applied", legend=False),
-        _plot("Gear torque [N m]", "signals/gear_torque", legend=False),
-        rrb.TextLogView(name="Events", origin=f"/{EVENTS}"),
-        row_shares=[3, 2, 2, 2, 1],  # room for seven names
+        rrb.Tabs(
+            _plot("Motor current [A]", "signals/current"),
+            _plot("Motor command [V, A or N m]", "signals/applied"),
+        ),
+        rrb.Tabs(
+            _plot("Gear torque [N m]", "signals/gear_torque"),
+            rrb.TextLogView(name="Events", origin=f"/{EVENTS}"),
+        ),
+        # A third of the height each has room for seven names, and for ticks.
+        row_shares=[1, 1, 1],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, signals, column_shares=[5, 4]),
@@ -160,14 +165,14 @@ def _behind() -> rrb.VisibleTimeRanges:
     )
 
 
-def _plot(name: str, path: str, *, legend: bool = True) -> rrb.TimeSeriesView:
+def _plot(name: str, path: str) -> rrb.TimeSeriesView:
     import rerun.blueprint as rrb
 
     return rrb.TimeSeriesView(
         name=name,
         origin=f"/{path}",
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
 
 

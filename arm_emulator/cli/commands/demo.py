@@ -48,6 +48,7 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.gains import Gains, check_fit, load_gains
+from arm_emulator.view.viewer_command import viewer_command
 from arm_emulator_msgs.msg import EmulatorStatus
 
 Array = NDArray[np.float64]
@@ -189,14 +190,20 @@ def _run(
 
             observer.wait(watched, network, "the instructions", patience=15.0 * PATIENCE)
         wall = time.monotonic() - started
+        observed = observer.q[: plan.instructions + 1]
+        if plan.shown is not None:
+            with console.status("a motion to look at"):
+                observer.show(Pose(p_WT + plan.shown, R_WT))
+                end = len(observer.q) + plan.instructions
+                observer.wait(lambda: len(observer.q) > end, network, "the motion that is shown")
     finally:
         observer.destroy_node()
     logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
     return DemoResult(
-        deviations=np.array([observer.deviation(k) for k in range(len(observer.q))]),
-        rotations=np.array([observer.rotation(k) for k in range(len(observer.q))]),
+        deviations=np.array([observer.deviation(k) for k in range(len(observed))]),
+        rotations=np.array([observer.rotation(k) for k in range(len(observed))]),
         real_time_factor=logical / wall,
-        arrived=observer.q[-1],
+        arrived=observed[-1],
     )
 
 
@@ -242,12 +249,7 @@ class _Observer(Node):
 
     def send_target(self, from_ns: int) -> None:
         """Send the target, repeatedly until accepted: an undiscovered node does not receive it."""
-        message = PoseStamped()
-        message.header.stamp = stamp(from_ns)
-        pose = message.pose
-        pose.position.x, pose.position.y, pose.position.z = map(float, self._target.p_WT)
-        o = pose.orientation
-        o.x, o.y, o.z, o.w = map(float, self._target.quaternion())
+        message = _pose_message(self._target, from_ns)
 
         def send() -> None:
             if not self.target_taken:
@@ -255,6 +257,11 @@ class _Observer(Node):
 
         send()
         self.create_timer(0.2, send)
+
+    def show(self, pose: Pose) -> None:
+        """Send a target to the nodes that have met, from the next instruction on."""
+        after = self._start_ns + len(self.q) * self._period_ns
+        self._targets.publish(_pose_message(pose, after))
 
     def can_go(self) -> bool:
         return self._pause.service_is_ready()
@@ -308,6 +315,17 @@ def missed_by(predicted: PredictedRest | Refusal, deviations: Array) -> str:
         return "" if reached else re.sub(r"\[/?red\]", "", verdict(predicted, deviations))
     start, end = np.linalg.norm(deviations[[0, -1]], axis=1) * 1e3
     return "" if end <= NEAR * start else f"the tool is {end:.4g} of {start:.4g} mm off its target"
+
+
+def _pose_message(target: Pose, from_ns: int) -> PoseStamped:
+    """Return the message of a tool target that holds from a logical time on."""
+    message = PoseStamped()
+    message.header.stamp = stamp(from_ns)
+    pose = message.pose
+    pose.position.x, pose.position.y, pose.position.z = map(float, target.p_WT)
+    o = pose.orientation
+    o.x, o.y, o.z, o.w = map(float, target.quaternion())
+    return message
 
 
 def verdict(predicted: PredictedRest, deviations: Array) -> str:
@@ -376,4 +394,4 @@ def _report(
     console.print(f"real-time factor          {result.real_time_factor:.2f}")
     for line in report_safety(scene, result.arrived):
         console.print(line)
-    console.print(f"results: {out / 'fig4.png'}; the moving arm: rerun {out / 'demo.rrd'}")
+    console.print(f"results: {out / 'fig4.png'}; the moving arm:", viewer_command(out / "demo.rrd"))

@@ -41,6 +41,7 @@ from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.runs.timeline import Timeline
+from arm_emulator.view.viewer_command import viewer_command
 
 
 @command(
@@ -105,6 +106,7 @@ def run(
         report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
     missed = missed_order(one) if displacement else missed_target(session, machine.start)
     code = output.judge("run", missed)
+    _name_viewer(kept)
     if line is not None and bag is not None:
         from arm_emulator.bags.timeline_bag import write_timeline
 
@@ -175,7 +177,14 @@ def _report_table(one: TableRun, targets: TargetTable, seconds: float | None, ke
         wall = time.perf_counter() - started
         wanted = last_target(session.scene, targets, ticks)
         report(session, ticks, wall, off_target(session, wanted))
+    _name_viewer(kept)
     return output.judge("run", missed_target(session, wanted))
+
+
+def _name_viewer(kept: Kept) -> None:
+    """Print the command that shows the recording of Rerun, where one was written."""
+    if kept.rerun is not None and not kept.is_port:
+        output.line(f"moving arm        {viewer_command(str(kept.rerun))}")
 
 
 @contextlib.contextmanager
