@@ -218,26 +218,26 @@ def test_a_motion_by_frames_is_that_of_the_drives(
     assert min(moved) > 100, "the arm has moved"
 
 
-def test_a_cycle_is_as_long_as_the_interpolation_time_of_all_drives(scene: Scene) -> None:
+def test_sync_stands_for_the_shortest_communication_cycle_period(scene: Scene) -> None:
+    """CiA 301: 0x1006 is the time between two SYNCs; 0: not given."""
     segment = segment_of(scene)
-    for number, passed in ((1, 1), (2, 1), (3, 4)):
-        put(segment, number, 0x60C2, 1, 4, 1)
+    for number, us, passed in ((1, 0, 1), (1, 4000, 4), (2, 7000, 4), (3, 2000, 2), (3, 0, 4)):
+        put(segment, number, 0x1006, 0, us, 4)
         before = segment.tick
         segment.receive(SYNC)
-        assert segment.tick - before == passed, f"4 ms set at {number} of three drives"
+        assert segment.tick - before == passed, f"{us} us set at node {number}"
 
 
-@pytest.mark.parametrize("value", [1, 4, 15, 25, 40, 254])
-def test_an_interpolation_time_that_is_rounded_is_noted(scene: Scene, value: int) -> None:
-    """In 0.1 ms, the servo period being 1 ms."""
+@pytest.mark.parametrize("us", [400, 1000, 1500, 2500, 4000, 25400])
+def test_a_communication_cycle_period_that_is_rounded_is_noted(scene: Scene, us: int) -> None:
+    """The servo period is 1 ms."""
     segment = segment_of(scene)
-    for sub, number in ((1, value), (2, 256 - 4), (1, value)):
-        put(segment, 2, 0x60C2, sub, number, 1)
-    if value < 10 or value % 10 == 0:
-        assert segment.uneven == []
-    else:
-        words = f"node 2: 0x60C2 is {value / 10:g} servo periods: SYNC stands for "
-        assert segment.uneven == [words + str(math.floor(value / 10 + 0.5))]
+    put(segment, 2, 0x1006, 0, us, 4)
+    for _ in range(2):
+        segment.receive(SYNC)
+    assert segment.periods_per_sync == max(1, math.floor(us / 1000 + 0.5))
+    words = f"node 2: 0x1006 is {us / 1000:g} servo periods: SYNC stands for "
+    assert segment.notices == ([words + str(segment.periods_per_sync)] if us % 1000 else [])
 
 
 def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> None:

@@ -123,10 +123,10 @@ def test_cyclic_position_goes_on_beyond_32_bits() -> None:
     for j in range(N):  # homing puts the zero so that the positions are about to wrap
         drives.write(j, 0x607D, 0, 1)
         drives.write(j, 0x607D, 0, 2)
-        drives.write(j, 0x607C, 2**31 - 50)
+        drives.write(j, 0x607C, 50 - 2**31)
     enable(drives, HM)
     command(drives, ENABLE | 0x10, 3)
-    assert drives.read(0, ACTUAL) == 2**31 - 50, "position at the home is the home offset"
+    assert drives.read(0, ACTUAL) == 2**31 - 50, "the zero is the home plus the home offset"
     enable(drives, CSP)
     for k in range(400):
         at = 2**31 - 50 + k

@@ -305,7 +305,7 @@ def test_brakes_open_before_and_close_behind_the_motion() -> None:
     assert drives.plant.measured.applied[1] == 0.0, "no voltage at once"
 
 
-def test_homing_here_puts_the_offset_there() -> None:
+def test_homing_here_puts_the_zero_at_the_offset() -> None:
     drives = make()
     for j, method in enumerate((35, 37, 37)):
         drives.write(j, 0x6098, method)
@@ -314,7 +314,7 @@ def test_homing_here_puts_the_offset_there() -> None:
     assert not drives.read(0, STATUS) & BIT12, "home is not attained yet"
     command(drives, ENABLE | 0x10, 2)
     for j in range(N):
-        assert drives.read(j, ACTUAL) == 1000 * (j + 1), "position at the home"
+        assert drives.read(j, ACTUAL) == -1000 * (j + 1), "position at the home"
         assert drives.read(j, STATUS) & (BIT12 | BIT13 | REACHED) == BIT12 | REACHED, "attained"
     with pytest.raises(Aborted, match="06090030"):
         drives.write(0, 0x6098, 33)  # no index pulse here
@@ -335,7 +335,7 @@ def test_homing_finds_index_pulses_and_stops(method: int) -> None:
     assert not drives.read(j, STATUS) & (BIT12 | REACHED), "it is under way"
     until(drives, lambda: bool(drives.read(j, STATUS) & BIT12), 20000)
     drives.period(300)
-    home = drives.read(j, 0x6063) - (drives.read(j, ACTUAL) - 77)
+    home = drives.read(j, 0x6063) - (drives.read(j, ACTUAL) + 77)
     per_rad = 1024 / (2 * math.pi) / 0.01
     forward = method in (34, -1, -3)
     if method in (33, 34):

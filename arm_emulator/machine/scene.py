@@ -40,6 +40,9 @@ MASS_NAME = "payload.mass"
 LONGEST_NAME = 100  # bytes
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
+# Meaning of a drive's home offset: from the home position to the zero position, or the reverse.
+HOME_OFFSETS = ("home_to_zero", "zero_to_home")
+
 GRAVITY = Number.within("gravity", "m/s2", 1000.0)
 CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
@@ -85,6 +88,7 @@ class Scene(ByValue, Lasting):
         ends=(0, LARGEST_SEED), whole=True, default=0, text="of the noise of sensors"
     )
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
+    home_offset: str = HOME_OFFSETS[0]  # meaning of object 0x607C of drives on field buses
 
     def __hash__(self) -> int:
         return hash((self.name, self.urdf, self.servo_period))
@@ -228,6 +232,7 @@ def _build(root: Section, file: Path) -> Scene:
         integrator=integrator,
         external_wrench=root.flag("external_wrench"),
         energy_flow=root.flag("energy_flow"),
+        home_offset=root.choice("home_offset", HOME_OFFSETS, HOME_OFFSETS[0]),
         cores=_cores(root),
         varied=varied,
         load=_varied_load(links, varied, faults, where),

@@ -12,7 +12,7 @@ from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.machine.integrator import EVENTS, EXCHANGES, Integrator
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.payload import COM, INERTIA, MASS
-from arm_emulator.machine.scene import CORES, GRAVITY, LONGEST_NAME, Scene
+from arm_emulator.machine.scene import CORES, GRAVITY, HOME_OFFSETS, LONGEST_NAME, Scene
 from arm_emulator.machine.scene_links import LOCKED, SHARE
 from arm_emulator.machine.schemes.known import SCHEMES
 
@@ -76,6 +76,10 @@ MACHINE: Keys = {
     "imus": Key("", range="a section per unit",
                 text="[inertial measurement units](parts/imu.md) on links"),
     "seed": _SCENE["seed"],
+    "home_offset": _choice(HOME_OFFSETS, "meaning of object 0x607C of drives on field buses: by CiA"
+                           " 402 the zero position is the home position plus the offset; with"
+                           " `zero_to_home`, as some makers have it, the home gets the position"
+                           " 0x607C"),
 }  # fmt: skip
 
 TIME: Keys = {

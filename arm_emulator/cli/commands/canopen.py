@@ -32,18 +32,21 @@ from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.recorder import Recorder
 
 
-def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> Segment:
+def load_segment(
+    scene_name: str, first: int = 1, *, lockstep: bool = True, sync_period: float = 0.0
+) -> Segment:
     """Return the nodes of a scene, its drives with the gains that belong to it.
 
     Raises:
-        Refusal: a file is missing or refused, the gains do not fit, or node-IDs are out of
-            range.
+        Refusal: a file is missing or refused, the gains do not fit, or node-IDs or the time
+            between SYNCs [s] are out of range.
     """
     file = find_scene(scene_name)
     scene, servo = load_scene(file), load_gains(file).servo
     warn_of_scene(scene)
     check_servo(scene, servo)
-    return Segment(Drives(Plant(scene), servo, CANOPEN), first, lockstep=lockstep)
+    drives = Drives(Plant(scene), servo, CANOPEN)
+    return Segment(drives, first, lockstep=lockstep, sync_period=sync_period)
 
 
 @contextlib.contextmanager
@@ -81,6 +84,7 @@ def canopen(
     bitrate: int | None = None,
     first_node: Annotated[int, Parameter(metavar="ID")] = 1,
     clock: Clock = "lockstep",
+    sync_period: Annotated[float, Parameter(metavar="SECONDS")] = 0.0,
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     page: PageAt = None,
     kept: Keep = NOTHING,
@@ -93,6 +97,8 @@ def canopen(
         channel: of that bus, such as can0.
         bitrate: for buses that need it.
         first_node: node-ID of the first joint; the others follow.
+        sync_period: time between SYNCs (0x1006) until a master writes it; 0: a servo period in
+            lock-step.
         eds: folder for the drives' data sheets, which are written instead.
     """
     kept.check("canopen")
@@ -100,7 +106,7 @@ def canopen(
         return write_eds(scene, eds)
     lockstep = clock == "lockstep"
     with opened(listen, bus, channel, bitrate) as (on, name):
-        segment = load_segment(scene, first_node, lockstep=lockstep)
+        segment = load_segment(scene, first_node, lockstep=lockstep, sync_period=sync_period)
         machine, withheld = segment.scene, segment.drives.withheld
         nodes = {
             joint: node.number

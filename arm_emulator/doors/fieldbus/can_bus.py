@@ -180,8 +180,8 @@ class BusService:
         frame = self._bus.receive(timeout)
         if frame is not None:
             self._send(self._segment.receive(frame))
-            while self._segment.uneven:
-                _report(self._segment.uneven.pop(0))
+            while self._segment.notices:
+                _report(self._segment.notices.pop(0))
             self._report_fault()
         self._send(self._segment.heartbeats(time.monotonic_ns()))
         return frame is not None

@@ -16,12 +16,14 @@ from arm_emulator.doors.fieldbus.object_dictionary import Aborted, dictionary
 
 LARGEST_NODE = 127
 PDOS = 4  # of each way
-MS = 1_000_000  # ns
+US, MS = 1_000, 1_000_000  # ns
 
 # Error codes of messages about the bus itself.
 LOST, TOO_SHORT, NOT_TAKEN, STOPPED_BY_MASTER = 0x8130, 0x8210, 0x8200, 0x8100
+NO_SYNC, NO_DATA = 0x8700, 0x8250
 INVALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID
 ASYNCHRONOUS = (254, 255)  # transmission types
+SYNC_TOLERANCE = 1.5  # periods of SYNC after which a node misses it
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +53,11 @@ class _Pdo:
     type: int
     places: list[tuple[int, int, int]]  # index, sub, bytes; index below 8: bytes without a meaning
     inhibit: int = 0  # ns
-    timer: int = 0  # ns
+    timer: int = 0  # ns, within which it is sent, or must be received
     length: int = field(init=False)
     # State of its transfer.
     waiting: bytes | None = field(default=None, compare=False)  # received, for the next SYNC
+    received_at: int | None = field(default=None, compare=False)
     sent: bytes | None = field(default=None, compare=False)
     sent_at: int = field(default=0, compare=False)
     count: int = field(default=0, compare=False)  # SYNCs since it was sent
@@ -73,15 +76,28 @@ class Node:
         drives: all drives of the machine.
         drive: which one this node is.
         number: 1 to 127.
+        lockstep: whether time waits for SYNC, so that no message comes too late after one.
+        sync_period: of SYNC at the start (0x1006) [us]; 0: unknown.
     """
 
-    def __init__(self, drives: Drives, drive: int, number: int) -> None:
+    def __init__(
+        self,
+        drives: Drives,
+        drive: int,
+        number: int,
+        *,
+        lockstep: bool = False,
+        sync_period: int = 0,
+    ) -> None:
         self.number = number
         self._drives, self._drive = drives, drive
+        self._lockstep, self._first_sync_period = lockstep, sync_period
         self.state = State.BOOT
         self._toggle = 0  # of node guarding
         self._beat_at: int | None = None  # when the last heartbeat was sent
         self._heard_at: int | None = None  # when that of the watched node came
+        self._guarded_at: int | None = None  # when the master has last guarded this node
+        self._synced_at: int | None = None  # when the last SYNC came
         self._error = 0  # reported last
         self._bad_pdo = False
         self._watched = (0, 0)  # node, and time between its heartbeats [ns]
@@ -132,6 +148,7 @@ class Node:
         self._drives.set(self._drive, 0x1800, 10, 5)
         for (index, sub), base in own.items():
             self._drives.set(self._drive, index, base + self.number, sub)
+        self._drives.set(self._drive, 0x1006, self._first_sync_period)
 
     def _configure(self) -> None:
         """Take the settings of the communication from the dictionary."""
@@ -140,6 +157,9 @@ class Node:
         emergency = self._number(0x1014, 0)
         self._emergency_id = None if emergency & INVALID else emergency & 0x7FF
         self._beat = self._number(0x1017, 0) * MS
+        self._life = self._number(0x100C, 0) * self._number(0x100D, 0) * MS
+        self._sync_period, self._window = (self._number(one, 0) * US for one in (0x1006, 0x1007))
+        self._drives.set_cycle(self._drive, self._sync_period)
         watched = self._number(0x1016, 1)
         before = self._watched
         self._watched = (watched >> 16 & 0x7F, (watched & 0xFFFF) * MS)
@@ -163,9 +183,8 @@ class Node:
             self._number(communication, 2),
             places,
         )
-        if communication >= 0x1800:
-            pdo.inhibit = self._number(communication, 3) * 100_000
-            pdo.timer = self._number(communication, 5) * MS
+        pdo.inhibit = self._number(communication, 3) * 100_000
+        pdo.timer = self._number(communication, 5) * MS
         return pdo
 
     # ---------------------------------------------------------------------------------- frames
@@ -174,7 +193,7 @@ class Node:
         """Start up: send the boot message and enter pre-operational."""
         self.state = State.PRE_OPERATIONAL
         self._toggle = 0
-        self._beat_at = self._heard_at = None
+        self._beat_at = self._heard_at = self._guarded_at = None
         self._drives.begin_sdo(self._drive)
         return [Frame(0x700 + self.number, bytes((State.BOOT,)))]
 
@@ -187,7 +206,7 @@ class Node:
         """
         id_ = frame.id
         if frame.remote:
-            return self._requested(id_)
+            return self._requested(id_, now)
         if id_ == 0:
             return self._command(frame.data, now)
         if id_ == 0x600 + self.number:
@@ -197,7 +216,7 @@ class Node:
         if id_ == 0x700 + self._watched[0] and self._watched[1]:
             self._heard_at = now
         if self.state is State.OPERATIONAL:
-            return self._receive_data(frame)
+            return self._receive_data(frame, now)
         return []
 
     def takes_sync(self, frame: Frame) -> bool:
@@ -208,6 +227,7 @@ class Node:
         """Take a SYNC: received data takes effect, and present data is sent."""
         if self.state is not State.OPERATIONAL:
             return []
+        self._synced_at = now
         frames = []
         for pdo in self._receives:
             if pdo.waiting is not None:
@@ -246,6 +266,11 @@ class Node:
         return [Frame(0x700 + self.number, bytes((self.state,)))]
 
     @property
+    def sync_period(self) -> int:
+        """Time between SYNCs (0x1006) [ns]; 0: unknown."""
+        return self._sync_period
+
+    @property
     def beat(self) -> int:
         """Time between heartbeats [ns]; 0: none."""
         return self._beat
@@ -268,8 +293,9 @@ class Node:
         match data[0]:
             case 1 if self.state is not State.OPERATIONAL:
                 self.state = State.OPERATIONAL
+                self._synced_at = None
                 for pdo in (*self._receives, *self._sends):
-                    pdo.waiting = pdo.sent = None
+                    pdo.waiting = pdo.sent = pdo.received_at = None
                     pdo.count = 0
                 return self._events(now)
             case 2:
@@ -301,9 +327,10 @@ class Node:
         for (index, sub), value in self._defaults.items():
             self._drives.set(self._drive, index, value, sub)
 
-    def _requested(self, id_: int) -> list[Frame]:
+    def _requested(self, id_: int, now: int) -> list[Frame]:
         """Remote frames: node guarding, and PDOs."""
         if id_ == 0x700 + self.number and not self._beat and self.state is not State.BOOT:
+            self._guarded_at = now
             reported = self._toggle | self.state
             self._toggle ^= 0x80
             return [Frame(id_, bytes((reported,)))]
@@ -315,14 +342,16 @@ class Node:
                 return [Frame(id_, data)] if data is not None else []
         return []
 
-    def _receive_data(self, frame: Frame) -> list[Frame]:
+    def _receive_data(self, frame: Frame, now: int) -> list[Frame]:
         frames = []
         for pdo in self._receives:
-            if pdo.id != frame.id:
+            if pdo.id != frame.id or (pdo.type not in ASYNCHRONOUS and self._is_late(now)):
                 continue
             if len(frame.data) < pdo.length:
                 frames += self._emergency(TOO_SHORT)
-            elif pdo.type in ASYNCHRONOUS:
+                continue
+            pdo.received_at = now
+            if pdo.type in ASYNCHRONOUS:
                 frames += self._unpack(pdo, frame.data)
             else:
                 pdo.waiting = frame.data
@@ -365,14 +394,33 @@ class Node:
                 frames.append(self._send(pdo, data, now))
         return frames
 
+    def _is_late(self, now: int) -> bool:
+        """Return whether the window for synchronous data after SYNC (0x1007) has passed."""
+        return not self._lockstep and _expired(self._synced_at, self._window, now)
+
     def _watch(self, now: int) -> list[Frame]:
-        """Check the heartbeats of the watched node."""
-        if self._heard_at is None or now - self._heard_at <= self._watched[1]:
-            return []
-        self._heard_at = None  # reported once, until its next heartbeat
-        self._drives.lost(self._drive, LOST)
-        reported = self._emergency(LOST)
-        self._error = self._number(0x603F, 0)
+        """Check what comes periodically; each loss is reported once, until the next message."""
+        frames: list[Frame] = []
+        if _expired(self._heard_at, self._watched[1], now):
+            self._heard_at = None
+            frames += self._lose_master()
+        if _expired(self._guarded_at, self._life, now):
+            self._guarded_at = None
+            frames += self._lose_master()
+        if self.state is not State.OPERATIONAL:
+            return frames
+        if _expired(self._synced_at, int(SYNC_TOLERANCE * self._sync_period), now):
+            self._synced_at = None
+            frames += self._lose(NO_SYNC)
+        for pdo in self._receives:
+            if _expired(pdo.received_at, pdo.timer, now):
+                pdo.received_at = None
+                frames += self._lose(NO_DATA)
+        return frames
+
+    def _lose_master(self) -> list[Frame]:
+        """Take the loss of heartbeats or guarding, after which 0x1029 selects the state."""
+        frames = self._lose(LOST)
         if self.state is State.OPERATIONAL:
             match self._number(0x1029, 1):
                 case 0:
@@ -380,6 +428,13 @@ class Node:
                 case 2:
                     self.state = State.STOPPED
                     self._drives.begin_sdo(self._drive)
+        return frames
+
+    def _lose(self, code: int) -> list[Frame]:
+        """Report a loss to the drive, which reacts as 0x6007 selects, and by EMCY."""
+        self._drives.lost(self._drive, code)
+        reported = self._emergency(code)
+        self._error = self._number(0x603F, 0)
         return reported
 
     def _emergency(self, code: int) -> list[Frame]:
@@ -387,3 +442,8 @@ class Node:
             return []
         register = self._number(0x1001, 0)
         return [Frame(self._emergency_id, struct.pack("<HB5x", code, register))]
+
+
+def _expired(since: int | None, time: int, now: int) -> bool:
+    """Return whether more than a time [ns] has passed since a message; 0: it is not monitored."""
+    return since is not None and 0 < time < now - since

@@ -7,44 +7,57 @@ from arm_emulator.doors.fieldbus.canopen_node import LARGEST_NODE, Frame, Node
 from arm_emulator.doors.fieldbus.drives import Drives
 from arm_emulator.machine.diverged import Diverged
 
-_INTERPOLATION_TIME = bytes([0xC2, 0x60])  # in a request of SDO
+# Objects in a request of SDO: time between SYNCs, interpolation time.
+_TIMES = (bytes([0x06, 0x10]), bytes([0xC2, 0x60]))
+LONGEST_SYNC_PERIOD = (1 << 32) - 1  # us
 
 
 class Segment:
     """Nodes of all joints, base to tool, with node-IDs in a row.
 
-    In lock-step each SYNC is a servo period, or as many as all drives have in their interpolation
-    time 0x60C2: targets received before it hold from its beginning on, and what nodes send with it
-    is what there was then. Else the owner calls `pass_period`.
+    In lock-step each SYNC stands for the time between SYNCs (0x1006), the shortest of those that
+    nodes have, or for a servo period. Targets received before it hold from its beginning on, and
+    what nodes send with it is what there was then. Else the owner calls `pass_period`.
 
     Attributes:
         scene: the machine.
         drives: their object dictionaries.
         nodes: one per joint.
         fault: why the machine stays where it is; None if it goes on.
-        uneven: what was set of interpolation times that are not whole servo periods, in words.
+        notices: what was set of times that do not fit each other, in words.
 
     Args:
         drives: of a machine, made for CANopen.
         first: node-ID of the first joint.
         lockstep: whether SYNC lets time pass.
+        sync_period: time between SYNCs (0x1006) that nodes have at the start [s]; 0: unknown.
 
     Raises:
-        Refusal: there are not so many node-IDs.
+        Refusal: there are not so many node-IDs, or no such time.
     """
 
-    def __init__(self, drives: Drives, first: int = 1, *, lockstep: bool = True) -> None:
+    def __init__(
+        self, drives: Drives, first: int = 1, *, lockstep: bool = True, sync_period: float = 0.0
+    ) -> None:
         self.scene = scene = drives.plant.scene
         largest = LARGEST_NODE + 1 - len(scene.joints)
         if not 1 <= first <= largest:
             raise Refusal("canopen", "first node-ID", f"be 1 to {largest}", first)
+        longest = 1e-6 * LONGEST_SYNC_PERIOD
+        if not 0.0 <= sync_period <= longest:
+            raise Refusal("canopen", "sync period", f"be 0 to {longest:g} [s]", sync_period)
         self.drives = drives
         self._lockstep = lockstep
         self._period = round(scene.servo_period * 1e9)
-        self.nodes = [Node(drives, k, first + k) for k in range(len(scene.joints))]
+        us = round(1e6 * sync_period)
+        self.nodes = [
+            Node(drives, k, first + k, lockstep=lockstep, sync_period=us)
+            for k in range(len(scene.joints))
+        ]
         self.fault: Diverged | None = None
-        self.uneven: list[str] = []
-        self._periods: dict[int, float] = {}  # in an interpolation time, of the newest of nodes
+        self.notices: list[str] = []
+        self._written: set[int] = set()  # nodes whose times were written since the last SYNC
+        self._noticed: dict[int, str] = {}  # the last notice on each node
 
     @property
     def tick(self) -> int:
@@ -69,27 +82,38 @@ class Segment:
                 frames += node.sync(now)
             else:
                 frames += node.receive(frame, now)
-                if frame.data[1:3] == _INTERPOLATION_TIME:
-                    self._look_at_interpolation(node)
+                if frame.id == 0x600 + node.number and frame.data[1:3] in _TIMES:
+                    self._written.add(node.number)
         if synced and self._lockstep:
-            for _ in range(min(map(self.drives.periods_per_target, range(len(self.nodes))))):
+            periods = self.periods_per_sync
+            self._compare_times(periods)
+            for _ in range(periods):
                 frames += self.pass_period()
         return frames
 
-    def _look_at_interpolation(self, node: Node) -> None:
-        """Report an interpolation time in lock-step that is not a multiple of the servo period."""
-        value, exponent = (
-            int.from_bytes(node.upload(0x60C2, sub), "little", signed=sub == 2) for sub in (1, 2)
-        )
-        periods = value * 10.0 ** (9 + exponent) / self._period
-        if not self._lockstep or self._periods.get(node.number) == periods:
-            return
-        self._periods[node.number] = periods
-        if periods > 1.0 and abs(periods - round(periods)) > 1e-9 * periods:
-            taken = self.drives.periods_per_target(self.nodes.index(node))
-            self.uneven.append(
-                f"node {node.number}: 0x60C2 is {periods:g} servo periods: SYNC stands for {taken}"
-            )
+    @property
+    def periods_per_sync(self) -> int:
+        """Number of servo periods that a SYNC stands for in lock-step."""
+        shortest = min((node.sync_period for node in self.nodes if node.sync_period), default=0)
+        return max(1, (2 * shortest + self._period) // (2 * self._period))
+
+    def _compare_times(self, periods: int) -> None:
+        """Note times written since the last SYNC that do not fit the time it stands for."""
+        for drive, node in enumerate(self.nodes):
+            if node.number not in self._written:
+                continue
+            targets, notice = self.drives.periods_per_target(drive), ""
+            if node.sync_period and node.sync_period != periods * self._period:
+                own = node.sync_period / self._period
+                notice = f"0x1006 is {own:g} servo periods: SYNC stands for {periods}"
+            elif targets != periods:
+                notice = (
+                    f"0x60C2 is {targets} servo periods, and SYNC stands for {periods} (0x1006)"
+                )
+            if notice and notice != self._noticed.get(node.number):
+                self.notices.append(f"node {node.number}: {notice}")
+            self._noticed[node.number] = notice
+        self._written.clear()
 
     def pass_period(self) -> list[Frame]:
         """Advance by a servo period, and return the frames sent after it.

@@ -30,6 +30,10 @@ from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import Rows
 from arm_emulator.servo.servo_numbers import servo_numbers
 
+_HOME_OFFSETS = {
+    "home_to_zero": DRIVES.constant("DRIVES_HOME_TO_ZERO"),
+    "zero_to_home": DRIVES.constant("DRIVES_ZERO_TO_HOME"),
+}
 _SDO_REPLIES = DRIVES.constant("DRIVES_SDO_REPLIES")
 
 
@@ -87,6 +91,7 @@ class Drives:
             "drives_machine",
             joints=len(self._joints),
             bus=bus,
+            home_offset=_HOME_OFFSETS[scene.home_offset],
             machine=plant.machine,
             measure=plant.core.arm_measure,
             exchange=plant.core.arm_exchange,
@@ -258,6 +263,10 @@ class Drives:
         """Return the number of servo periods in a drive's interpolation time."""
         return int(self.calls.drives_periods_per_target(self.pointer, drive))
 
+    def set_cycle(self, drive: int, cycle: int) -> None:
+        """Report to a drive the cycle of the bus in which targets come [ns]; 0: unknown."""
+        self.calls.drives_set_cycle(self.pointer, drive, cycle)
+
     def lost(self, drive: int = -1, error: int = 0x8100) -> None:
         """Report to a drive, -1: all, that its master is gone."""
         self.calls.drives_lost(self.pointer, drive, error)
@@ -305,6 +314,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
         row["index"] = joint.encoder is not None and joint.encoder.index != "none"
         row["stops"] = joint.stops is not None
         row["mode"] = takes
+        row["motor_type"] = 0 if joint.motor is None else joint.motor.cia_type
         row["modes"] = sum(1 << mode.number - 1 for mode in modes())
     return rows
 

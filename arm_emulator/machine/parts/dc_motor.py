@@ -13,6 +13,7 @@ class DcMotor(Motor):
     """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
 
     kind = "dc"
+    cia_type = 13  # permanent magnets, commutator
     is_default = True
     has_winding = True
     header = "dc_motor.hpp"

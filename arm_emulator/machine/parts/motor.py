@@ -87,6 +87,7 @@ class Motor(Part):
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     has_current: ClassVar[bool] = True  # that a sensor of it reads
     regulated: ClassVar[bool] = False  # whether its drive regulates its currents or its torque
+    cia_type: ClassVar[int] = 0  # in object 0x6402 of CiA 402; 0: none of the profile's
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
     rules: ClassVar[tuple[str, ...]] = ()

@@ -30,6 +30,7 @@ class Pmsm(Motor):
     """A permanent-magnet synchronous motor in the frame of its rotor, amplitudes of its phases."""
 
     kind = "pmsm"
+    cia_type = 10  # sinusoidal, permanent magnets
     has_winding = True
     limit = "current_limit"
     rules = (

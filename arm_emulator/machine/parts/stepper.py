@@ -14,6 +14,7 @@ class Stepper(Motor):
 
     kind = "stepper"
     regulated = True
+    cia_type = 9  # with microsteps
     limit = "current_limit"
     header = "stepper.hpp"
     cxx = "StepperMotor"

@@ -5,6 +5,8 @@
 // lower by `shift`, which homing sets.
 #pragma once
 
+#include <limits>
+
 #include "drives.h"
 #include "profile.hpp"
 #include "units.hpp"
@@ -36,16 +38,22 @@ struct Axis {
   Axis(const drives_joint& of, const drives_machine& machine)
       : joint(of),
         units(of.servo),
+        period(machine.period),
         dt(1e-9 * static_cast<double>(machine.period)),
+        home_to_zero(machine.home_offset == DRIVES_HOME_TO_ZERO),
         values(static_cast<Bus>(machine.bus)) {}
 
   const drives_joint& joint;
   const Units units;
-  const double dt;  // s, servo period
+  const std::int64_t period;  // ns, of the servo
+  const double dt;            // s, the same
+  const bool home_to_zero;
   Values values;
   std::uint16_t word = 0, word_before = 0;  // controlwords of this period and the one before
   std::int64_t targets = 0;                 // times that the target position was written
   std::int64_t shift = 0;
+  std::int64_t cycle = 0;            // ns, of the bus; 0: unknown
+  bool interpolation_given = false;  // a master has written 0x60C2
   Demand demand;
   Measured measured;
   int limited = 0;  // bits of enum servo_limits
@@ -70,22 +78,33 @@ struct Axis {
     return motor < profile ? motor : profile;
   }
   template <std::uint16_t index>
-  double acceleration() const {
-    const double most = number<0x60C5>(), one = number<index>();
-    return one < most ? one : most;
+  double acceleration() const {  // counts/s2
+    return least_of<index, 0x60C5>() * number<0x2008>();
   }
   template <std::uint16_t index>
-  double deceleration() const {
-    const double most = number<0x60C6>(), one = number<index>();
-    return one < most ? one : most;
+  double deceleration() const {  // counts/s2
+    return least_of<index, 0x60C6>() * number<0x2008>();
   }
+  double velocity_window() const { return number<0x606D>() * number<0x2007>(); }     // counts/s
+  double velocity_threshold() const { return number<0x606F>() * number<0x2007>(); }  // counts/s
   double torque_slope() const { return number<0x6087>(); }
+  // Software limits in the dictionary's coordinates. Where the position wraps around there is none,
+  // or a joint without end would stop after 2^31 counts.
   bool bounded() const { return values.get<0x607D, 1>() < values.get<0x607D, 2>(); }
+  std::int64_t least_position() const {
+    const std::int64_t low = values.get<0x607D, 1>();
+    return bounded() && low > values.get<0x607B, 1>() ? low
+                                                      : std::numeric_limits<std::int64_t>::min();
+  }
+  std::int64_t most_position() const {
+    const std::int64_t high = values.get<0x607D, 2>();
+    return bounded() && high < values.get<0x607B, 2>() ? high
+                                                       : std::numeric_limits<std::int64_t>::max();
+  }
   // A position of the dictionary within the software limits, as one inside.
   double inside(std::int64_t position) {
-    const std::int64_t low = values.get<0x607D, 1>(), high = values.get<0x607D, 2>();
-    std::int64_t within = position;
-    if (bounded()) within = position < low ? low : position > high ? high : position;
+    const std::int64_t low = least_position(), high = most_position();
+    const std::int64_t within = position < low ? low : position > high ? high : position;
     demand.position_cut = within != position;
     return static_cast<double>(within + shift);
   }
@@ -108,6 +127,12 @@ struct Axis {
     const double time = number<0x60C2, 1>() * kTen[-values.get<0x60C2, 2>()];
     const double periods = std::floor(time / dt + 0.5);
     return periods < 1.0 ? 1 : periods > 1e9 ? 1000000000 : static_cast<int>(periods);
+  }
+  // The position of the home that was found, from now on: CiA 402 adds the home offset to it to get
+  // the zero position, and some makers give the home this position.
+  void set_home(std::int64_t home) {
+    const std::int64_t offset = values.get<0x607C>();
+    shift = home_to_zero ? home + offset : home - offset;
   }
   bool lasts(double time, std::int64_t ms) const {
     return time + 0.5 * dt >= 1e-3 * static_cast<double>(ms);
@@ -140,6 +165,13 @@ struct Axis {
     if (demand.loop != Loop::position) demand.position = counts();
     demand.loop = Loop::position;
     demand.speed = 0.0;
+  }
+
+ private:
+  template <std::uint16_t index, std::uint16_t largest>
+  double least_of() const {
+    const double one = number<index>(), most = number<largest>();
+    return one < most ? one : most;
   }
 };
 

@@ -100,6 +100,7 @@ class Drive {
     const bool locked = values.mapping_locked;
     values.restore();
     values.mapping_locked = locked;
+    axis_.interpolation_given = false;
     set_defaults(axis_, number_);
     faults_.begin(axis_.values);
     machine_.begin();
@@ -109,6 +110,12 @@ class Drive {
     probe_[0] = probe_[1] = TouchProbe{};
     hold();
     publish();
+  }
+  // Cycle of the bus [ns]; 0: unknown.
+  void set_cycle(std::int64_t cycle) {
+    axis_.cycle = cycle;
+    if (axis_.interpolation_given) return;
+    set_interpolation_time(axis_.values, cycle ? cycle : axis_.period);
   }
   // The master is gone.
   void lost(std::uint16_t error) {
@@ -193,6 +200,14 @@ class Drive {
         break;
       case 0x607A:
         ++axis_.targets;
+        break;
+      case 0x60B8:
+        for (int k = 0; k < 2; ++k)
+          if (!TouchProbe::known(function_of_probe(value, k), axis_.joint.index != 0))
+            return abort_code::out_of_range;
+        break;
+      case 0x60C2:
+        axis_.interpolation_given = true;
         break;
       case 0x6040:
         lost_ = false;
@@ -315,10 +330,12 @@ class Drive {
     if (off_for_.time > 1e-3 * axis_.number<0x6066>() + 0.5 * axis_.dt)
       fail(error_code::following_error, true);
   }
+  static unsigned function_of_probe(std::int64_t both, int probe) {
+    return static_cast<unsigned>(both >> (8 * probe)) & 0xffU;
+  }
   void look_at_probes() {
     for (int k = 0; k < 2; ++k) {
-      const auto function = static_cast<unsigned>(get<0x60B8>() >> (8 * k)) & 0xffU;
-      if (!probe_[k].look(function, axis_.measured.pulses)) continue;
+      if (!probe_[k].look(function_of_probe(get<0x60B8>(), k), axis_.measured.pulses)) continue;
       const std::int64_t at = word_of(axis_.measured.index - axis_.shift);
       if (k)
         axis_.values.set<0x60BC>(at);
@@ -337,7 +354,8 @@ class Drive {
     if (axis_.measured.powered) word |= voltage_enabled;
     if (off_) word |= warning;
     if (operates && limited) word |= internal_limit;
-    if (operates && stopping_.stands()) word |= target_reached;
+    const bool halts = operates || machine_.state() == State::quick_stop;
+    if (halts && stopping_.stands()) word |= target_reached;
     const bool stops = machine_.stop() != Stop::none;
     return word | mode_->status(axis_, {operates, stops, stopping_.halted(), off_});
   }

@@ -7,14 +7,30 @@
 
 namespace fieldbus {
 
-inline void set_interpolation_time(Values& of, double period) {
-  int value = static_cast<int>(1e3 * period + 0.5), exponent = -3;
-  if (value < 1 || value > 255 || std::fabs(1e-3 * value - period) > 1e-9) {
-    value = 1;  // as near as it gets: less than a period is a period
-    exponent = -6;
+// The time in the largest unit in which it is a whole number, from ms down; else as near as it
+// gets.
+inline void set_interpolation_time(Values& of, std::int64_t period) {
+  constexpr std::int64_t unit[] = {1000000, 100000, 10000, 1000, 10000000, 100000000, 1000000000};
+  constexpr int exponent[] = {-3, -4, -5, -6, -2, -1, 0};
+  std::int64_t nearest = -1, value = 1;
+  int power = -6;
+  for (std::size_t k = 0; k < std::size(unit); ++k) {
+    const std::int64_t whole = (period + unit[k] / 2) / unit[k];
+    const std::int64_t off = std::abs(period - whole * unit[k]);
+    if (whole < 1 || whole > 255 || (nearest >= 0 && off >= nearest)) continue;
+    nearest = off;
+    value = whole;
+    power = exponent[k];
   }
   of.set<0x60C2, 1>(value);
-  of.set<0x60C2, 2>(exponent);
+  of.set<0x60C2, 2>(power);
+}
+
+// The smallest power of ten in whose unit a value is not above the largest.
+inline std::int64_t unit_within(double value, double largest) {
+  std::int64_t unit = 1;
+  while (value / static_cast<double>(unit) > largest) unit *= 10;
+  return unit;
 }
 
 inline void set_homing_methods(Values& of, const drives_joint& joint) {
@@ -34,10 +50,20 @@ inline void set_defaults(Axis& axis, int number) {
     const std::int64_t nearest = to_integer(value, 32);
     return nearest < 1 ? std::int64_t{1} : nearest;
   };
+  const double window = 0.01 * fastest, hardest = 8.0 * fastest;
+  const std::int64_t of_windows = unit_within(window, 65535.0);
+  const std::int64_t of_accelerations = unit_within(hardest, 4294967295.0);
+  const auto acceleration = [&](double value) {
+    const auto in_unit = to_integer(value / static_cast<double>(of_accelerations), 32, false);
+    return in_unit < 1 ? std::int64_t{1} : in_unit;
+  };
   of.set<0x1018, 4>(number + 1);
   of.set<0x6065>(whole(2.0 * fastest / joint.servo.position_gain));
-  of.set<0x606D>(to_integer(0.01 * fastest, 16, false));
-  of.set<0x606F>(to_integer(0.01 * fastest, 16, false));
+  of.set<0x2007>(of_windows);
+  of.set<0x2008>(of_accelerations);
+  of.set<0x6067>(whole(std::floor(0.01 * static_cast<double>(joint.counts_per_turn))));
+  of.set<0x606D>(to_integer(window / static_cast<double>(of_windows), 16, false));
+  of.set<0x606F>(to_integer(window / static_cast<double>(of_windows), 16, false));
   of.set<0x6075>(static_cast<std::int64_t>(units.rated_current));
   of.set<0x6076>(static_cast<std::int64_t>(units.rated_torque));
   of.set<0x607D, 1>(joint.lower);
@@ -45,17 +71,18 @@ inline void set_defaults(Axis& axis, int number) {
   of.set<0x607F>(whole(std::floor(fastest)));
   of.set<0x6080>(to_integer(std::ceil(60.0 * joint.servo.omega_limit / kTurn), 32, false));
   of.set<0x6081>(whole(0.25 * fastest));
-  of.set<0x6083>(whole(2.0 * fastest));
-  of.set<0x6084>(whole(2.0 * fastest));
-  of.set<0x6085>(whole(8.0 * fastest));
+  of.set<0x6083>(acceleration(2.0 * fastest));
+  of.set<0x6084>(acceleration(2.0 * fastest));
+  of.set<0x6085>(acceleration(hardest));
   of.set<0x608F, 1>(joint.counts_per_turn);
   of.set<0x6092, 1>(joint.counts_per_turn);
   of.set<0x6099, 1>(whole(0.1 * fastest));
   of.set<0x6099, 2>(whole(0.02 * fastest));
-  of.set<0x609A>(whole(fastest));
+  of.set<0x609A>(acceleration(fastest));
   of.set<0x60C5>(4294967295);
   of.set<0x60C6>(4294967295);
-  set_interpolation_time(of, axis.dt);
+  if (!axis.interpolation_given) set_interpolation_time(of, axis.cycle ? axis.cycle : axis.period);
+  of.set<0x6402>(joint.motor_type);
   of.set<0x6502>(joint.modes);
   set_homing_methods(of, joint);
 }

@@ -21,6 +21,9 @@ typedef struct drives drives;
 typedef struct drives_state drives_state;
 
 enum drives_bus { DRIVES_ETHERCAT = 1, DRIVES_CANOPEN = 2 };
+/* Meaning of the home offset 0x607C: from the home position to the zero position, as CiA 402 has
+ * it, or the position of the home, as some makers have it. */
+enum drives_home_offset { DRIVES_HOME_TO_ZERO = 0, DRIVES_ZERO_TO_HOME = 1 };
 enum { DRIVES_UNITS = 2 }; /* inertial measurement units on a link, at most */
 
 /* Data of a joint. */
@@ -34,15 +37,15 @@ typedef struct drives_joint {
   int32_t stops;           /* 1: it has stops on both sides */
   int32_t mode;            /* enum arm_mode that its motor takes; ARM_VOLTAGE or _CURRENT */
   uint32_t modes;          /* of 0x6502 that its loops hold the machine in */
-  uint32_t reserved;
+  uint32_t motor_type;     /* of 0x6402 */
 } drives_joint;
 
 /* The machine, the functions of its library, and the joints base to tool. */
 typedef struct drives_machine {
   uint32_t size;
   int32_t joints;
-  int32_t bus; /* enum drives_bus */
-  int32_t reserved;
+  int32_t bus;         /* enum drives_bus */
+  int32_t home_offset; /* enum drives_home_offset */
   arm_machine* machine;
   int (*measure)(const arm_machine*, arm_measurement*);
   int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
@@ -146,9 +149,12 @@ int drives_list_mode(int32_t row, drives_mode* out);
 /* Set an entry that belongs to the bus (COB-IDs, sync manager parameters), whatever its access and
  * range; 0: no such entry. */
 int drives_set(drives* all, int32_t drive, uint16_t index, uint8_t sub, int64_t value);
-/* Servo periods in a drive's interpolation time 0x60C2, one at least: a bus in lock-step goes
- * through so many of them per cycle. */
+/* Servo periods in a drive's interpolation time 0x60C2, one at least. */
 int32_t drives_periods_per_target(const drives* all, int32_t drive);
+
+/* Report the cycle of the bus in which targets come [ns]; 0: unknown, a servo period. The
+ * interpolation time 0x60C2 follows it, until a master writes that. */
+void drives_set_cycle(drives* all, int32_t drive, int64_t cycle);
 
 /* Report the loss of the master to a drive (-1: all), once per loss: a controlled motor reacts by
  * 0x6007, with this error code (0x603F), 0x8100 in general; a drive that is only ready returns to

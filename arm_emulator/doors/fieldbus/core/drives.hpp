@@ -102,7 +102,8 @@ drives* drives_new(const drives_machine* machine) {
       machine->inputs == std::ssize(fieldbus::kTaken) && machine->place && machine->input &&
       machine->get_parameter && machine->set_parameter && machine->faults >= 0 &&
       machine->faults <= 0xFFFF && (machine->fault || !machine->faults) &&
-      (machine->bus == DRIVES_ETHERCAT || machine->bus == DRIVES_CANOPEN);
+      (machine->bus == DRIVES_ETHERCAT || machine->bus == DRIVES_CANOPEN) &&
+      (machine->home_offset == DRIVES_HOME_TO_ZERO || machine->home_offset == DRIVES_ZERO_TO_HOME);
   if (!sound) return nullptr;
   drives* all = new drives(*machine);
   all->begin();
@@ -216,6 +217,10 @@ int drives_set(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_
 }
 std::int32_t drives_periods_per_target(const drives* all, std::int32_t drive) {
   return has(all, drive) ? all->at(drive).periods_per_target() : 1;
+}
+
+void drives_set_cycle(drives* all, std::int32_t drive, std::int64_t cycle) {
+  if (has(all, drive) && cycle >= 0) all->at(drive).set_cycle(cycle);
 }
 
 void drives_lost(drives* all, std::int32_t drive, std::uint16_t error) {

@@ -18,7 +18,11 @@ namespace ethercat {
 
 class Slave {
  public:
-  static constexpr int kOutputs = 2, kInputs = 3;                                 // sync managers
+  static constexpr int kOutputs = 2, kInputs = 3;  // sync managers
+  // Objects of the sync managers, their subs, and synchronization types.
+  static constexpr std::uint16_t kOutputParameters = 0x1c32, kInputParameters = 0x1c33;
+  static constexpr std::uint8_t kSyncType = 1, kCycleTime = 2, kSync0CycleTime = 10;
+  static constexpr std::int64_t kWithOutputs = 1, kWithSync0 = 2, kWithData = 0x22;
   static constexpr std::uint16_t kWatchdogError = 0x821b, kLeftOpError = 0x8100;  // 0x603F
 
   // `period`: of the servo [ns].
@@ -304,6 +308,7 @@ class Slave {
       return AlCode::outputs;
     if (!fits(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return AlCode::inputs;
     if (!pulses_fit()) return AlCode::syn_c0_cycle;
+    report_pulses();
     drives_lock_mapping(all_, drive_, 1);
     written_ = read_ = false;
     if (inputs_.size() > 0) inputs_.from_drive(managers_.area(kInputs));
@@ -370,9 +375,26 @@ class Slave {
   }
   // The same where a master sets SYNC0 late.
   void check_pulses() {
-    if (!exchanges() || pulses_fit()) return;
+    if (!exchanges()) return;
+    if (pulses_fit()) return report_pulses();
     leave(al_.state(), State::preop);
     fall(State::preop, AlCode::syn_c0_cycle);
+  }
+
+  // Targets come with SYNC0, if it is on: the drive interpolates over its cycle, and the objects of
+  // both sync managers show it (ETG.1020: 2, synchronous with SYNC0, and its cycle).
+  void report_pulses() {
+    const bool on = clock_.sync0();
+    if (!on && !follows_sync0_) return;  // the type and the times are those of the master
+    follows_sync0_ = on;
+    const std::int64_t cycle = on ? clock_.sync0_cycle() : 0;
+    for (const std::uint16_t index : {kOutputParameters, kInputParameters}) {
+      const std::int64_t by_data = index == kOutputParameters ? kWithOutputs : kWithData;
+      drives_set(all_, drive_, index, kSyncType, on ? kWithSync0 : by_data);
+      drives_set(all_, drive_, index, kCycleTime, cycle);
+      drives_set(all_, drive_, index, kSync0CycleTime, cycle);
+    }
+    drives_set_cycle(all_, drive_, cycle);
   }
 
   // "R", "E", "S" one after the other reset the controller.
@@ -406,6 +428,7 @@ class Slave {
   AlState al_;
   std::int64_t now_ = 0;                 // ns, time of the segment
   bool next_ = false;                    // a slave is connected behind this one
+  bool follows_sync0_ = false;           // objects of the sync managers show SYNC0
   bool written_ = false, read_ = false;  // since the last servo period
   std::uint16_t errors_reported_ = 0;
   int reset_letters_ = 0;

@@ -1,5 +1,6 @@
 // Homing methods.
 //
+//   0       none: a start fails
 //   35, 37  here                       -3, -4  the stop ahead (-3) or behind (-4)
 //   33, 34  the next index pulse,      -1, -2  the same, then the first index pulse on the way back
 //           backwards or forwards
@@ -18,7 +19,8 @@ class Homing {
   static constexpr int method[kMethods] = {35, 37, 33, 34, -1, -2, -3, -4};
   static bool known(std::int64_t one, bool index, bool stops) {
     const bool here = one == 35 || one == 37, by_index = one == 33 || one == 34;
-    return here || (by_index && index) || (one < 0 && one >= -4 && stops && (one < -2 || index));
+    return one == 0 || here || (by_index && index) ||
+           (one < 0 && one >= -4 && stops && (one < -2 || index));
   }
   static bool by_stop(std::int64_t one) { return one < 0; }
 
@@ -34,7 +36,9 @@ class Homing {
     began_ = position;
     pulses_ = pulses;
     pressed_ = 0.0;
-    if (one == 35 || one == 37)
+    if (one == 0)
+      phase_ = Phase::failed;
+    else if (one == 35 || one == 37)
       attain(position);
     else
       phase_ = one < 0 ? Phase::to_stop : Phase::to_index;

@@ -77,14 +77,13 @@ class InnerLoops {
   }
   // No faster than the motor can stop before a software limit.
   static void bound_speed(const Axis& axis, servo_wish& wish) {
-    if (!axis.bounded()) return;
     const double d = axis.deceleration<0x6084>();
     const double at = static_cast<double>(axis.measured.counts - axis.shift);
     const auto most = [&](double way) {
       return way > 0.0 ? axis.units.omega(std::sqrt(2.0 * d * way)) : 0.0;
     };
-    const double up = most(axis.number<0x607D, 2>() - at);
-    const double down = -most(at - axis.number<0x607D, 1>());
+    const double up = most(static_cast<double>(axis.most_position()) - at);
+    const double down = -most(at - static_cast<double>(axis.least_position()));
     if (up < wish.most_omega) wish.most_omega = up;
     if (down > wish.least_omega) wish.least_omega = down;
   }

@@ -58,6 +58,11 @@ struct Table {
     last().most = most;
     return *this;
   }
+  // A property of the machine: masters may write the value that it has.
+  constexpr Table& fixed() {
+    last().fixed = true;
+    return *this;
+  }
   constexpr Table& only(std::uint8_t buses) {
     last().buses = buses;
     return *this;
@@ -118,9 +123,12 @@ constexpr Table make_table() {
   for (const char* name : error_names) t.sub(name, unsigned32, ro);
   t.add(0x1005, 0, "COB-ID SYNC", unsigned32, rw, no, "", 0x80).only(kCanopen);
   t.add(0x1006, 0, "Communication cycle period", unsigned32, rw, no, "us").only(kCanopen);
+  t.add(0x1007, 0, "Synchronous window length", unsigned32, rw, no, "us").only(kCanopen);
   t.add(0x1008, 0, "Manufacturer device name", visible_string, c);
   t.add(0x1009, 0, "Manufacturer hardware version", visible_string, c);
   t.add(0x100A, 0, "Manufacturer software version", visible_string, c);
+  t.add(0x100C, 0, "Guard time", unsigned16, rw, no, "ms").only(kCanopen);
+  t.add(0x100D, 0, "Life time factor", unsigned8, rw).only(kCanopen);
   t.begin(0x1010, Code::array, "Store parameters", 1);
   t.sub("Store all parameters", unsigned32, rw);
   t.begin(0x1011, Code::array, "Restore default parameters", 1);
@@ -144,9 +152,12 @@ constexpr Table make_table() {
   t.sub("COB-ID server to client", unsigned32, ro, no, "", 0x580);
   for (int k = 0; k < kMappings; ++k) {
     const auto index = static_cast<std::uint16_t>(0x1400 + k);
-    t.begin(index, Code::record, rx_communication[k], 2, c, kCanopen);
+    t.begin(index, Code::record, rx_communication[k], 5, c, kCanopen);
     t.sub("COB-ID", unsigned32, rw, no, "", 0x200 + 0x100 * k);
     t.sub("Transmission type", unsigned8, rw, no, "", 255);
+    t.sub("Inhibit time", unsigned16, rw, no, "100 us");
+    t.sub("Reserved", unsigned8, rw);
+    t.sub("Event timer", unsigned16, rw, no, "ms");
   }
   for (int k = 0; k < kMappings; ++k) {
     const auto index = static_cast<std::uint16_t>(0x1600 + k);
@@ -206,6 +217,9 @@ constexpr Table make_table() {
   t.add(0x2004, 0, "Brake closed", unsigned8, ro, tx);
   t.add(0x2005, 0, "Motor current", integer32, ro, tx, "mA");
   t.add(0x2006, 0, "Motor command", integer32, ro, tx, "mV, mA");
+  t.add(0x2007, 0, "Unit of the velocity windows 0x606D and 0x606F", unsigned32, ro, no, "counts/s",
+        1);
+  t.add(0x2008, 0, "Unit of accelerations", unsigned32, ro, no, "counts/s2", 1);
   t.add(0x2010, 0, "Faults of the scene", unsigned16, ro);
   t.add(0x2011, 0, "Number of the chosen fault", unsigned16, rw);
   t.add(0x2012, 0, "Name of the chosen fault", visible_string, ro);
@@ -251,22 +265,22 @@ constexpr Table make_table() {
   t.add(0x6069, 0, "Velocity sensor actual value", integer32, ro, tx, "counts/s");
   t.add(0x606B, 0, "Velocity demand value", integer32, ro, tx, "counts/s");
   t.add(0x606C, 0, "Velocity actual value", integer32, ro, tx, "counts/s");
-  t.add(0x606D, 0, "Velocity window", unsigned16, rw, rx, "counts/s", 1000);
+  t.add(0x606D, 0, "Velocity window", unsigned16, rw, rx, "of 0x2007", 1000);
   t.add(0x606E, 0, "Velocity window time", unsigned16, rw, rx, "ms", 10);
-  t.add(0x606F, 0, "Velocity threshold", unsigned16, rw, rx, "counts/s", 1000);
+  t.add(0x606F, 0, "Velocity threshold", unsigned16, rw, rx, "of 0x2007", 1000);
   t.add(0x6070, 0, "Velocity threshold time", unsigned16, rw, rx, "ms", 10);
   t.add(0x6071, 0, "Target torque", integer16, rw, rx, "0.1 %");
   t.add(0x6072, 0, "Max torque", unsigned16, rw, rx, "0.1 %", 1000);
   t.add(0x6074, 0, "Torque demand", integer16, ro, tx, "0.1 %");
-  t.add(0x6075, 0, "Motor rated current", unsigned32, ro, no, "mA");
-  t.add(0x6076, 0, "Motor rated torque", unsigned32, ro, no, "mN m");
+  t.add(0x6075, 0, "Motor rated current", unsigned32, rw, no, "mA").fixed();
+  t.add(0x6076, 0, "Motor rated torque", unsigned32, rw, no, "mN m").fixed();
   t.add(0x6077, 0, "Torque actual value", integer16, ro, tx, "0.1 %");
   t.add(0x6078, 0, "Current actual value", integer16, ro, tx, "0.1 %");
   t.add(0x6079, 0, "DC link circuit voltage", unsigned32, ro, tx, "mV");
   t.add(0x607A, 0, "Target position", integer32, rw, rx, "counts");
   t.begin(0x607B, Code::array, "Position range limit", 2);
-  t.sub("Min position range limit", integer32, ro, no, "counts", -largest - 1);
-  t.sub("Max position range limit", integer32, ro, no, "counts", largest);
+  t.sub("Min position range limit", integer32, rw, no, "counts", -largest - 1).fixed();
+  t.sub("Max position range limit", integer32, rw, no, "counts", largest).fixed();
   t.add(0x607C, 0, "Home offset", integer32, rw, no, "counts");
   t.begin(0x607D, Code::array, "Software position limit", 2);
   t.sub("Min position limit", integer32, rw, no, "counts", -largest - 1);
@@ -276,26 +290,26 @@ constexpr Table make_table() {
   t.add(0x6080, 0, "Max motor speed", unsigned32, rw, rx, "rpm");
   t.add(0x6081, 0, "Profile velocity", unsigned32, rw, rx, "counts/s").within(1, largest);
   t.add(0x6082, 0, "End velocity", unsigned32, rw, no, "counts/s").within(0, 0);
-  t.add(0x6083, 0, "Profile acceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
-  t.add(0x6084, 0, "Profile deceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
-  t.add(0x6085, 0, "Quick stop deceleration", unsigned32, rw, rx, "counts/s2")
+  t.add(0x6083, 0, "Profile acceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
+  t.add(0x6084, 0, "Profile deceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
+  t.add(0x6085, 0, "Quick stop deceleration", unsigned32, rw, rx, "of 0x2008")
       .within(1, 4294967295);
   t.add(0x6086, 0, "Motion profile type", integer16, rw, no).within(0, 0);
   t.add(0x6087, 0, "Torque slope", unsigned32, rw, rx, "0.1 %/s", 10000).within(1, 4294967295);
   t.begin(0x608F, Code::array, "Position encoder resolution", 2);
-  t.sub("Encoder increments", unsigned32, ro, no, "counts");
-  t.sub("Motor revolutions", unsigned32, ro, no, "turns", 1);
+  t.sub("Encoder increments", unsigned32, rw, no, "counts").fixed();
+  t.sub("Motor revolutions", unsigned32, rw, no, "turns", 1).fixed();
   t.begin(0x6091, Code::array, "Gear ratio", 2);
-  t.sub("Motor revolutions", unsigned32, ro, no, "turns", 1);
-  t.sub("Shaft revolutions", unsigned32, ro, no, "turns", 1);
+  t.sub("Motor revolutions", unsigned32, rw, no, "turns", 1).fixed();
+  t.sub("Shaft revolutions", unsigned32, rw, no, "turns", 1).fixed();
   t.begin(0x6092, Code::array, "Feed constant", 2);
-  t.sub("Feed", unsigned32, ro, no, "counts");
-  t.sub("Shaft revolutions", unsigned32, ro, no, "turns", 1);
+  t.sub("Feed", unsigned32, rw, no, "counts").fixed();
+  t.sub("Shaft revolutions", unsigned32, rw, no, "turns", 1).fixed();
   t.add(0x6098, 0, "Homing method", integer8, rw, rx, "", 37);
   t.begin(0x6099, Code::array, "Homing speeds", 2);
   t.sub("Speed during search for switch", unsigned32, rw, rx, "counts/s").within(1, largest);
   t.sub("Speed during search for zero", unsigned32, rw, rx, "counts/s").within(1, largest);
-  t.add(0x609A, 0, "Homing acceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
+  t.add(0x609A, 0, "Homing acceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
   t.add(0x60B0, 0, "Position offset", integer32, rw, rx, "counts");
   t.add(0x60B1, 0, "Velocity offset", integer32, rw, rx, "counts/s");
   t.add(0x60B2, 0, "Torque offset", integer16, rw, rx, "0.1 %");
@@ -308,8 +322,8 @@ constexpr Table make_table() {
   t.begin(0x60C2, Code::record, "Interpolation time period", 2);
   t.sub("Interpolation time period value", unsigned8, rw, no, "", 1);
   t.sub("Interpolation time index", integer8, rw, no, "", -3).within(-6, 0);
-  t.add(0x60C5, 0, "Max acceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
-  t.add(0x60C6, 0, "Max deceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
+  t.add(0x60C5, 0, "Max acceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
+  t.add(0x60C6, 0, "Max deceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
   t.add(0x60E0, 0, "Positive torque limit", unsigned16, rw, rx, "0.1 %", 1000);
   t.add(0x60E1, 0, "Negative torque limit", unsigned16, rw, rx, "0.1 %", 1000);
   t.begin(0x60E3, Code::array, "Supported homing methods", 10);
@@ -324,7 +338,7 @@ constexpr Table make_table() {
   t.sub("Physical outputs", unsigned32, rw, rx);
   t.sub("Bit mask", unsigned32, rw);
   t.add(0x60FF, 0, "Target velocity", integer32, rw, rx, "counts/s");
-  t.add(0x6402, 0, "Motor type", unsigned16, c, no, "", 1);  // phase-modulated DC motor
+  t.add(0x6402, 0, "Motor type", unsigned16, rw).fixed();
   t.add(0x6502, 0, "Supported drive modes", unsigned32, ro, no, "", 0x3AD);
   return t;
 }

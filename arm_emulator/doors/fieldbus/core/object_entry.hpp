@@ -73,6 +73,7 @@ struct Entry {
   const char* name = "";       // name of the entry
   const char* unit = "";
   std::int64_t standard = 0, least = 0, most = 0;
+  bool fixed = false;  // a write succeeds with the present value alone
 
   constexpr bool readable() const { return access != Access::write; }
   constexpr bool writable() const { return access == Access::write || access == Access::both; }

@@ -19,10 +19,11 @@ class Stopping {
     by_halt_ = by_halt;
   }
 
-  // A period of it.
-  void fade(Axis& axis) const {
+  // A period of it. The torque decreases to 0; the motor coasts.
+  void fade(Axis& axis) {
     const double slope = axis.torque_slope();
     axis.demand.torque = ramp(axis.demand.torque, 0.0, slope, slope, axis.dt);
+    stands_ = axis.demand.torque == 0.0 && is_slow(axis);
   }
   void slow_down(Axis& axis, Stop way) {
     Demand& demand = axis.demand;
@@ -43,11 +44,13 @@ class Stopping {
  private:
   static constexpr double kLongest = 0.5;  // s that a motor may creep at the end
 
+  static bool is_slow(const Axis& axis) {
+    return std::fabs(axis.measured.speed) <= axis.velocity_threshold();
+  }
   void settle(Axis& axis) {
     const bool at_end = axis.demand.speed == 0.0;
     stood_.look(at_end, axis.dt);
-    const bool slow = std::fabs(axis.measured.speed) <= axis.number<0x606F>();
-    stands_ = at_end && (slow || stood_.time > kLongest);
+    stands_ = at_end && (is_slow(axis) || stood_.time > kLongest);
     if (!stands_ || axis.demand.loop != Loop::speed) return;
     axis.demand.position = axis.counts();
     axis.demand.loop = Loop::position;

@@ -111,6 +111,7 @@ class Values {
     constexpr std::int64_t not_finite = 0x7F800000;  // bits of a float that is infinite or NaN
     if (one.type == Type::real32 && (value & not_finite) == not_finite)
       return abort_code::out_of_range;
+    if (one.fixed && value != value_[slot]) return abort_code::out_of_range;
     if (value > one.most) return abort_code::too_high;
     if (value < one.least) return abort_code::too_low;
     if (one.index >= 0x1600 && one.index < 0x1600 + dictionary::kMappings)

@@ -29,18 +29,20 @@ class HomingMode final : public Mode {
                  axis.joint.counts_per_turn, axis.dt);
     std::int64_t found = 0;
     if (!homing_.take(found)) return;
-    axis.shift = found - axis.values.get<0x607C>();
+    axis.set_home(found);
     axis.stand();
   }
   double torque_limit(const Axis& axis) const override {
     const bool presses = homing_.moves() && Homing::by_stop(axis.values.get<0x6098>());
     return presses ? axis.number<0x2003>() : Mode::torque_limit(axis);
   }
-  std::uint16_t status(const Axis& axis, const Situation&) const override {
+  std::uint16_t status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
     if (homing_.phase() == Homing::Phase::attained) word |= status::bit12;
     if (homing_.phase() == Homing::Phase::failed) word |= status::bit13;
-    if (!homing_.moves() && axis.demand.speed == 0.0) word |= status::target_reached;
+    const bool interrupted = now.halted || now.stops || !now.operates;
+    if (!interrupted && !homing_.moves() && axis.demand.speed == 0.0)
+      word |= status::target_reached;
     return word;
   }
 
@@ -49,7 +51,7 @@ class HomingMode final : public Mode {
     if (!homing_.moves() && axis.demand.speed == 0.0) return axis.stand();
     const bool search = homing_.phase() == Homing::Phase::to_stop;
     const double asked = search ? axis.number<0x6099, 1>() : axis.number<0x6099, 2>();
-    const double most = axis.profile_speed(), a = axis.number<0x609A>();
+    const double most = axis.profile_speed(), a = axis.acceleration<0x609A>();
     const double speed = homing_.direction() * (asked < most ? asked : most);
     axis.control_speed();
     axis.demand.speed = ramp(axis.demand.speed, speed, a, a, axis.dt);

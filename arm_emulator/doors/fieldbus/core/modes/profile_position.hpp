@@ -73,12 +73,14 @@ class ProfilePosition final : public Mode {
       acknowledged_ = buffered_;
       return;
     }
-    if (!axis.rises(control::new_set_point) || acknowledged_) return;
+    const bool at_once = axis.word & control::change_at_once;
+    if (!axis.rises(control::new_set_point) || (acknowledged_ && !at_once)) return;
+    if (buffered_) target_ = profile_.target();  // the set-point that waits is discarded
     const std::int64_t from = static_cast<std::int64_t>(std::floor(target_ + 0.5)) - axis.shift;
     const bool relative = axis.word & control::relative;
     target_ = axis.inside(relative ? from + axis.values.get<0x607A>() : axis.target_position());
     acknowledged_ = true;
-    buffered_ = !(axis.word & control::change_at_once) && !profile_.done();
+    buffered_ = !at_once && !profile_.done();
     if (!buffered_) plan(axis, target_);
   }
 

@@ -22,8 +22,8 @@ class ProfileTorque final : public Mode {
     axis.demand.torque = ramp(axis.demand.torque, axis.number<0x6071>(), slope, slope, axis.dt);
   }
   std::uint16_t status(const Axis& axis, const Situation& now) const override {
-    const double target = now.halted ? 0.0 : axis.number<0x6071>();
-    return now.operates && axis.demand.torque == target ? status::target_reached : 0;
+    const bool reached = axis.demand.torque == axis.number<0x6071>();
+    return now.operates && !now.halted && reached ? status::target_reached : 0;
   }
 };
 

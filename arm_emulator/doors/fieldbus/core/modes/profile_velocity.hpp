@@ -20,8 +20,8 @@ class ProfileVelocity final : public Mode {
   }
   void look(const Axis& axis) override {
     const double speed = axis.measured.speed;
-    reached_.look(std::fabs(axis.number<0x60FF>() - speed) <= axis.number<0x606D>(), axis.dt);
-    still_.look(std::fabs(speed) <= axis.number<0x606F>(), axis.dt);
+    reached_.look(std::fabs(axis.number<0x60FF>() - speed) <= axis.velocity_window(), axis.dt);
+    still_.look(std::fabs(speed) <= axis.velocity_threshold(), axis.dt);
   }
   std::uint16_t status(const Axis& axis, const Situation& now) const override {
     std::uint16_t word = 0;
