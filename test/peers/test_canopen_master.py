@@ -197,7 +197,7 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
         for number, joint in enumerate(scene.joint_names, 1):
             node = canopen.BaseNode402(number, str(tmp_path / f"ur5_{joint}.eds"))
             network.add_node(node)
-            node.sdo[0x60C2][1].raw = CYCLE
+            node.sdo[0x1006].raw = 1000 * CYCLE
             node.rpdo.read()
             node.tpdo.read()
             for k in (1, 3, 4):

@@ -217,9 +217,9 @@ constexpr Table make_table() {
   t.add(0x2004, 0, "Brake closed", unsigned8, ro, tx);
   t.add(0x2005, 0, "Motor current", integer32, ro, tx, "mA");
   t.add(0x2006, 0, "Motor command", integer32, ro, tx, "mV, mA");
-  t.add(0x2007, 0, "Unit of the velocity windows 0x606D and 0x606F", unsigned32, ro, no, "counts/s",
-        1);
-  t.add(0x2008, 0, "Unit of accelerations", unsigned32, ro, no, "counts/s2", 1);
+  t.add(0x2007, 0, "Unit of the velocity windows 0x606D and 0x606F", unsigned32, ro, no,
+        "counts/s");
+  t.add(0x2008, 0, "Unit of accelerations", unsigned32, ro, no, "counts/s2");
   t.add(0x2010, 0, "Faults of the scene", unsigned16, ro);
   t.add(0x2011, 0, "Number of the chosen fault", unsigned16, rw);
   t.add(0x2012, 0, "Name of the chosen fault", visible_string, ro);
@@ -260,7 +260,7 @@ constexpr Table make_table() {
   t.add(0x6064, 0, "Position actual value", integer32, ro, tx, "counts");
   t.add(0x6065, 0, "Following error window", unsigned32, rw, rx, "counts");
   t.add(0x6066, 0, "Following error time out", unsigned16, rw, rx, "ms", 10);
-  t.add(0x6067, 0, "Position window", unsigned32, rw, rx, "counts", 10);
+  t.add(0x6067, 0, "Position window", unsigned32, rw, rx, "counts");
   t.add(0x6068, 0, "Position window time", unsigned16, rw, rx, "ms", 10);
   t.add(0x6069, 0, "Velocity sensor actual value", integer32, ro, tx, "counts/s");
   t.add(0x606B, 0, "Velocity demand value", integer32, ro, tx, "counts/s");
@@ -320,7 +320,7 @@ constexpr Table make_table() {
   t.add(0x60BC, 0, "Touch probe 2 positive edge", integer32, ro, tx, "counts");
   t.add(0x60BD, 0, "Touch probe 2 negative edge", integer32, ro, tx, "counts");
   t.begin(0x60C2, Code::record, "Interpolation time period", 2);
-  t.sub("Interpolation time period value", unsigned8, rw, no, "", 1);
+  t.sub("Interpolation time period value", unsigned8, rw);
   t.sub("Interpolation time index", integer8, rw, no, "", -3).within(-6, 0);
   t.add(0x60C5, 0, "Max acceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
   t.add(0x60C6, 0, "Max deceleration", unsigned32, rw, rx, "of 0x2008").within(1, 4294967295);
