@@ -561,14 +561,14 @@ def test_a_sync_stands_for_its_period_and_not_for_the_interpolation_time() -> No
 
     A target is reached 50 ms after its SYNC, 5 SYNCs later; a SYNC lets 10 ms pass.
     """
-    for told in ("0x1006", "option"):
-        period = 0.01 if told == "option" else 0.0
+    for given in ("0x1006", "option"):
+        period = 0.01 if given == "option" else 0.0
         drives = Drives(Plant(PLAIN), SERVO, CANOPEN)
         segment = CanSegment(drives, 1, sync_period=period)
         segment.boot()
         put(segment, 1, 0x60C2, 1, 50, 1)
         put(segment, 1, 0x60C2, 2, 256 - 3, 1)
-        if told == "0x1006":
+        if given == "0x1006":
             for node in (1, 2, 3):
                 put(segment, node, 0x1006, 0, 10000, 4)
         enable_nodes(segment, CSP)
