@@ -88,8 +88,8 @@ struct Axis {
   double velocity_window() const { return number<0x606D>() * number<0x2007>(); }     // counts/s
   double velocity_threshold() const { return number<0x606F>() * number<0x2007>(); }  // counts/s
   double torque_slope() const { return number<0x6087>(); }
-  // Software limits in the dictionary's coordinates. Where the position wraps around there is none,
-  // or a joint without end would stop after 2^31 counts.
+  // Software limits in the dictionary's coordinates. A limit at the end of the range has no effect:
+  // the position wraps there, and a joint without end would stop after 2^31 counts.
   bool bounded() const { return values.get<0x607D, 1>() < values.get<0x607D, 2>(); }
   std::int64_t least_position() const {
     const std::int64_t low = values.get<0x607D, 1>();
