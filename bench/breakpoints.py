@@ -11,7 +11,7 @@ from statistics import median
 
 from arm_emulator import Breakpoint, Plant
 from arm_emulator.build.c_header import NULL
-from arm_emulator.runs.breakpoint import breakpoint_library
+from arm_emulator.machine.formula_library import formula_library
 
 CASES = (
     ("three_axis", "abs(v.elbow) > 0.5"),
@@ -24,7 +24,7 @@ CALLS, TURNS = 200_000, 5
 def cost(scene: str, condition: str) -> float:
     """Return the median of the turns [ns], without the call from Python."""
     plant = Plant(scene)
-    one, take = Breakpoint(plant, condition), breakpoint_library().breakpoint_take
+    one, take = Breakpoint(plant, condition), formula_library().breakpoint_take
 
     def call() -> None:
         take(one.struct, plant.machine)

@@ -22,8 +22,14 @@ from arm_emulator.machine.call_arguments import options_of
 from arm_emulator.machine.compiler import equations_library_of, fleet_library_of, real_time_library
 from arm_emulator.machine.core_calls import ARM, EQUATIONS, FIRMWARE_LOOP, FLEET, REAL_TIME
 from arm_emulator.machine.firmware_loop import firmware_loop
+from arm_emulator.machine.formula_library import (
+    BREAKPOINT,
+    CONDITION,
+    FORMULA,
+    TOOL_POSITION,
+    formula_library,
+)
 from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
-from arm_emulator.runs.breakpoint import BREAKPOINT, breakpoint_library
 from arm_emulator.servo.drives import Drives as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
 
@@ -63,6 +69,7 @@ def main() -> None:
         "arm_real_time *": None,  # runs a thread
         "ethercat_segment *": segment.pointer,
         "listeners *": LISTENERS.new("listeners"),
+        "condition *": stops.struct.what,
         "breakpoint *": stops.struct,
     }
     size = plant.core.arm_saved_size()
@@ -79,7 +86,10 @@ def main() -> None:
         (FIRMWARE_LOOP, firmware_loop()),
         (RING, record_ring()),
         (LISTENERS, record_ring()),
-        (BREAKPOINT, breakpoint_library()),
+        (FORMULA, formula_library()),
+        (TOOL_POSITION, formula_library()),
+        (CONDITION, formula_library()),
+        (BREAKPOINT, formula_library()),
         (SERVO, servo_law()),
         (DRIVES, segment.drives.calls),
         (SEGMENT, segment.drives.calls),

@@ -11,8 +11,8 @@ import yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, drawn_case
-from arm_emulator.campaign.signals import tool_positions
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.machine.tool_chain import ToolChain
 
 HIT = {"kind": "impulse", "at": 0.005, "link": "tool", "impulse": [0.1, -0.2, 0.3]}
 
@@ -47,7 +47,7 @@ def test_speeds_change_by_the_impulse_over_inertia(tmp_path: Path, contact: int)
     changed, simulator = changed_speed(loaded(tmp_path, lasting=contact * 1e-3))
     scene, q = simulator.session.scene, simulator.session.state.q
     steps = q[:, None] + np.hstack([1e-6 * np.eye(3), -1e-6 * np.eye(3)])
-    p = tool_positions(scene, steps)
+    p = ToolChain(scene).positions(steps)
     J = (p[:, :3] - p[:, 3:]) / 2e-6
     M = simulator.session.plant.links.mass_matrix(q)
     expected = np.linalg.solve(M, J.T @ HIT["impulse"])

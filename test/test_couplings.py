@@ -29,9 +29,9 @@ from arm_emulator import (
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.link_loads import LinkLoads
 from arm_emulator.analysis.sensitivities import numbers_of
-from arm_emulator.campaign.signals import tool_positions
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
+from arm_emulator.machine.tool_chain import ToolChain
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.runs.breakpoint import Breakpoint
 from oracles.any_arm import move, reachable
@@ -322,7 +322,7 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
         np.testing.assert_allclose(got.angular_rate[0], turns, rtol=0.0, atol=1e-11 * scale)
     pin.framesForwardKinematics(model, data, q)
     there = data.oMf[model.getFrameId("tool0")].translation
-    np.testing.assert_allclose(tool_positions(scene, x.q[:, None])[:, 0], there, atol=1e-12)
+    np.testing.assert_allclose(ToolChain(scene).positions(x.q[:, None])[:, 0], there, atol=1e-12)
     for axis, at_axis in zip("xyz", there, strict=True):
         for off in (-1e-9, 1e-9):
             stop = Breakpoint(plant, f"tool.{axis} > {float(at_axis + off)!r}")

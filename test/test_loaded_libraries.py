@@ -17,9 +17,9 @@ from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
+from arm_emulator.machine.formula_library import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.runs.breakpoint import breakpoint_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
@@ -78,7 +78,7 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
     )
     units += servo_step_unit(), firmware_loop_unit(), real_time_unit(), record_ring_unit()
     units += (
-        breakpoint_unit(),
+        formula_unit(),
         judges_unit(),
         sampler_unit(),
         answered_ticks_unit(),

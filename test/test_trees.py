@@ -22,7 +22,6 @@ from machines import (
 from arm_emulator.analysis.link_loads import LinkLoads
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
-from arm_emulator.campaign.signals import tool_positions
 from arm_emulator.identification.inertia import dynamic
 from arm_emulator.identification.link_regressor import LinkRegressor
 from arm_emulator.machine.external_wrench import ExternalWrench
@@ -30,6 +29,7 @@ from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.schemes.known import KNOWN
+from arm_emulator.machine.tool_chain import ToolChain
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
@@ -222,6 +222,6 @@ def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
         assert relative(tau[k], M @ a[k] + nle) < TOLERANCE, "torques"
     for link in scene.chain.carried:
         tool = dataclasses.replace(scene, tool=link)
-        p = tool_positions(tool, q.T)
+        p = ToolChain(tool).positions(q.T)
         expected = [oracle.place(one, link) for one in q]
         assert p.T == pytest.approx(np.array(expected), abs=1e-12), f"place of {link} [m]"

@@ -8,25 +8,31 @@ from collections.abc import Iterable, Sequence
 
 from arm_emulator.base.formula import (
     Combined,
-    Constant,
     Expression,
     Formula,
     Margin,
     Operation,
     Signal,
     Window,
+    fold,
 )
 from arm_emulator.base.refusal import Refusal
 
 
 def signals_in(what: Formula | Expression) -> set[str]:
     """Return the names of all signals."""
-    if isinstance(what, Signal):
-        return {what.name}
-    if isinstance(what, Constant):
-        return set()
-    of = (what.of,) if isinstance(what, Margin) else what.of
-    return set().union(*map(signals_in, of))
+    if isinstance(what, Margin):
+        return set().union(*map(signals_in, what.sides))
+    if isinstance(what, Combined | Window):
+        return set().union(*map(signals_in, what.of))
+    names: set[str] = set()
+
+    def add(part: Expression, _: object) -> None:
+        if isinstance(part, Signal):
+            names.add(part.name)
+
+    fold(what, add)
+    return names
 
 
 def bound_to(what: Formula, known: Iterable[str], where: str, quantity: str) -> Formula:
@@ -37,7 +43,10 @@ def bound_to(what: Formula, known: Iterable[str], where: str, quantity: str) -> 
     """
     known = list(known)
     if isinstance(what, Margin):
-        each = [Margin(one, what.strict) for one in meant_by(what.of, known, where, quantity)]
+        # A text for a star is the same on both sides.
+        both = meant_by(Operation("-", what.sides), known, where, quantity)
+        sides = [one.of for one in both if isinstance(one, Operation)]
+        each = [Margin(more, less, what.strict) for more, less in sides]
         return each[0] if len(each) == 1 else Combined("and", tuple(each))
     of = tuple(bound_to(one, known, where, quantity) for one in what.of)
     if isinstance(what, Combined):
@@ -72,11 +81,12 @@ def meant_by(what: Expression, known: Sequence[str], where: str, quantity: str) 
 
 
 def _with_text(what: Expression, text: str) -> Expression:
-    if isinstance(what, Signal):
-        return Signal(what.name.replace("*", text))
-    if isinstance(what, Constant):
-        return what
-    return Operation(what.sign, tuple(_with_text(one, text) for one in what.of))
+    def put(part: Expression, operands: Sequence[Expression]) -> Expression:
+        if isinstance(part, Signal):
+            return Signal(part.name.replace("*", text))
+        return Operation(part.sign, tuple(operands)) if isinstance(part, Operation) else part
+
+    return fold(what, put)
 
 
 def _unknown(name: str, known: Sequence[str], where: str, quantity: str) -> Refusal:

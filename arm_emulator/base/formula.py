@@ -1,15 +1,20 @@
-"""Requirements as text: signal temporal logic over signals by name.
+"""Formulas as text: signal temporal logic over signals by name.
 
 From loose to tight: ``implies`` (``->``), ``or``, ``and``, ``until[a, b]``, then ``not``,
-``always[a, b]`` and ``eventually[a, b]``, then comparisons of arithmetic.
+``always[a, b]`` and ``eventually[a, b]``, then comparisons of arithmetic. core/boundary/formula.c
+evaluates them for conditions, breakpoints and campaigns alike.
+
+Formulas nest at most `DEEPEST` levels, as a text has parentheses and prefixes. Arithmetic may be
+deeper, since each term of a sum is a level: it is walked by `fold`, without recursion.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from arm_emulator.base.refusal import Refusal
 
@@ -51,11 +56,17 @@ Expression = Constant | Signal | Operation
 
 @dataclass(frozen=True)
 class Margin:
-    """A comparison that holds by so much: ``a <= b`` by b - a."""
+    """A comparison that holds by so much: ``less <= more`` by more - less."""
 
-    of: Expression
+    more: Expression
+    less: Expression
     strict: bool = False
     """Whether it is ``<`` or ``>``, which do not hold by 0."""
+
+    @property
+    def sides(self) -> tuple[Expression, Expression]:
+        """The side that shall be more, and the one that shall be less."""
+        return self.more, self.less
 
 
 @dataclass(frozen=True)
@@ -78,6 +89,28 @@ class Window:
 
 Formula = Margin | Combined | Window
 _Any = Expression | Formula
+_T = TypeVar("_T")
+
+
+def fold(what: Expression, visit: Callable[[Expression, Sequence[_T]], _T]) -> _T:
+    """Return what a function makes of arithmetic, whatever its depth.
+
+    Args:
+        what: the arithmetic.
+        visit: gets each part with its own results for the operands, operands first.
+    """
+    results: list[_T] = []
+    pending = [(what, False)]
+    while pending:
+        part, visited = pending.pop()
+        operands = part.of if isinstance(part, Operation) else ()
+        if operands and not visited:
+            pending.append((part, True))
+            pending.extend((one, False) for one in reversed(operands))
+            continue
+        first = len(results) - len(operands)
+        results[first:] = [visit(part, results[first:])]
+    return results[0]
 
 
 def parse_formula(text: str, where: str, quantity: str) -> Formula:
@@ -172,16 +205,17 @@ class _Parser:
         return Combined("or", (Combined("not", (self.formula(left),)), right))
 
     def _either(self, depth: int) -> _Any:
-        left = self._both(depth)
-        while self._take("or"):
-            left = Combined("or", (self.formula(left), self.formula(self._both(depth))))
-        return left
+        return self._chain("or", self._both, depth)
 
     def _both(self, depth: int) -> _Any:
-        left = self._until(depth)
-        while self._take("and"):
-            left = Combined("and", (self.formula(left), self.formula(self._until(depth))))
-        return left
+        return self._chain("and", self._until, depth)
+
+    def _chain(self, sign: str, tighter: Callable[[int], _Any], depth: int) -> _Any:
+        """Return one operation for all parts that an operator joins, so that none is deep."""
+        parts = [tighter(depth)]
+        while self._take(sign):
+            parts.append(tighter(depth))
+        return parts[0] if len(parts) == 1 else Combined(sign, tuple(map(self.formula, parts)))
 
     def _until(self, depth: int) -> _Any:
         left = self._prefixed(depth)
@@ -229,8 +263,7 @@ class _Parser:
             right = self.expression(self._sum(depth))
             less, more = (left, right) if sign[0] == "<" else (right, left)
             strict = sign in ("<", ">")
-            margins.append(Margin(Operation("-", (more, self.expression(less))), strict))  # type: ignore[arg-type]
-            self.expression(left)
+            margins.append(Margin(self.expression(more), self.expression(less), strict))
             left = right
         if not margins:
             return left

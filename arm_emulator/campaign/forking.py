@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from arm_emulator.base.bound_formula import bound_to
-from arm_emulator.base.formula import (
-    Combined,
-    Constant,
-    Expression,
-    Formula,
-    Margin,
-    Operation,
-    Window,
-    parse_formula,
-)
+from arm_emulator.base.formula import Formula, Window, parse_formula
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case
@@ -30,6 +20,7 @@ from arm_emulator.campaign.signals import Sampler, units_of_signals
 from arm_emulator.campaign.simulator import ROOM, Simulator
 from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.formula_rows import is_at_one_instant
 from arm_emulator.machine.scene import LARGEST_SEED
 from arm_emulator.runs.offline import OfflineRun
 
@@ -65,8 +56,8 @@ class ForkingRun(Simulator):
         period = scene.servo_period
         self._from = math.ceil(formula.begin / period - 1e-6)
         self._to = math.inf if math.isinf(formula.end) else math.floor(formula.end / period + 1e-6)
-        rows = Rows(scene.joint_names, period)
-        self._margin = Program(rows, [()], (), [rows.of(of)], ROOM)
+        rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
+        self._margin = Program(rows, [()], (), [rows.of_formula(of)], ROOM)
         self._sampler = Sampler(self.session.plant, rows.samples, ROOM)
         self._look = self._at_most = max(1, ticks_of(campaign.search.look, period))
 
@@ -138,6 +129,9 @@ class ForkingRun(Simulator):
         self._sampler.begin()
         self._margin.go_on(self.session.tick)
         try:
+            self._take(level)  # the sample at which the run is, before any piece
+            if self._is_at(level):
+                return True, self._least
             pieces, before = self._pieces(), self.fork()
             while next(pieces, None) is not None:
                 later = self._take(level)
@@ -171,7 +165,8 @@ class ForkingRun(Simulator):
         begin, stop = max(self._from - first, 0), int(min(self._to + 1 - first, count))
         if begin >= stop:
             return 0
-        margins = self._margin.kept[0, 0, begin:stop]
+        truth = self._margin.kept[0, 0, begin:stop]
+        margins = np.where(truth == 0.0, -math.inf, truth)  # undefined, see core/boundary/formula.h
         self._least = min(self._least, float(np.min(margins)))
         if not self._is_at(level):
             return 0
@@ -196,8 +191,8 @@ def _taken(seed: int) -> float:
     return float(seed % LARGEST_SEED)
 
 
-def _margin_of(campaign: Campaign) -> tuple[Window, Expression]:
-    """Return the requirement of the search, and its margin at one instant."""
+def _margin_of(campaign: Campaign) -> tuple[Window, Formula]:
+    """Return the requirement of the search, and what shall always hold."""
     assert campaign.search is not None
     name, where = campaign.search.of, campaign.where
     if not campaign.scene.sensed:
@@ -210,27 +205,7 @@ def _margin_of(campaign: Campaign) -> tuple[Window, Expression]:
     known = list(units_of_signals(campaign.scene))
     formula = bound_to(parse_formula(text, where, quantity), known, where, quantity)
     if isinstance(formula, Window) and formula.sign == "always":
-        of = _arithmetic(formula.of[0])
-        if of is not None:
+        (of,) = formula.of
+        if is_at_one_instant(of):
             return formula, of
     raise Refusal(where, quantity, rule, text)
-
-
-def _arithmetic(what: Formula) -> Expression | None:
-    """Return the margin of comparisons at one instant as arithmetic; None: it needs more."""
-    if isinstance(what, Margin):
-        return what.of
-    if isinstance(what, Window):
-        return None
-    parts = list(_all(what))
-    if any(one is None for one in parts):
-        return None
-    known = tuple(one for one in parts if one is not None)
-    if what.sign == "not":
-        return Operation("-", (Constant(0.0), known[0]))
-    return known[0] if len(known) == 1 else Operation("min" if what.sign == "and" else "max", known)
-
-
-def _all(what: Combined) -> Iterator[Expression | None]:
-    for one in what.of:
-        yield _arithmetic(one)

@@ -3,8 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-#define EACH for (int i = 0; i < JUDGES_BLOCK; ++i)
-
 /* NaN stays NaN. */
 static double smaller(double a, double b) { return a < b || isnan(a) ? a : b; }
 static double larger(double a, double b) { return a > b || isnan(a) ? a : b; }
@@ -12,7 +10,7 @@ static double larger(double a, double b) { return a > b || isnan(a) ? a : b; }
 /* Have the processor fetch a block that comes next: samples of many runs are not in its caches. */
 static void fetch(const double* block) {
 #ifdef __GNUC__
-  for (int i = 0; i < JUDGES_BLOCK; i += 8) __builtin_prefetch(block + i);
+  for (int i = 0; i < FORMULA_BLOCK; i += 8) __builtin_prefetch(block + i);
 #else
   (void)block;
 #endif
@@ -37,66 +35,45 @@ static void follow(double* out, int32_t joint, int64_t first, int64_t count, int
   }
 }
 
-/* Whole blocks, so that the compiler knows their length; values past the end are not read. */
-static void compute(const judges_row* what, double* restrict out, const double* a,
-                    const double* b) {
-  switch (what->kind) {
-    case JUDGES_ADD:
-      EACH out[i] = a[i] + b[i];
-      break;
-    case JUDGES_SUBTRACT:
-      EACH out[i] = a[i] - b[i];
-      break;
-    case JUDGES_MULTIPLY:
-      EACH out[i] = a[i] * b[i];
-      break;
-    case JUDGES_DIVIDE:
-      EACH out[i] = a[i] / b[i];
-      break;
-    case JUDGES_LEAST:
-      EACH out[i] = smaller(a[i], b[i]);
-      break;
-    case JUDGES_MOST:
-      EACH out[i] = larger(a[i], b[i]);
-      break;
-    case JUDGES_ABS:
-      EACH out[i] = fabs(a[i]);
-      break;
-    case JUDGES_ROOT:
-      EACH out[i] = sqrt(a[i]);
-      break;
-    default:
-      EACH out[i] = what->value;
-  }
-}
-
-static void fill(const judges* all, int32_t row, const judges_samples* piece, int64_t from,
-                 int64_t count) {
-  const judges_row* what = &all->rows[row];
-  double* out = all->values + (int64_t)row * JUDGES_BLOCK;
+/* Fill a row from what is measured, or let `at` point there. */
+static void fill_input(const judges* all, int32_t row, const judges_samples* piece, int64_t from,
+                       int64_t count) {
+  const judges_input* what = &all->inputs[all->rows[row].left];
+  double* out = all->values + (int64_t)row * FORMULA_BLOCK;
   const int64_t first = all->taken + from;
   all->at[row] = out;
   switch (what->kind) {
-    case JUDGES_CONSTANT:
-      if (first == 0) compute(what, out, out, out);
-      break;
-    case JUDGES_SIGNAL: {
-      const double* samples = piece->rows + what->left * piece->stride + from;
-      if (from + JUDGES_BLOCK <= piece->stride)
-        all->at[row] = samples, fetch(samples + JUDGES_BLOCK);
+    case JUDGES_SAMPLE: {
+      const double* samples = piece->rows + what->place * piece->stride + from;
+      if (from + FORMULA_BLOCK <= piece->stride)
+        all->at[row] = samples, fetch(samples + FORMULA_BLOCK);
       else
         memcpy(out, samples, (size_t)count * sizeof *out);
       break;
     }
-    case JUDGES_TICK:
-      for (int64_t i = 0; i < count; ++i) out[i] = (double)(first + i);
-      break;
     case JUDGES_TARGET:
-      follow(out, what->left, first, count, all->target, piece);
+      follow(out, what->place, first, count, all->target, piece);
       break;
     default:
-      compute(what, out, all->at[what->left], all->at[what->right]);
+      for (int64_t i = 0; i < count; ++i) out[i] = (double)(first + i);
   }
+}
+
+/* Whole blocks, whose length the compiler knows; values past the end are not read. */
+static void fill(const judges* all, int32_t row, const judges_samples* piece, int64_t from,
+                 int64_t count) {
+  const formula_row* what = &all->rows[row];
+  double* out = all->values + (int64_t)row * FORMULA_BLOCK;
+  if (what->kind == FORMULA_INPUT) {
+    fill_input(all, row, piece, from, count);
+    return;
+  }
+  all->at[row] = out;
+  if (what->kind == FORMULA_CONSTANT) {
+    if (all->taken + from == 0) formula_compute(what, out, out, out, FORMULA_BLOCK);
+    return;
+  }
+  formula_compute(what, out, all->at[what->left], all->at[what->right], FORMULA_BLOCK);
 }
 
 /* The largest or smallest of `found` and some values: several at a time, as each waits for the one
@@ -154,9 +131,9 @@ void judges_begin(judges* all, int32_t runs) {
 }
 
 static int take_piece(judges* all, const judges_samples* piece) {
-  for (int64_t from = 0; from < piece->count; from += JUDGES_BLOCK) {
+  for (int64_t from = 0; from < piece->count; from += FORMULA_BLOCK) {
     const int64_t left = piece->count - from;
-    const int64_t count = left < JUDGES_BLOCK ? left : JUDGES_BLOCK;
+    const int64_t count = left < FORMULA_BLOCK ? left : FORMULA_BLOCK;
     all->target = target_at(piece, all->target, all->taken + from);
     for (int32_t k = 0; k < all->row_count; ++k) fill(all, k, piece, from, count);
     for (int32_t k = 0; k < all->requirement_count; ++k) {

@@ -3,40 +3,25 @@
 #ifndef JUDGES_H
 #define JUDGES_H
 
+#include "formula.h"
 #include "robustness.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-enum judges_kind {
-  JUDGES_CONSTANT, /* `value` */
-  JUDGES_SIGNAL,   /* row `left` of the samples */
-  JUDGES_TICK,     /* number of the sample */
-  JUDGES_TARGET,   /* joint `left` of the target that holds */
-  JUDGES_ADD,      /* of rows `left` and `right`, as the next five */
-  JUDGES_SUBTRACT,
-  JUDGES_MULTIPLY,
-  JUDGES_DIVIDE,
-  JUDGES_LEAST,
-  JUDGES_MOST,
-  JUDGES_ABS, /* of row `left`, as the next one */
-  JUDGES_ROOT,
+enum judges_input_kind {
+  JUDGES_SAMPLE, /* row `place` of the samples */
+  JUDGES_TARGET, /* joint `place` of the target that holds */
+  JUDGES_TICK    /* number of the sample */
 };
 
 enum judges_reduction { JUDGES_MAX, JUDGES_MIN, JUDGES_MEAN, JUDGES_RMS, JUDGES_LAST };
 
-/* Samples in a block: all rows of one are in the processor's nearest cache. */
-#define JUDGES_BLOCK 72
-
-/* A row of values; its operands come before it. */
-typedef struct judges_row {
+typedef struct judges_input {
   int32_t kind;
-  int32_t left;
-  int32_t right;
-  int32_t reserved;
-  double value;
-} judges_row;
+  int32_t place;
+} judges_input;
 
 typedef struct judges_measure {
   int32_t reduction;
@@ -60,8 +45,9 @@ typedef struct judges {
   uint32_t size;
   int32_t row_count, requirement_count, measure_count, kept_count;
   int32_t reserved;
-  const judges_row* rows;
-  double* values;                  /* JUDGES_BLOCK for each row */
+  const formula_row* rows;
+  const judges_input* inputs;      /* what FORMULA_INPUT numbers */
+  double* values;                  /* FORMULA_BLOCK for each row */
   const double** at;               /* of each row: where its block is */
   robustness* const* requirements; /* over these rows */
   judges_measure* measures;

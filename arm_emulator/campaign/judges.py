@@ -140,7 +140,7 @@ class Judges:
     def __init__(self, campaign: Campaign, room: int, runs: int = 1) -> None:
         scene, where = campaign.scene, campaign.where
         known = list(units_of_signals(scene))
-        rows = Rows(scene.joint_names, scene.servo_period)
+        rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
         section = Section({"requirements": dict(campaign.requirements)}, where)
         given = section.required_section("requirements")
         formulas: dict[str, Formula] = {}
@@ -166,7 +166,9 @@ class Judges:
         period = scene.servo_period
         requirements = [
             [
-                Robustness(judges(), one, rows.of, period, longest, where, f"requirements.{name}")
+                Robustness(
+                    judges(), one, rows.of_formula, period, longest, where, f"requirements.{name}"
+                )
                 for name, one in formulas.items()
             ]
             for _ in range(runs)

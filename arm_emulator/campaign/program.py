@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -12,27 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.formula import Constant, Expression, Operation, Signal
+from arm_emulator.base.formula import Constant, Operation, Signal
 from arm_emulator.build.c_header import NULL, Header, Library, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.campaign.requirement import Robustness
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.formula_library import FORMULA
+from arm_emulator.machine.formula_rows import FormulaRows
 
 Array = NDArray[np.float64]
-Row = tuple[str, int, int, float]
 HERE = Path(__file__).resolve().parent
-JUDGES = Header(HERE / "judges.h", (HERE,))
-BLOCK = JUDGES.constant("JUDGES_BLOCK")
-_ARITHMETIC = {
-    "+": "ADD",
-    "-": "SUBTRACT",
-    "*": "MULTIPLY",
-    "/": "DIVIDE",
-    "min": "LEAST",
-    "max": "MOST",
-    "abs": "ABS",
-    "sqrt": "ROOT",
-}
+JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY))
+BLOCK = FORMULA.constant("FORMULA_BLOCK")
 
 
 @cache
@@ -43,65 +34,59 @@ def judges() -> Library:
 
 def judges_unit() -> Unit:
     """Return the sources of the program."""
-    source, about = '#include "robustness.c"\n#include "judges.c"\n', "the judges of campaigns"
+    parts = "formula.c", "robustness.c", "judges.c"
+    source = "".join(f'#include "{part}"\n' for part in parts)
     headers = (JUDGES, Header(HERE / "robustness.h"))
-    return Unit("judges", source, C_FLAGS, (HERE,), headers, "campaign", about, "robustness.c")
+    about = "the judges of campaigns"
+    return Unit("judges", source, C_FLAGS, (HERE, BOUNDARY), headers, "campaign", about, parts[1])
 
 
-class Rows:
-    """Rows of values over time, each of which is computed once whoever asks for it.
+class Rows(FormulaRows):
+    """Rows of values over time, from samples, targets and the tick.
 
     Attributes:
         samples: signals that are sampled, in the order of their rows.
 
     Args:
         joints: of which there are targets.
-        period: of the samples [s].
+        step: of the integrator [s].
+        steps: from a sample to the next.
     """
 
-    def __init__(self, joints: Sequence[str], period: float) -> None:
+    def __init__(self, joints: Sequence[str], step: float, steps: int = 1) -> None:
+        super().__init__(self._row_of_name)
         self.samples: list[str] = []
-        self._joints, self._period = list(joints), period
-        self._rows: dict[Row, int] = {}
+        self._joints = list(joints)
+        # Time as the machine computes it, which rounds the product of all steps and their size.
+        count = Operation("*", (Signal("tick"), Constant(float(steps))))
+        self._time = Operation("*", (count, Constant(step)))
+        self._inputs: list[tuple[str, int]] = []
 
-    def of(self, what: Expression) -> int:
-        """Return the row of arithmetic."""
-        if isinstance(what, Constant):
-            return self._row("CONSTANT", value=what.value)
-        if isinstance(what, Signal):
-            return self._signal(what.name)
-        kind, first, *others = _ARITHMETIC[what.sign], *map(self.of, what.of)
-        if not others:
-            return self._row(kind, first, first)
-        return functools.reduce(lambda left, right: self._row(kind, left, right), others, first)
+    def inputs(self) -> NDArray[Any]:
+        """Return ``judges_input``, one at least."""
+        inputs = JUDGES.rows("judges_input", max(1, len(self._inputs)))
+        for row, (kind, place) in zip(inputs, self._inputs, strict=False):
+            row["kind"], row["place"] = JUDGES.constant(f"JUDGES_{kind}"), place
+        return inputs
 
-    def _signal(self, name: str) -> int:
+    def _row_of_name(self, name: str) -> int:
         head, _, joint = name.partition(".")
         if name == "tick":
-            return self._row("TICK")
+            return self._row_of_input("TICK")
         if name == "t":
-            return self.of(Operation("*", (Signal("tick"), Constant(self._period))))
+            return self.of(self._time)
         if head == "target":
-            return self._row("TARGET", self._joints.index(joint))
+            return self._row_of_input("TARGET", self._joints.index(joint))
         if head == "error":
             return self.of(Operation("-", (Signal(f"q.{joint}"), Signal(f"target.{joint}"))))
         if name not in self.samples:
             self.samples.append(name)
-        return self._row("SIGNAL", self.samples.index(name))
+        return self._row_of_input("SAMPLE", self.samples.index(name))
 
-    def _row(self, kind: str, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        return self._rows.setdefault((kind, left, right, value), len(self._rows))
-
-    def struct(self) -> NDArray[np.void]:
-        """Return them as the program takes them."""
-        rows = JUDGES.rows("judges_row", max(1, len(self._rows)))
-        for row, (kind, left, right, value) in zip(rows, self._rows, strict=False):
-            row["kind"] = JUDGES.constant(f"JUDGES_{kind}")
-            row["left"], row["right"], row["value"] = left, right, value
-        return rows
-
-    def __len__(self) -> int:
-        return len(self._rows)
+    def _row_of_input(self, kind: str, place: int = 0) -> int:
+        if (kind, place) not in self._inputs:
+            self._inputs.append((kind, place))
+        return self.input(self._inputs.index((kind, place)))
 
 
 @dataclass(frozen=True)
@@ -157,8 +142,9 @@ class Program:
         self._found = np.zeros((runs, len(measures)))
         values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
         kept_rows, of_rows = np.array([*kept, 0], np.int32), rows.struct()
+        inputs = rows.inputs()
         at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
-        self._held = own, values, kept_rows, of_rows, at
+        self._held = own, values, kept_rows, of_rows, inputs, at
         self._pointers = [
             JUDGES.ffi.new("robustness *[]", [one.pointer for one in of_run])
             for of_run in requirements
@@ -171,7 +157,8 @@ class Program:
                 requirement_count=len(requirements[0]),
                 measure_count=len(measures),
                 kept_count=len(kept),
-                rows=JUDGES.pointer("judges_row", of_rows),
+                rows=JUDGES.pointer("formula_row", of_rows),
+                inputs=inputs,
                 values=values,
                 at=at,
                 requirements=self._pointers[run],

@@ -6,17 +6,10 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from arm_emulator.base.formula import (
-    Combined,
-    Constant,
-    Expression,
-    Formula,
-    Margin,
-    Operation,
-    Window,
-)
+from arm_emulator.base.formula import Combined, Formula, Window
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, Header, Library
+from arm_emulator.machine.formula_rows import is_at_one_instant
 
 HERE = Path(__file__).resolve().parent
 ROBUSTNESS = Header(HERE / "robustness.h")
@@ -34,7 +27,7 @@ class Robustness:
     Args:
         calls: the compiled program.
         formula: over signals that are there.
-        row_of: returns the row of arithmetic.
+        row_of: returns the row of the truth value of a formula without windows.
         period: between two samples [s].
         longest: samples that a trace has at most; what reaches further reaches to its end.
         where: for refusals.
@@ -48,7 +41,7 @@ class Robustness:
         self,
         calls: Library,
         formula: Formula,
-        row_of: Callable[[Expression], int],
+        row_of: Callable[[Formula], int],
         period: float,
         longest: int,
         where: str = "campaign",
@@ -85,9 +78,8 @@ class Robustness:
 
     def _add(self, what: Formula) -> int:
         """Append a formula's nodes, children first; return the last one's place."""
-        if (margin := _at_once(what)) is not None:
-            return self._put("atom", self._row_of(margin))
-        assert not isinstance(what, Margin)  # a margin is at once
+        if is_at_one_instant(what):
+            return self._put("atom", self._row_of(what))
         if isinstance(what, Combined):
             first = self._add(what.of[0])
             if what.sign == "not":
@@ -95,6 +87,7 @@ class Robustness:
             for one in what.of[1:]:
                 first = self._put(what.sign, first, self._add(one))
             return first
+        assert isinstance(what, Window)
         begin, end = self._samples(what)
         if what.sign != "until":
             return self._put(what.sign, self._add(what.of[0]), 0, begin, end)
@@ -120,16 +113,3 @@ class Robustness:
             raise Refusal(self._where, self._quantity, rule, got)
         begin = min(begin, self._longest)
         return begin, _FOREVER if end >= self._longest - 1 else end
-
-
-def _at_once(what: Formula) -> Expression | None:
-    """Return the margin of a formula without windows as arithmetic of the same instant."""
-    if isinstance(what, Margin):
-        return what.of
-    of = [_at_once(one) for one in what.of] if isinstance(what, Combined) else [None]
-    margins = tuple(one for one in of if one is not None)
-    if len(margins) < len(of):
-        return None
-    if what.sign == "not":
-        return Operation("*", (Constant(-1.0), *margins))
-    return Operation("min" if what.sign == "and" else "max", margins)

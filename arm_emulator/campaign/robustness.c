@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "formula.h"
+
 /* A segment of a window. Of always and eventually, `hold` alone: the minimum or maximum. Of until,
  * `hold` is the minimum of the left side, `reach` the best that the right side has within it. */
 typedef struct segment {
@@ -38,9 +40,9 @@ struct robustness {
   node nodes[];
 };
 
-/* A value that is not a number stays so: no requirement holds because nothing is known. */
-static double least(double a, double b) { return a < b || isnan(a) ? a : b; }
-static double most(double a, double b) { return a > b || isnan(a) ? a : b; }
+/* Of truth values, see formula.h: none is NaN, and 0 is undefined. */
+static double least(double a, double b) { return a < b ? a : b; }
+static double most(double a, double b) { return a > b ? a : b; }
 
 static int is_window(const node* one) { return one->what.kind >= ROBUSTNESS_UNTIL; }
 static int has_end(const node* one) { return one->what.end != ROBUSTNESS_FOREVER; }
@@ -377,7 +379,7 @@ int robustness_feed(robustness* all, const double* const* rows, int64_t samples)
 double robustness_end(robustness* all) {
   const stream* root = &all->nodes[all->count - 1].out;
   const int failed = go_on(all, NULL, 0, 1);
-  const double value = failed || root->count < 1 ? NAN : root->values[root->begin];
+  const double value = failed || root->count < 1 ? NAN : formula_margin(root->values[root->begin]);
   begin_anew(all);
   return value;
 }

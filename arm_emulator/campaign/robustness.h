@@ -2,8 +2,8 @@
  *
  * A requirement is a list of nodes, children first; the last one is its root, asked for at time 0.
  * Times are whole numbers of samples. A window that reaches past the end of the trace has what is
- * within; an empty one is +inf for always and -inf for eventually and until. A sample that is not a
- * number makes the robustness none, if it is asked for. */
+ * within; an empty one is +inf for always and -inf for eventually and until. What is fed are truth
+ * values of formula.h, whose rules for undefined ones hold over time, too. */
 #ifndef ROBUSTNESS_H
 #define ROBUSTNESS_H
 
@@ -41,7 +41,8 @@ robustness* robustness_new(const robustness_node* nodes, int32_t count);
 void robustness_delete(robustness* one);
 /* Go on with so many samples of each row. Returns 0, or -1 without memory. */
 int robustness_feed(robustness* one, const double* const* rows, int64_t samples);
-/* Return the robustness of the trace, which ends, and begin anew; NaN without memory or samples. */
+/* Return the margin of the trace, which ends, and begin anew; NaN where it is undefined, without
+ * memory or samples. */
 double robustness_end(robustness* one);
 
 #ifdef __cplusplus

@@ -21,12 +21,12 @@ from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.tool_chain import TOOL, ToolChain, tool_signals
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
-TOOL = ("tool.x", "tool.y", "tool.z")
 
 
 @cache
@@ -47,7 +47,7 @@ def units_of_signals(scene: Scene) -> dict[str, str]:
     units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}
     columns |= {f"target.{joint}": unit for joint, unit in units.items()}
     columns |= {f"error.{joint}": unit for joint, unit in units.items()}
-    return columns | (dict.fromkeys(TOOL, "m") if scene.tool in scene.chain.carried else {})
+    return columns | dict.fromkeys(tool_signals(scene), "m")
 
 
 class Samples:
@@ -64,12 +64,13 @@ class Samples:
     """
 
     def __init__(self, scene: Scene, names: Sequence[str], arms: int, room: int) -> None:
-        self._scene, self.room = scene, room
+        self.room = room
         wanted = list(names)
         self._tool = {
             wanted.index(name): place for place, name in enumerate(TOOL) if name in wanted
         }
         if self._tool:
+            self._chain = ToolChain(scene)
             wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
         own = {one.name: one for one in columns_of(scene)}
@@ -111,9 +112,9 @@ class Samples:
         if self._tool:
             most = int(counts.max())
             q = np.moveaxis(self._samples[:, self._q, :most], 1, 0)
-            p = tool_positions(self._scene, q.reshape(len(self._q), -1))
+            p_WT = self._chain.positions(q.reshape(len(self._q), -1))
             for row, axis in self._tool.items():
-                self._samples[:, row, :most] = p[axis].reshape(len(counts), most)
+                self._samples[:, row, :most] = p_WT[axis].reshape(len(counts), most)
         return self._samples, counts
 
 
@@ -198,24 +199,3 @@ class FleetSampler(Samples):
         """Take the first sample of all arms."""
         self.forget()
         self.calls.sampler_take_abreast(self.with_, 0, len(self._fleet))
-
-
-def tool_positions(scene: Scene, q: Array) -> Array:
-    """Return the tool's positions in the world (3, K) [m] for joint positions (N, K) [rad or m]."""
-    chain = scene.chain
-    joint, frame = chain.place_of(scene.tool)
-    q = chain.coupling.C @ q + chain.coupling.offset[:, None]
-    p = np.repeat(frame.p[:, None], len(q[0]), axis=1)
-    for place in chain.way_to(joint)[::-1]:
-        link = chain.links[place]
-        slides = link.kind == "prismatic"
-        angle = link.theta_0 + (0.0 if slides else q[place])
-        cos, sin = np.cos(angle), np.sin(angle)
-        x, y = cos * p[0] - sin * p[1], sin * p[0] + cos * p[1]
-        z = p[2] + (q[place] if slides else 0.0)
-        c, s = link.cos_alpha, link.sin_alpha
-        y, z = c * y - s * z, s * y + c * z
-        c, s = link.cos_gamma, link.sin_gamma
-        p = link.p[:, None] + np.array([c * x - s * y, s * x + c * y, z])
-    world: Array = chain.R_BW.T @ p
-    return world

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from arm_emulator.base.bound_formula import bound_to
 from arm_emulator.base.formula import (
@@ -10,8 +10,8 @@ from arm_emulator.base.formula import (
     Expression,
     Formula,
     Margin,
-    Operation,
     Signal,
+    fold,
     parse_formula,
 )
 from arm_emulator.campaign.campaign_file import Campaign
@@ -44,25 +44,27 @@ def judged_units(campaign: Campaign) -> tuple[dict[str, str], dict[str, str]]:
 def of_formula(what: Formula, units: Mapping[str, str]) -> str | None:
     """Return the unit of a formula's robustness; None: it has constants alone."""
     if isinstance(what, Margin):
-        return of_expression(what.of, units)
+        return _common(of_expression(side, units) for side in what.sides)
     return _common(of_formula(one, units) for one in what.of)
 
 
 def of_expression(what: Expression, units: Mapping[str, str]) -> str | None:
     """Return the unit of arithmetic; None: of a constant, which has any."""
-    if isinstance(what, Constant):
-        return None
-    if isinstance(what, Signal):
-        return units[what.name]
-    assert isinstance(what, Operation)
-    of = [of_expression(one, units) for one in what.of]
-    if what.sign in _KEEPS:
-        return _common(of)
-    if what.sign == "*":
-        return of[0] if of[1] is None else of[1] if of[0] is None else ""
-    if what.sign == "/" and of[1] is None:
-        return of[0]
-    return None if all(one is None for one in of) else ""
+
+    def unit(part: Expression, of: Sequence[str | None]) -> str | None:
+        if isinstance(part, Constant):
+            return None
+        if isinstance(part, Signal):
+            return units[part.name]
+        if part.sign in _KEEPS:
+            return _common(of)
+        if part.sign == "*":
+            return of[0] if of[1] is None else of[1] if of[0] is None else ""
+        if part.sign == "/" and of[1] is None:
+            return of[0]
+        return None if all(one is None for one in of) else ""
+
+    return fold(what, unit)
 
 
 def _common(several: Iterable[str | None]) -> str | None:

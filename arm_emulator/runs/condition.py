@@ -5,29 +5,22 @@ The language is that of requirements (`arm_emulator.base.formula`), without its 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+import numpy as np
 
-from arm_emulator.base.bound_formula import bound_to, signals_in
-from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.formula import (
-    Combined,
-    Constant,
-    Expression,
-    Formula,
-    Margin,
-    Signal,
-    Window,
-    parse_formula,
-)
+from arm_emulator.base.bound_formula import bound_to
+from arm_emulator.base.column import Column
+from arm_emulator.base.formula import Combined, Formula, Window, parse_formula
 from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.formula_library import CONDITION, formula_library
+from arm_emulator.machine.formula_rows import FormulaRows
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
-from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.machine.tool_chain import TOOL, ToolChain, tool_signals
 
-TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
+_KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
 class Condition:
@@ -39,7 +32,6 @@ class Condition:
     Attributes:
         text: the condition.
         formula: the same, over names of signals.
-        columns: all signals but those of the tool, by name.
 
     Args:
         text: of comparisons, joined by ``and``, ``or``, ``not`` and ``implies``.
@@ -55,35 +47,85 @@ class Condition:
             raise Refusal(where, "condition", "be text", text)
         scene = as_kind(scene, Scene, where, "scene", "be a Scene")
         self.text = text
-        self.columns = {one.name: one for one in columns_of(scene)}
-        known = [*self.columns, *(TOOL if scene.tool in scene.chain.carried else ())]
+        known = [*(one.name for one in columns_of(scene)), *tool_signals(scene)]
         self.formula = bound_to(parse_formula(text, where, "condition"), known, where, "condition")
         _check_without_time(self.formula, where)
-        names = signals_in(self.formula)
-        self._own: list[Column] = [self.columns[name] for name in names if name not in TOOL]
-        self._kinematics = (
-            Kinematics(scene.urdf, scene.joint_names, scene.tool)
-            if names.intersection(TOOL)
-            else None
-        )
-        self._row: RecordRow | None = None
-        self._session: Session | None = None
+        self._watched: WatchedCondition | None = None
 
     def __repr__(self) -> str:
         return f"<Condition {self.text}>"
 
     def holds(self, session: Session) -> bool:
         """Return whether it holds at the tick at which a session is."""
-        if self._row is None or self._session is not session:
-            self._row, self._session = RecordRow(session.plant), session
-        return _holds(self.formula, self._values(self._row.take(), session))
+        plant = session.plant
+        if self._watched is None or self._watched.plant is not plant:
+            self._watched = WatchedCondition(self.formula, plant)
+        return self._watched.holds()
 
-    def _values(self, rows: Rows, session: Session) -> dict[str, float]:
-        values = {one.name: float(one.of(rows)[0]) for one in self._own}
-        if self._kinematics is not None:
-            p_WT = self._kinematics.forward(session.state.q)[1]
-            values |= dict(zip(TOOL, p_WT.tolist(), strict=True))
-        return values
+
+class WatchedCondition:
+    """The formula of a condition over the row of a plant, see core/boundary/condition.h.
+
+    Attributes:
+        plant: the machine.
+        struct: ``condition``.
+
+    Args:
+        formula: over signals of the plant's scene, without windows.
+        plant: see above.
+    """
+
+    def __init__(self, formula: Formula, plant: Plant) -> None:
+        self.plant, self._record = plant, RecordRow(plant)
+        self._columns = {one.name: one for one in columns_of(plant.scene)}
+        self._inputs: list[tuple[str, int]] = []
+        self._rows = FormulaRows(self._row_of_signal)
+        self._rows.of_formula(formula)  # whose row is the last one
+        inputs = CONDITION.rows("condition_input", max(1, len(self._inputs)))
+        for row, (kind, offset) in zip(inputs, self._inputs, strict=False):
+            row["kind"], row["offset"] = CONDITION.constant(f"CONDITION_{kind}"), offset
+        rows, values = self._rows.struct(), np.zeros(len(self._rows))
+        record, ffi = self._record.rows, CONDITION.ffi
+        self._owned = rows, values, inputs
+        self.struct = CONDITION.new(
+            "condition",
+            rows=len(self._rows),
+            row=rows,
+            input=inputs,
+            values=values,
+            measure=plant.core.arm_measure,
+            get_truth=plant.core.arm_get_truth,
+            measurement=self._record.measurement,
+            truth=self._record.truth,
+            record=ffi.cast("char *", ffi.from_buffer(record)),
+            head=ffi.cast("record_row *", ffi.from_buffer(record)),
+            q=self._offset(record["q"]),
+        )
+        if any(kind == "TOOL" for kind, _ in self._inputs):
+            self._tool = ToolChain(plant.scene)
+            self.struct.tool = self._tool.struct
+
+    def holds(self) -> bool:
+        """Return whether it holds for the plant as it is now."""
+        with self.plant.turn:
+            return bool(formula_library().condition_holds(self.struct, self.plant.machine))
+
+    def _row_of_signal(self, name: str) -> int:
+        if name in TOOL:
+            source = "TOOL", TOOL.index(name)
+        else:
+            source = self._place(self._columns[name])
+        if source not in self._inputs:
+            self._inputs.append(source)
+        return self._rows.input(self._inputs.index(source))
+
+    def _place(self, column: Column) -> tuple[str, int]:
+        place = column.of(self._record.rows)
+        return _KINDS[place.dtype.str[1:]], self._offset(place)
+
+    def _offset(self, place: np.ndarray) -> int:
+        base: int = self._record.rows.__array_interface__["data"][0]
+        return int(place.__array_interface__["data"][0]) - base
 
 
 def _check_without_time(what: Formula, where: str) -> None:
@@ -92,40 +134,3 @@ def _check_without_time(what: Formula, where: str) -> None:
         raise Refusal(where, "condition", rule, what.sign)
     for one in what.of if isinstance(what, Combined) else ():
         _check_without_time(one, where)
-
-
-def _holds(what: Formula, values: Mapping[str, float]) -> bool:
-    if isinstance(what, Margin):
-        margin = _value(what.of, values)
-        return margin > 0.0 or (margin == 0.0 and not what.strict)
-    assert isinstance(what, Combined)
-    if what.sign == "not":
-        return not _holds(what.of[0], values)
-    each = (_holds(one, values) for one in what.of)
-    return all(each) if what.sign == "and" else any(each)
-
-
-def _value(what: Expression, values: Mapping[str, float]) -> float:
-    if isinstance(what, Constant):
-        return what.value
-    if isinstance(what, Signal):
-        return values[what.name]
-    of = [_value(one, values) for one in what.of]
-    match what.sign:
-        case "+":
-            return of[0] + of[1]
-        case "-":
-            # Two infinities have no distance; no comparison of them holds strictly.
-            return 0.0 if of[0] == of[1] else of[0] - of[1]
-        case "*":
-            return of[0] * of[1]
-        case "/":
-            return of[0] / of[1] if of[1] else math.nan
-        case "abs":
-            return abs(of[0])
-        case "sqrt":
-            return math.sqrt(of[0]) if of[0] >= 0.0 else math.nan
-        case "min":
-            return min(of)
-        case _:
-            return max(of)

@@ -18,11 +18,11 @@ from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
+from arm_emulator.machine.formula_library import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.way_library import way_unit
 from arm_emulator.ros.c import middleware_unit
-from arm_emulator.runs.breakpoint import breakpoint_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
@@ -52,7 +52,7 @@ def compile_scene(
     """
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
     code = [servo_unit(), way_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
-    code += [breakpoint_unit(), judges_unit(), sampler_unit()]
+    code += [formula_unit(), judges_unit(), sampler_unit()]
     code += [
         middleware_unit(),
         answered_ticks_unit(),

@@ -1,0 +1,98 @@
+"""A formula as rows of core/boundary/formula.h."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from arm_emulator.base.formula import (
+    Combined,
+    Constant,
+    Expression,
+    Formula,
+    Margin,
+    Signal,
+    Window,
+    fold,
+)
+from arm_emulator.machine.formula_library import FORMULA
+
+Row = tuple[str, int, int, float]
+_KINDS = {
+    "+": "ADD",
+    "-": "SUBTRACT",
+    "*": "MULTIPLY",
+    "/": "DIVIDE",
+    "min": "LEAST_OF",
+    "max": "LARGEST_OF",
+    "abs": "ABS",
+    "sqrt": "SQRT",
+}
+
+
+class FormulaRows:
+    """Rows of values, each of which is computed once whatever formulas ask for it.
+
+    Args:
+        row_of_signal: returns the row of a signal, by its name, from `input` or `of`.
+    """
+
+    def __init__(self, row_of_signal: Callable[[str], int]) -> None:
+        self._row_of_signal = row_of_signal
+        self._rows: dict[Row, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def input(self, place: int) -> int:
+        """Return the row of an input, by its place among those that the caller measures."""
+        return self._row("INPUT", place)
+
+    def of(self, what: Expression) -> int:
+        """Return the row of arithmetic."""
+        return fold(what, self._row_of_part)
+
+    def of_formula(self, what: Formula) -> int:
+        """Return the row of the truth value of a formula at one instant, without windows."""
+        assert not isinstance(what, Window), "a window is no row"
+        if isinstance(what, Margin):
+            return self._row("ABOVE" if what.strict else "AT_LEAST", *map(self.of, what.sides))
+        parts = [self.of_formula(part) for part in what.of]
+        if what.sign == "not":
+            return self._row("NOT", parts[0], parts[0])
+        return self._joined(what.sign.upper(), parts)
+
+    def struct(self) -> NDArray[Any]:
+        """Return them as ``formula_row``, one at least."""
+        rows = FORMULA.rows("formula_row", max(1, len(self._rows)))
+        for row, (kind, left, right, value) in zip(rows, self._rows, strict=False):
+            row["kind"] = FORMULA.constant(f"FORMULA_{kind}")
+            row["left"], row["right"], row["value"] = left, right, value
+        return rows
+
+    def _row_of_part(self, part: Expression, operands: Sequence[int]) -> int:
+        if isinstance(part, Constant):
+            return self._row("CONSTANT", value=part.value)
+        if isinstance(part, Signal):
+            return self._row_of_signal(part.name)
+        kind = _KINDS[part.sign]
+        if len(operands) == 1:
+            return self._row(kind, operands[0], operands[0])
+        return self._joined(kind, operands)
+
+    def _joined(self, kind: str, rows: Sequence[int]) -> int:
+        """Return the row of an operation on several rows, from the first one on."""
+        return functools.reduce(lambda left, right: self._row(kind, left, right), rows)
+
+    def _row(self, kind: str, left: int = 0, right: int = 0, value: float = 0.0) -> int:
+        return self._rows.setdefault((kind, left, right, value), len(self._rows))
+
+
+def is_at_one_instant(what: Formula) -> bool:
+    """Return whether a formula has no windows."""
+    if isinstance(what, Combined):
+        return all(map(is_at_one_instant, what.of))
+    return isinstance(what, Margin)
