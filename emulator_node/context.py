@@ -5,10 +5,9 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, field
 
-from rclpy.node import Node
-
 from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.session import Session
+from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics
 from emulator_node.outbox import Outbox
 from emulator_node.recorder_gate import RecorderGate
@@ -31,7 +30,7 @@ class Context:
             of the pacer.
     """
 
-    node: Node
+    node: ManagedNode
     session: Session
     diagnostics: Diagnostics
     gate: RecorderGate

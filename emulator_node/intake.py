@@ -43,7 +43,12 @@ class Intake:
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
         self.taking = Taking("motor_commands", MotorCommand, self._on_command, breaks.refused)
         self.commands = subscribe(
-            MotorCommand, "motor_commands", self.taking.take, ANSWER_SUB_QOS, raw=True
+            MotorCommand,
+            "motor_commands",
+            self.taking.take,
+            ANSWER_SUB_QOS,
+            only_from="servo",
+            raw=True,
         )
         subscribe(PoseStamped, "tool_target", own.view.target, qos)
         if own.view.open:

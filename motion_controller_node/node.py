@@ -58,7 +58,7 @@ from arm_emulator.ros.node_shell import (
     stamp,
     time_of,
 )
-from arm_emulator_msgs.msg import MotionStatus, ServoState
+from arm_emulator_msgs.msg import MachineEvent, MotionStatus, ServoState
 from motion_controller_node.follow_action import FollowAction, installed
 from motion_controller_node.jog_topics import JogTopics
 from motion_controller_node.order_topics import OrderTopics
@@ -93,7 +93,13 @@ class MotionControllerNode(ManagedNode):
         self._urdf = ""  # the newest description, and the arm's
         self._controller: Controller | None = None
         # In every state: it is published once.
-        self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
+        self.create_subscription(
+            String,
+            "robot_description",
+            self._on_description,
+            DESCRIPTION_QOS,
+            only_from="emulator",
+        )
         self.start()
 
     def configure(self) -> None:
@@ -105,6 +111,8 @@ class MotionControllerNode(ManagedNode):
         self._now_ns = 0  # of the newest joint states
         self._movable: tuple[Time, npt.NDArray[np.bool_]] | None = None  # by servo_states
         self._unanswered: JointState | None = None  # of which the servo's state is not here yet
+        self._began_anew = False  # the machine, by its emulator
+        self._early: JointState | None = None  # of a time that begins anew, not announced so far
         self._status = self.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
         self._servo_reports = False  # whether the servo publishes its state
@@ -113,11 +121,18 @@ class MotionControllerNode(ManagedNode):
             "servo_states",
             self._on_servo_state,
             STATE_SUB_QOS,
+            only_from="servo",
             event_callbacks=SubscriptionEventCallbacks(
                 matched=self._on_servo_matched, use_default_callbacks=False
             ),
         )
-        self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
+        # First: a reset is known before the joint states that follow it.
+        self.create_subscription(
+            MachineEvent, "emulator/events", self._on_event, EVENT_QOS, only_from="emulator"
+        )
+        self.create_subscription(
+            JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS, only_from="servo"
+        )
         self._orders = OrderTopics(self, self._instructor, self._take, lambda: self._controller)
         self._jogs = JogTopics(
             self,
@@ -177,17 +192,33 @@ class MotionControllerNode(ManagedNode):
             self._controller.retune(config)
 
     def _start_over(self, reason: str) -> None:
-        self._answer = None
+        self._answer = self._early = None
+        self._began_anew = False
         self._instructor.start_over(reason)
         self._report_status()
 
     def _on_description(self, message: String) -> None:
         if self._controller is not None and message.data == self._urdf:
+            self._on_new_time()  # of an emulator that was started again, or activated
             return
         if not self.configured:
             self._urdf = message.data
             return
         self._take_description(message.data)
+
+    def _on_event(self, event: MachineEvent) -> None:
+        if event.kind == MachineEvent.KIND_RESET:
+            self._on_new_time()
+
+    def _on_new_time(self) -> None:
+        """Expect joint states of an earlier time than those before: the emulator announces them.
+
+        Stamps alone announce nothing: one message of an earlier time would end each motion.
+        """
+        self._began_anew = self.configured and self._answer is not None
+        early, self._early = self._early, None
+        if self._began_anew and early is not None:
+            self._on_joint_states(early)
 
     def _take_description(self, urdf: str) -> None:
         try:
@@ -298,7 +329,10 @@ class MotionControllerNode(ManagedNode):
             if message.header.stamp == self._answer.header.stamp:
                 self._targets.publish(self._answer)  # a partner came late or lost it
                 return
-            self._start_over("time began anew")
+            if not self._began_anew:
+                self._refuse_earlier(message, now)
+                return
+            self._start_over("the machine began anew")
         movable = self._movable_at(message.header.stamp)
         if movable is None:
             self._unanswered = message
@@ -323,6 +357,21 @@ class MotionControllerNode(ManagedNode):
         if self._action is not None and v is not None:
             names = list(controller.kinematics.joint_names)
             self._action.feed_back(message.header.stamp, names, instruction, q, v)
+
+    def _refuse_earlier(self, message: JointState, time_ns: int) -> None:
+        """Leave joint states of an earlier time unanswered, until the emulator announces them."""
+        assert self._answer is not None
+        self._early = message
+        answered = nanoseconds_of(self._answer.header.stamp) / NANOSECONDS
+        if self._servo_reports:  # ours repeats what was not answered
+            self._diagnostics.count("joint_states repeated late, or before their reset")
+        elif time_ns == 0:
+            rule = f"be set: those of {answered:g} s were answered, and no reset was announced"
+            self._diagnostics.refuse(
+                "joint_states", Refusal("joint_states", "header.stamp", rule, "0 s, unset")
+            )
+        else:
+            self._diagnostics.count("joint_states of an earlier time, without a reset")
 
     def _loads(self, message: JointState) -> FloatArray | None:
         """Return the loads of the motors; None of other servos: some have amperes as `effort`."""

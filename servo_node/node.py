@@ -157,8 +157,17 @@ class ServoNode(ManagedNode):
         refuse, subscribe = self._diagnostics.refuse, self.create_subscription
         states = Taking("motor_states", MotorState, self._on_state, refuse)
         targets = Taking("joint_targets", JointState, self._on_target, refuse)
-        state = subscribe(MotorState, "motor_states", states.take, STATE_SUB_QOS, raw=True)
-        target = subscribe(JointState, "joint_targets", targets.take, COMMAND_SUB_QOS, raw=True)
+        state = subscribe(
+            MotorState, "motor_states", states.take, STATE_SUB_QOS, only_from="emulator", raw=True
+        )
+        target = subscribe(
+            JointState,
+            "joint_targets",
+            targets.take,
+            COMMAND_SUB_QOS,
+            only_from="motion controller",
+            raw=True,
+        )
         hot.connect(
             (states, state),
             (targets, target),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -11,6 +12,7 @@ from rclpy.subscription import Subscription
 
 from arm_emulator.ros.c import ARRIVALS
 from arm_emulator.ros.middleware import HotPath, middleware, topics_of
+from arm_emulator.ros.sole_publisher import SolePublisher, parts_of
 
 # Middlewares that call back without a lock that taking a message needs.
 CALL_BACK_UNLOCKED = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
@@ -25,12 +27,13 @@ class Arrivals:
     Args:
         hot: the messages.
         context: handle of rclpy's context.
+        soles: publishers whose messages are taken, by subscription.
 
     Raises:
         LookupError: the middleware does not report arrivals in the way that is needed.
     """
 
-    def __init__(self, hot: HotPath, context: Any) -> None:
+    def __init__(self, hot: HotPath, context: Any, soles: Mapping[Any, SolePublisher]) -> None:
         if rclpy.get_rmw_implementation_identifier() not in CALL_BACK_UNLOCKED:
             raise LookupError
         self._hot = hot
@@ -44,7 +47,7 @@ class Arrivals:
         self._held.enter_context(self.guard)
         ffi, self._calls = ARRIVALS.ffi, middleware()
         guard = ffi.cast("void *", self.guard.pointer)
-        self._topics = topics_of(self._subscriptions, hot)
+        self._topics = topics_of(self._subscriptions, hot, soles)
         self._all = self._calls.ros_arrivals_new(self._topics, len(self._subscriptions), guard)
         self._arrived = ARRIVALS.new("ros_arrived", left=-1)
         self._handled = 0
@@ -67,13 +70,12 @@ class Arrivals:
         before, self._handled = self._handled, self._arrived.handled
         return int(self._handled - before)
 
-    def left(self) -> tuple[Subscription, bytes] | None:
-        """Return the message that was left to Python when this was closed, and its subscription."""
+    def left(self) -> tuple[Subscription, bytes, bytes] | None:
+        """Return what was left to Python when this was closed: subscription, bytes, publisher."""
         arrived = self._arrived
         if arrived.left < 0:
             return None
-        data = bytes(ARRIVALS.ffi.buffer(arrived.data, arrived.size))
-        return self._subscriptions[arrived.left], data
+        return self._subscriptions[arrived.left], *parts_of(arrived.message)
 
     def end(self) -> None:
         """Stop for good; nothing may be taken in C afterwards."""

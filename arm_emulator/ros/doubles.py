@@ -17,11 +17,17 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from arm_emulator.ros.node_shell import Diagnostics, StartAnew, wall_timer
+from arm_emulator.ros.barrier import StartAnew
+from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.node_shell import Diagnostics, wall_timer
+from arm_emulator.ros.sole_publisher import KINDS
 
 LISTEN = 0.5  # s, wall: for the middleware to find running nodes
 IDENTIFY = 4.0  # s, wall: for a discovered node to identify itself
 SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
+KILLED = 3.0  # s, wall: sooner, so that who waits for `SILENCE` is admitted at once
+MOST_HEARD = 100  # nodes of a kind: anyone can publish diagnostics
+FORGOTTEN = 30.0  # s, wall: the graph does not have a killed node for so long
 LOOK_PERIOD = 0.25  # s, wall
 
 
@@ -73,6 +79,11 @@ class Doubles:
             "started [ns]": self._started,
         }
         late = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        # Time at which a node of each kind was heard last, by its start time.
+        self._heard: dict[str, dict[str, float]] = {kind: {} for kind in KINDS}
+        self._signs = {one: node.resolve_topic_name(signs[0]) for one, signs in KINDS.items()}
+        if isinstance(node, ManagedNode):
+            node.has_lost = self._has_lost
         node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, late)
         wall_timer(node, LOOK_PERIOD, self._forget_who_is_gone)
 
@@ -132,9 +143,12 @@ class Doubles:
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             values = {pair.key: pair.value for pair in status.values}
-            if values.get("kind") != self._kind or values.get("topic") != self._topic:
+            kind, started = values.get("kind", ""), values.get("started [ns]", "")
+            if kind not in self._signs or values.get("topic") != self._signs[kind]:
                 continue
-            started = values.get("started [ns]", "")
+            self._hear(kind, started)
+            if kind != self._kind:
+                continue
             if not started.isdecimal() or int(started) == self._started:
                 continue
             words = (
@@ -147,6 +161,22 @@ class Doubles:
                 continue
             self._known[int(started)] = _Double(f"/{status.name}", words, time.monotonic())
             self._name(int(started), words)
+
+    def _hear(self, kind: str, started: str) -> None:
+        heard, now = self._heard[kind], time.monotonic()
+        heard[started] = now
+        if len(heard) > MOST_HEARD:
+            self._heard[kind] = {one: at for one, at in heard.items() if now - at < KILLED}
+
+    def _has_lost(self, kind: str, there: int) -> bool:
+        """Return whether of so many publishers of a kind of nodes one was killed.
+
+        The graph has a killed node for some time. The nodes that run report their health.
+        """
+        heard, now = self._heard[kind], time.monotonic()
+        silences = [now - at for at in heard.values()]
+        alive = sum(silence < KILLED for silence in silences)
+        return alive < there and any(KILLED <= silence < FORGOTTEN for silence in silences)
 
     def _name(self, started: int, words: str) -> None:
         if not self._works:

@@ -12,6 +12,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from arm_emulator.ros.sole_publisher import SolePublisher, call_back, receive
+
 
 class Entities:
     """Those of a node at this time; in a `with` block none of them is released.
@@ -99,8 +101,18 @@ class Entities:
         return [one for one in entities if one.handle.pointer in pointers] if pointers else []
 
 
-def take_message(subscription: Any) -> bool:
-    """Call back with the oldest message of a subscription; return whether there was one."""
+def take_message(subscription: Any, sole: SolePublisher | None = None) -> bool:
+    """Call back with the oldest message of a subscription; return whether there was one.
+
+    Args:
+        subscription: the subscription.
+        sole: the publisher whose messages are taken; None: any.
+    """
+    if sole is not None:
+        received = receive(subscription)
+        if received is not None:
+            call_back(subscription, sole, *received)
+        return received is not None
     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     if taken is None:
         return False

@@ -22,6 +22,7 @@ from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.entities import Entities, take_message
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import FAILED, PYTHON, HotPath, middleware, topics_of
+from arm_emulator.ros.sole_publisher import SolePublisher, call_back, deliver, parts_of
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
 # rclpy's own executor (QoS events, clients, guard conditions).
@@ -73,6 +74,7 @@ class LeanExecutor:
                 # A transition may have served the node by an executor of its own meanwhile.
                 self._rest.add_node(self._node)
                 self._rest.spin_once(timeout_sec=0.0)
+                self._release()
         finally:
             self._end_arrivals()
 
@@ -85,7 +87,7 @@ class LeanExecutor:
         self._hot, self._served = hot, self._generation
         if hot is not None:
             with contextlib.suppress(LookupError):
-                self._arrivals = Arrivals(hot, self._context.handle)
+                self._arrivals = Arrivals(hot, self._context.handle, self._soles)
 
     def _end_arrivals(self) -> None:
         arrivals, self._arrivals = self._arrivals, None
@@ -96,6 +98,20 @@ class LeanExecutor:
     def _generation(self) -> int:
         """Changes when other entities are to be served."""
         return self._node.generation if isinstance(self._node, ManagedNode) else 0
+
+    @property
+    def _soles(self) -> dict[Any, SolePublisher]:
+        """Publishers whose messages are taken, by subscription."""
+        return self._node.sole_publishers if isinstance(self._node, ManagedNode) else {}
+
+    def _take(self, subscription: Any) -> None:
+        take_message(subscription, self._soles.get(subscription))
+
+    def _release(self) -> None:
+        """Call back with messages whose publisher was not the one when they came."""
+        for subscription, sole in [*self._soles.items()]:
+            for data in sole.released():
+                deliver(subscription, data)
 
     def _count(self, in_c: int, in_python: bool) -> None:
         if isinstance(self._node, ManagedNode):
@@ -121,12 +137,12 @@ class LeanExecutor:
             message = arrivals.left()
             self._count(in_c, message is not None)
             if message is not None:
-                subscription, data = message
-                subscription.callback(data)
+                subscription, data, publisher = message
+                call_back(subscription, self._soles.get(subscription), data, publisher)
             entities.serve_timers()
             entities.serve_services()
             for subscription in entities.ready_subscriptions():
-                take_message(subscription)
+                self._take(subscription)
 
     def _serve_in_turns(self, entities: Entities, until: float) -> None:
         """Wait for messages alone while they keep coming, and check the rest now and then."""
@@ -153,7 +169,7 @@ class LeanExecutor:
         held.enter_context(messages)
         for message in () if self._hot is None else self._hot.outgoing:
             held.enter_context(message.bind())
-        self._topics = topics_of(subscriptions, self._hot)
+        self._topics = topics_of(subscriptions, self._hot, self._soles)
         pointer = ffi.cast("void *", messages.pointer)
         return MIDDLEWARE.new("ros_wait", set=pointer, topic=self._topics, topics=count, left=-1)
 
@@ -171,8 +187,8 @@ class LeanExecutor:
         self._count(waiting.handled, end == PYTHON)
         for topic, subscription in zip(self._topics, subscriptions, strict=True):
             if topic.ready:
-                take_message(subscription)
+                self._take(subscription)
         if waiting.left >= 0:
-            data = bytes(MIDDLEWARE.ffi.buffer(waiting.data, waiting.size))
-            subscriptions[waiting.left].callback(data)
+            left = subscriptions[waiting.left]
+            call_back(left, self._soles.get(left), *parts_of(waiting.message))
         return bool(end or waiting.handled)

@@ -12,12 +12,16 @@ from typing import Any
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.barrier import guard, guard_later, refuse_request, set_singly
 from arm_emulator.ros.middleware import HotPath
+from arm_emulator.ros.sole_publisher import OwnExecutorOnly, SolePublisher
 
+CLOCK = "/clock"
 # Those that a client may ask for; the others report the end of one.
 TRANSITIONS = range(Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVE_SHUTDOWN + 1)
 
@@ -28,8 +32,13 @@ class ManagedNode(LifecycleNode):
     A subclass declares its parameters in its constructor, and calls `start` at its end. Entities
     that it creates in `configure` work while it is active: otherwise messages to them are dropped,
     their timers stand, and their services refuse. Those of the constructor work in every state.
+    All callbacks of messages and services are behind the barrier, see `guard`.
 
     Attributes:
+        refuse: gets a topic or a service, and the reason for which an input of it is refused.
+        count: gets what is counted without a warning.
+        has_lost: returns whether of some publishers of a kind of nodes one was killed.
+        sole_publishers: of subscriptions whose topic one node publishes on.
         settable: names of the parameters that may be set in every state; the others while it is
             unconfigured.
         configured, active: its state.
@@ -45,9 +54,16 @@ class ManagedNode(LifecycleNode):
     _configuring = False
 
     def __init__(self, name: str) -> None:
+        self.sole_publishers: dict[Any, SolePublisher] = {}
+        # `Diagnostics` and `Doubles` put their own in the places of these.
+        self.refuse: Callable[[str, Refusal], None] = self._log_refusal
+        self.count: Callable[[str], None] = lambda what: None
+        self.has_lost: Callable[[str, int], bool] = lambda kind, there: False
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         # rclpy's own callback fails at a transition that the state does not have.
         self._service_change_state.callback = self._on_change_state
+        for one in self.services:  # of rclpy, made without `create_service`
+            one.callback = guard(self, one.srv_name, one.callback, refuse_request)
         self.settable: set[str] = set()
         self.cleanup = ExitStack()
         self._before: list[Any] = []  # entities of the constructor
@@ -281,19 +297,49 @@ class ManagedNode(LifecycleNode):
         else:
             logger.error("".join(traceback.format_exception(trouble)))
 
+    def _log_refusal(self, where: str, reason: Refusal) -> None:
+        self.get_logger().warning(f"{where}: refused: {reason}")
+
     # Entities
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[[Any], None], *more: Any, **named: Any
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        *more: Any,
+        only_from: str | None = None,
+        **named: Any,
     ) -> Any:
-        """Create a subscription; in `configure` one that works while the node is active."""
+        """Create a subscription; in `configure` one that works while the node is active.
+
+        Args:
+            msg_type: as of `Node`.
+            topic: the same.
+            callback: the same.
+            *more: the same.
+            only_from: kind of nodes of which one publishes on the topic, see `SolePublisher`.
+            **named: as of `Node`.
+        """
 
         def gated(message: Any) -> None:
             if self.active:
                 callback(message)
 
-        given = gated if self._configuring else callback
-        return super().create_subscription(msg_type, topic, given, *more, **named)
+        if topic == CLOCK:  # rclpy's own, of `use_sim_time`
+            only_from = "emulator"
+        given = guard(self, topic.strip("/"), gated if self._configuring else callback)
+        if only_from is None:
+            return super().create_subscription(msg_type, topic, given, *more, **named)
+        named["callback_group"] = OwnExecutorOnly()
+        subscription = super().create_subscription(msg_type, topic, given, *more, **named)
+        self.sole_publishers[subscription] = SolePublisher(self, topic, only_from)
+        return subscription
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """See `Node`."""
+        self.sole_publishers.pop(subscription, None)
+        return bool(super().destroy_subscription(subscription))
 
     def create_service(
         self,
@@ -313,23 +359,32 @@ class ManagedNode(LifecycleNode):
             refuse: writes a reason into a response without `success` and `message`.
             **named: as of `Node`.
         """
+        name = srv_name.strip("~/")
 
-        def refused(response: Any) -> Any:
-            rule = "come while the node is active"
-            reason = str(Refusal(srv_name.strip("~/"), "request", rule, self.state))
-            if refuse is not None:
-                refuse(response, reason)
-            else:
-                response.success, response.message = False, reason
-            return response
+        def refused(reason: Refusal, request: Any, response: Any) -> Any:
+            return (
+                refuse(response, str(reason))
+                if refuse
+                else refuse_request(reason, request, response)
+            )
+
+        def gate() -> None:
+            if not self.active:
+                raise Refusal(name, "request", "come while the node is active", self.state)
 
         def gated(request: Any, response: Any) -> Any:
-            return callback(request, response) if self.active else refused(response)
+            gate()
+            return callback(request, response)
 
         async def gated_later(request: Any, response: Any) -> Any:
-            return await callback(request, response) if self.active else refused(response)
+            gate()
+            return await callback(request, response)
 
+        later = inspect.iscoroutinefunction(callback)
         given = callback
         if self._configuring:
-            given = gated_later if inspect.iscoroutinefunction(callback) else gated
+            given = gated_later if later else gated
+        given = (guard_later if later else guard)(self, name, given, refused)
+        if srv_type is SetParameters:
+            given = set_singly(given)
         return super().create_service(srv_type, srv_name, given, **named)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, Protocol
 
@@ -62,16 +62,31 @@ class HotPath(Protocol):
         """Take over the results of C."""
 
 
-def topics_of(subscriptions: Sequence[Subscription], hot: HotPath | None) -> CData:
+class Owned(Protocol):
+    """A topic of which one publisher's messages are taken.
+
+    Attributes:
+        owner: identity of the publisher, ``uint8_t[ROS_GID]``.
+    """
+
+    owner: CData
+
+
+def topics_of(
+    subscriptions: Sequence[Subscription], hot: HotPath | None, soles: Mapping[Any, Owned]
+) -> CData:
     """Return subscriptions, whose handles must be held, as ``ros_topic[]``.
 
-    Those of the hot path have its functions, the messages of the others are Python's.
+    Those of the hot path have its functions, the messages of the others are Python's; so are those
+    of publishers that are not in `soles`.
     """
     ffi, takes = MIDDLEWARE.ffi, () if hot is None else hot.takes
     topics = ffi.new("ros_topic[]", len(subscriptions))
     for k, subscription in enumerate(subscriptions):
         handle: Any = subscription.handle
         topics[k].subscription = ffi.cast("void *", handle.pointer)
+        if subscription in soles:
+            topics[k].owner = soles[subscription].owner
         for one, take, argument in takes:
             if one is subscription:
                 MIDDLEWARE.fill(topics + k, take=take, **{"with": argument})

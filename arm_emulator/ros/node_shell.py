@@ -21,6 +21,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.barrier import StartAnew
 from arm_emulator.ros.ctrl_c import CtrlC, heed_no_more, until_shut_down
 from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.end_with_parent import end_with_parent
@@ -143,6 +144,8 @@ class Diagnostics:
         self._node = node
         self.doubles: dict[str, str] = {}
         guard_clock(node, self.refuse)
+        if isinstance(node, ManagedNode):
+            node.refuse, node.count = self.refuse, self.count
         # With `use_sim_time` too: health is needed when logical time stands still.
         wall_timer(node, 1.0, self.publish)
 
@@ -213,10 +216,6 @@ class Diagnostics:
 def _words(message: str) -> str:
     """Return a message without its figures."""
     return re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", message)
-
-
-class StartAnew(Exception):
-    """A node must clean up and begin again."""
 
 
 def _init() -> None:

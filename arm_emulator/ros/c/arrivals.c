@@ -27,16 +27,13 @@ struct ros_arrivals {
 static int take_from(ros_arrivals* own, int64_t k) {
   ros_topic* topic = own->topic + k;
   rcl_bytes* bytes = &own->newest;
-  while (rcl_take_serialized_message(topic->subscription, bytes, NULL, NULL) == RCL_RET_OK) {
-    if (topic->take(topic->with, bytes->buffer, (int64_t)bytes->buffer_length) == ROS_FOR_PYTHON) {
+  while (ros_take_bytes(topic->subscription, bytes, &own->arrived.message)) {
+    if (ros_hand_over(topic, &own->arrived.message) == ROS_FOR_PYTHON) {
       own->arrived.left = k;
-      own->arrived.data = bytes->buffer;
-      own->arrived.size = (int64_t)bytes->buffer_length;
       return 0;
     }
     ++own->arrived.handled;
   }
-  rcutils_reset_error(); /* none is left */
   return 1;
 }
 

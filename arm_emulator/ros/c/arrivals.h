@@ -17,10 +17,9 @@ extern "C" {
 typedef struct ros_arrivals ros_arrivals;
 
 typedef struct ros_arrived {
-  int64_t handled;     /* messages taken in C so far */
-  int64_t left;        /* topic of the message that was left to Python; -1: none */
-  const uint8_t* data; /* its bytes, until the arrivals open again */
-  int64_t size;
+  int64_t handled;      /* messages taken in C so far */
+  int64_t left;         /* topic of the message that was left to Python; -1: none */
+  ros_received message; /* that one, until the arrivals open again */
 } ros_arrived;
 
 /* Arrivals on some topics, which outlive them, closed; `guard` is an rcl_guard_condition_t. Null:

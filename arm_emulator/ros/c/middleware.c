@@ -28,14 +28,9 @@ static int serve(ros_wait* wait) {
       topic->ready = python = 1;
       continue;
     }
-    if (rcl_take_serialized_message(topic->subscription, &taken, NULL, NULL) != RCL_RET_OK) {
-      rcutils_reset_error(); /* another process may have taken it back */
-      continue;
-    }
-    if (topic->take(topic->with, taken.buffer, (int64_t)taken.buffer_length) == ROS_FOR_PYTHON) {
+    if (!ros_take_bytes(topic->subscription, &taken, &wait->message)) continue;
+    if (ros_hand_over(topic, &wait->message) == ROS_FOR_PYTHON) {
       wait->left = k;
-      wait->data = taken.buffer;
-      wait->size = (int64_t)taken.buffer_length;
       return 1;
     }
     ++wait->handled;
@@ -61,6 +56,12 @@ int ros_wait_run(ros_wait* wait, double seconds) {
     if (serve(wait)) return ROS_PYTHON;
     if (left <= 0) return ROS_TIME_IS_UP;
   }
+}
+
+int ros_receive(const void* subscription, ros_received* out) {
+  static rcl_bytes received;
+  if (!received.buffer) received = ros_no_bytes();
+  return ros_take_bytes(subscription, &received, out);
 }
 
 /* ----------------------------------------------------------------------------- messages out */

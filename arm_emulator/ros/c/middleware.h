@@ -13,9 +13,19 @@ extern "C" {
 
 /* ------------------------------------------------------------------------------ messages in */
 
+enum { ROS_GID = 16 }; /* bytes that identify a publisher */
+
+/* A message, and its publisher. */
+typedef struct ros_received {
+  const uint8_t* data; /* its bytes, until the next message is taken from the same place */
+  int64_t size;
+  uint8_t publisher[ROS_GID];
+} ros_received;
+
 /* A subscription, and the function that takes its messages. */
 typedef struct ros_topic {
   const void* subscription; /* rcl_subscription_t */
+  const uint8_t* owner;     /* the publisher whose messages are taken in C; null: any */
   /* Takes the bytes of a message, or leaves it, unchanged, to Python: enum ros_taken. Null: all
    * messages are Python's to take. */
   int (*take)(void* with, const uint8_t* data, int64_t size);
@@ -29,15 +39,17 @@ typedef struct ros_wait {
   void* set; /* rcl_wait_set_t with room for all topics */
   ros_topic* topic;
   int64_t topics;
-  int64_t handled;     /* messages taken in C by the newest run */
-  int64_t left;        /* topic of the message that was left to Python; -1: none */
-  const uint8_t* data; /* its bytes, until the next run */
-  int64_t size;
+  int64_t handled;      /* messages taken in C by the newest run */
+  int64_t left;         /* topic of the message that was left to Python; -1: none */
+  ros_received message; /* that one, until the next run */
 } ros_wait;
 
 /* Wait for messages, and have them taken, until one is Python's or the time is up: `seconds` from
  * now. Returns enum ros_end. */
 int ros_wait_run(ros_wait* wait, double seconds);
+
+/* Take the oldest message of an rcl_subscription_t; 0: there is none. For one thread at a time. */
+int ros_receive(const void* subscription, ros_received* out);
 
 /* ----------------------------------------------------------------------------- messages out */
 

@@ -4,6 +4,7 @@
 #ifndef RCL_CALLS_H
 #define RCL_CALLS_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -23,6 +24,18 @@ typedef struct rcl_bytes { /* rcl_serialized_message_t */
   rcl_allocator allocator;
 } rcl_bytes;
 
+typedef struct rcl_gid { /* rmw_gid_t */
+  const char* implementation_identifier;
+  uint8_t data[16];
+} rcl_gid;
+
+typedef struct rcl_message_info { /* rmw_message_info_t */
+  int64_t source_timestamp, received_timestamp;
+  uint64_t publication_sequence_number, reception_sequence_number;
+  rcl_gid publisher_gid;
+  bool from_intra_process;
+} rcl_message_info;
+
 typedef struct rcl_subscriptions { /* the beginning of rcl_wait_set_t */
   const void** subscriptions;
   size_t size_of_subscriptions;
@@ -31,8 +44,8 @@ typedef struct rcl_subscriptions { /* the beginning of rcl_wait_set_t */
 int32_t rcl_wait_set_clear(void* set);
 int32_t rcl_wait_set_add_subscription(void* set, const void* subscription, size_t* index);
 int32_t rcl_wait(void* set, int64_t timeout);
-int32_t rcl_take_serialized_message(const void* subscription, rcl_bytes* message, void* info,
-                                    void* allocation);
+int32_t rcl_take_serialized_message(const void* subscription, rcl_bytes* message,
+                                    rcl_message_info* info, void* allocation);
 int32_t rcl_publish_serialized_message(const void* publisher, const rcl_bytes* message,
                                        void* allocation);
 int32_t rcl_subscription_set_on_new_message_callback(const void* subscription,

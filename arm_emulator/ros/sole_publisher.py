@@ -1,0 +1,178 @@
+"""Topics of which a node takes the messages of one publisher: that of the node whose work they are.
+
+rclpy tells callbacks nothing of a message's publisher, rcl does: its identity, by which the graph
+has its node. So these messages are taken through c/middleware.h.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.qos import DurabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData
+from arm_emulator.ros.c import MIDDLEWARE
+from arm_emulator.ros.middleware import middleware
+
+if TYPE_CHECKING:
+    from arm_emulator.ros.managed_node import ManagedNode
+
+# Kinds of nodes, and topics by which such a node is known: it publishes all of them. The first one
+# is named in its diagnostics, see `Doubles`.
+KINDS = {
+    "emulator": ("motor_states", "emulator/status", "emulator/events"),
+    "servo": ("motor_commands", "servo_states", "joint_states"),
+    "motion controller": ("joint_targets", "motion/status"),
+}
+LOOK_AGAIN = 0.25  # s, wall: between two looks at the graph because of one publisher
+MOST_WITHHELD = 1000  # messages of topics that keep them for late subscribers
+_NOBODY = bytes(MIDDLEWARE.constant("ROS_GID"))
+
+
+class OwnExecutorOnly(CallbackGroup):
+    """Subscriptions that `LeanExecutor` alone serves: rclpy's executors do not know publishers."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether rclpy's executors may serve an entity: events of a subscription."""
+        return not isinstance(entity, Subscription)
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """See `CallbackGroup`."""
+        return self.can_execute(entity)
+
+    def ending_execution(self, entity: Any) -> None:
+        """See `CallbackGroup`."""
+
+
+def receive(subscription: Any) -> tuple[bytes, bytes] | None:
+    """Take the oldest message of a subscription: its bytes, and its publisher's identity."""
+    ffi, message = MIDDLEWARE.ffi, MIDDLEWARE.new("ros_received")
+    if not middleware().ros_receive(ffi.cast("void *", subscription.handle.pointer), message):
+        return None
+    return parts_of(message)
+
+
+def parts_of(message: CData) -> tuple[bytes, bytes]:
+    """Return the bytes of a ``ros_received``, and its publisher's identity."""
+    data = MIDDLEWARE.ffi.buffer(message.data, message.size) if message.size else b""
+    return bytes(data), bytes(message.publisher)
+
+
+class SolePublisher:
+    """The publisher of a topic whose messages a node takes.
+
+    It is that of a node of the kind whose work the topic is; if there is no such node, the first
+    one. It remains the one until it leaves the graph, or is a killed node of that kind.
+
+    Attributes:
+        owner: its identity, for C; zeros: none so far.
+
+    Args:
+        node: the node that subscribes; it gets the refusals.
+        topic: the topic.
+        kind: kind of nodes whose work it is, of `KINDS`.
+    """
+
+    def __init__(self, node: ManagedNode, topic: str, kind: str) -> None:
+        self._node, self._topic, self._full = node, topic, node.resolve_topic_name(topic)
+        self._signs = [node.resolve_topic_name(one) for one in KINDS[kind]]
+        self._kind = kind
+        self.owner = MIDDLEWARE.ffi.new("uint8_t[]", _NOBODY)
+        self._owner = _NOBODY
+        self._refused: dict[bytes, tuple[float, Refusal | None]] = {}  # until when, and why
+        self.withheld: list[tuple[bytes, bytes]] = []  # messages and publishers
+
+    def admits(self, publisher: bytes) -> bool:
+        """Return whether a message of a publisher is to be taken; report it if it is not."""
+        if publisher == self._owner:
+            return True
+        until, reason = self._refused.get(publisher, (0.0, None))
+        if time.monotonic() >= until:
+            nodes = self._nodes()
+            if self._takes_over(publisher, nodes):
+                self._take_over(publisher)
+                return True
+            reason = self._reason(nodes.get(publisher, ""), nodes.get(self._owner, ""))
+            self._refused[publisher] = time.monotonic() + LOOK_AGAIN, reason
+        if reason is None:
+            self._node.count(f"{self._topic} of another node of the same name")
+        else:
+            self._node.refuse(self._topic, reason)
+        return False
+
+    def withhold(self, data: bytes, publisher: bytes) -> None:
+        """Keep a message that was not admitted and that its publisher does not repeat."""
+        self.withheld = [*self.withheld[1 - MOST_WITHHELD :], (data, publisher)]
+
+    def released(self) -> list[bytes]:
+        """Return messages that were withheld and whose publisher is the one by now."""
+        if not self.withheld:
+            return []
+        nodes = self._nodes()
+        for _, publisher in self.withheld:
+            if publisher != self._owner and self._takes_over(publisher, nodes):
+                self._take_over(publisher)
+        released = [data for data, publisher in self.withheld if publisher == self._owner]
+        self.withheld = [one for one in self.withheld if one[1] != self._owner and one[1] in nodes]
+        return released
+
+    def _take_over(self, publisher: bytes) -> None:
+        self._owner = publisher
+        self._refused.clear()
+        MIDDLEWARE.ffi.memmove(self.owner, publisher, len(publisher))
+
+    def _nodes(self) -> dict[bytes, str]:
+        """Return the full name of the node of each publisher of the topic."""
+        found = self._node.get_publishers_info_by_topic(self._full)
+        return {bytes(one.endpoint_gid): _full_name(one) for one in found}
+
+    def _takes_over(self, publisher: bytes, nodes: dict[bytes, str]) -> bool:
+        if self._owner not in nodes:
+            return True
+        whole = self._nodes_of_kind()
+        if nodes.get(publisher) not in whole:
+            return False
+        if nodes[self._owner] not in whole:
+            return True
+        return self._node.has_lost(self._kind, sum(name in whole for name in nodes.values()))
+
+    def _nodes_of_kind(self) -> set[str]:
+        found = self._node.get_publishers_info_by_topic
+        return set.intersection(*({_full_name(one) for one in found(sign)} for sign in self._signs))
+
+    def _reason(self, name: str, owner: str) -> Refusal | None:
+        """Return the refusal of a node; None: it has the owner's name, which it may succeed."""
+        if name == owner:
+            return None
+        rule = f"be node {owner}, whose messages are taken"
+        got = f"node {name}" if name else "a node that the graph does not have yet"
+        return Refusal(self._topic, "publisher", rule, got)
+
+
+def call_back(subscription: Any, sole: SolePublisher | None, data: bytes, publisher: bytes) -> None:
+    """Call back with the bytes of a message if its publisher is admitted."""
+    if sole is None or sole.admits(publisher):
+        deliver(subscription, data)
+    elif subscription.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL:
+        sole.withhold(data, publisher)
+
+
+def deliver(subscription: Any, data: bytes) -> None:
+    """Call back with the bytes of a message."""
+    if subscription.raw:
+        subscription.callback(data)
+        return
+    try:
+        message = deserialize_message(data, subscription.msg_type)
+    except (RuntimeError, ValueError):
+        return  # not of this type: rcl drops it, too
+    subscription.callback(message)
+
+
+def _full_name(endpoint: Any) -> str:
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
