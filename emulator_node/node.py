@@ -86,6 +86,9 @@ class EmulatorParameters:
         ends=(0.0, 1000.0),
         settable=True,
     )
+    alone: bool = parameter(
+        False, "whether to end where another emulator was started before, not to wait in silence"
+    )
     report_period: float = parameter(
         0.01,
         "logical time between messages on emulator/joint_states and clock; 0: every tick",
@@ -213,7 +216,7 @@ class EmulatorNode(ManagedNode):
     def activate(self) -> None:
         """Publish this tick, and let time pass."""
         self._doubles.begin()
-        self._doubles.wait_until_first("emulator/status")
+        self._doubles.wait_until_first("emulator/status", alone=self._config.alone)
         with self._own.lock:
             self._reports.description()
             self._reports.tick()

@@ -5,6 +5,7 @@ Where robot_state_publisher is installed it is started, too, for `/tf`.
 ros2 launch arm_emulator bringup.launch.py scene:=ur5 clock:=realtime rerun:=9876
 """
 
+import sys
 from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
@@ -17,6 +18,7 @@ from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.ros.end_with_parent import parent_environment
+from arm_emulator.ros.second_network import refuse_second_network
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -56,18 +58,31 @@ ARGUMENTS = [
         default_value="",
         description="ROS parameter file that rules over all other parameters",
     ),
+    DeclareLaunchArgument(
+        "allow_second",
+        default_value="false",
+        choices=["true", "false"],
+        description="Whether to start beside a network that runs on the same topics",
+    ),
 ]
 
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the three nodes, with the parameter files of the chosen scene."""
-    scene, clock, start, rerun, record, namespace, use_sim_time, params_file = (
+    scene, clock, start, rerun, record, namespace, use_sim_time, params_file, allow_second = (
         LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
     )
+    if allow_second == "false":
+        try:
+            refuse_second_network(namespace, "allow_second:=true")
+        except Refusal as refusal:
+            print(refusal, file=sys.stderr)
+            sys.exit(2)  # not as an exception, of which `ros2 launch` makes exit code 1
     file = find_scene(scene)
     gains = {kind: str(find_beside(file, kind)) for kind in ("servo", "motion")}
 
     emulator = {"scene": str(file), "clock": clock, "start": start}
+    emulator["alone"] = allow_second == "false"
     if rerun.isdecimal():
         emulator["rerun_port"] = int(rerun)
     elif rerun:

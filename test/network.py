@@ -47,6 +47,14 @@ RECEIVER = {
     "joint_states": "motion_controller",
 }
 
+# Node whose messages on a topic are taken, in a network of all three.
+SOLE_PUBLISHER = {
+    "motor_commands": "servo",
+    "joint_targets": "motion_controller",
+    "motor_states": "emulator",
+    "joint_states": "servo",
+}
+
 SERVICES = {
     one.Request: one
     for one in (SetBool, Trigger, SaveState, RestoreState, SetState, SetVaried, BreakWhen)

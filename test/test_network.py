@@ -19,6 +19,7 @@ from in_process import in_process
 from network import (
     ASK_AGAIN,
     RECEIVER,
+    SOLE_PUBLISHER,
     SharedNetwork,
     User,
     assert_same_bits,
@@ -92,7 +93,14 @@ def assert_all_refused(user: User, bad: dict[str, tuple[Any, str]], tick: int) -
     for topic, (message, _) in bad.items():
         user.publish(publishers(user)[topic], message)
     for topic, (message, words) in bad.items():
-        await_refusal(user, topic, message, before[topic], f"{topic}: {at_tick(words, tick)}")
+        await_refusal(user, topic, message, before[topic], refusal(topic, at_tick(words, tick)))
+
+
+def refusal(topic: str, words: str) -> str:
+    """Return how the refusal of a bad message of this user begins, where others publish, too."""
+    if topic in SOLE_PUBLISHER:
+        words = f"publisher must be node /{SOLE_PUBLISHER[topic]}, whose messages are taken"
+    return f"{topic}: {words}"
 
 
 def await_refusal(user: User, topic: str, message: Any, before: int, words: str) -> None:

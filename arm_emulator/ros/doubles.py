@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import socket
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
@@ -17,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.barrier import StartAnew
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics, wall_timer
@@ -40,6 +42,36 @@ def started() -> int:
 def _started(process: int) -> int:
     """Return the time of the first call in a process: one that was forked has a time of its own."""
     return time.time_ns()
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Which of our nodes published its health.
+
+    Attributes:
+        kind: of `KINDS`.
+        topic: full name of its first topic.
+        started: its start time, decimal [ns].
+        words: node, host and process.
+    """
+
+    kind: str
+    topic: str
+    started: str
+    words: str
+
+
+def identities_of(array: DiagnosticArray) -> Iterator[tuple[str, Identity]]:
+    """Yield full name and identity of each of our nodes whose health is in a message."""
+    for status in array.status:
+        values = {pair.key: pair.value for pair in status.values}
+        kind, started = values.get("kind", ""), values.get("started [ns]", "")
+        if kind in KINDS and started.isdecimal():
+            words = (
+                f"node /{status.name} on host {values.get('host', 'unknown')}, "
+                f"process {values.get('process', 'unknown')}"
+            )
+            yield f"/{status.name}", Identity(kind, values.get("topic", ""), started, words)
 
 
 @dataclass
@@ -101,7 +133,7 @@ class Doubles:
             self._diagnostics.values.pop(name, None)
         self._report()
 
-    def wait_until_first(self, sign: str) -> None:
+    def wait_until_first(self, sign: str, *, alone: bool = False) -> None:
         """Serve the node, silent but for its diagnostics, until no earlier one is present.
 
         Afterwards `StartAnew` is raised if an earlier one is found after all, as on a machine so
@@ -109,6 +141,10 @@ class Doubles:
 
         Args:
             sign: a topic on which only nodes of this kind publish.
+            alone: refuse to wait.
+
+        Raises:
+            Refusal: an earlier one is present, and this one was to be alone.
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
@@ -126,6 +162,11 @@ class Doubles:
         while waits():
             executor.spin_once(timeout_sec=0.05)
             first = self._first()
+            if first and alone:
+                executor.remove_node(self._node)
+                rule = f"be the only one on {self._topic}"
+                got = f"another one that was started before, {first.words}"
+                raise Refusal(f"node {self._node.get_name()}", f"the {self._kind}", rule, got)
             if first:
                 self._diagnostics.warn(
                     f"silent until it ends: another {self._kind} was started before on "
@@ -141,26 +182,19 @@ class Doubles:
         return self._known[first] if first < self._started else None
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        for status in array.status:
-            values = {pair.key: pair.value for pair in status.values}
-            kind, started = values.get("kind", ""), values.get("started [ns]", "")
-            if kind not in self._signs or values.get("topic") != self._signs[kind]:
+        for name, one in identities_of(array):
+            if one.topic != self._signs[one.kind]:
                 continue
-            self._hear(kind, started)
-            if kind != self._kind:
+            self._hear(one.kind, one.started)
+            started = int(one.started)
+            if one.kind != self._kind or started == self._started:
                 continue
-            if not started.isdecimal() or int(started) == self._started:
+            known = self._known.get(started)
+            if known is not None:
+                known.heard_at = time.monotonic()
                 continue
-            words = (
-                f"node /{status.name} on host {values.get('host', 'unknown')}, "
-                f"process {values.get('process', 'unknown')}"
-            )
-            one = self._known.get(int(started))
-            if one is not None:
-                one.heard_at = time.monotonic()
-                continue
-            self._known[int(started)] = _Double(f"/{status.name}", words, time.monotonic())
-            self._name(int(started), words)
+            self._known[started] = _Double(name, one.words, time.monotonic())
+            self._name(started, one.words)
 
     def _hear(self, kind: str, started: str) -> None:
         heard, now = self._heard[kind], time.monotonic()

@@ -37,6 +37,7 @@ class ManagedNode(LifecycleNode):
     Attributes:
         refuse: gets a topic or a service, and the reason for which an input of it is refused.
         count: gets what is counted without a warning.
+        note: gets name and value of what its health is to have.
         has_lost: returns whether of some publishers of a kind of nodes one was killed.
         sole_publishers: of subscriptions whose topic one node publishes on.
         settable: names of the parameters that may be set in every state; the others while it is
@@ -58,6 +59,7 @@ class ManagedNode(LifecycleNode):
         # `Diagnostics` and `Doubles` put their own in the places of these.
         self.refuse: Callable[[str, Refusal], None] = self._log_refusal
         self.count: Callable[[str], None] = lambda what: None
+        self.note: Callable[[str, object], None] = lambda what, value: None
         self.has_lost: Callable[[str, int], bool] = lambda kind, there: False
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         # rclpy's own callback fails at a transition that the state does not have.

@@ -146,6 +146,7 @@ class Diagnostics:
         guard_clock(node, self.refuse)
         if isinstance(node, ManagedNode):
             node.refuse, node.count = self.refuse, self.count
+            node.note = self.values.__setitem__
         # With `use_sim_time` too: health is needed when logical time stands still.
         wall_timer(node, 1.0, self.publish)
 

@@ -6,6 +6,7 @@ has its node. So these messages are taken through c/middleware.h.
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -66,8 +67,9 @@ def parts_of(message: CData) -> tuple[bytes, bytes]:
 class SolePublisher:
     """The publisher of a topic whose messages a node takes.
 
-    It is that of a node of the kind whose work the topic is; if there is no such node, the first
-    one. It remains the one until it leaves the graph, or is a killed node of that kind.
+    It is that of a node of the kind whose work the topic is, of several the first one; if there is
+    no such node, the first one of any. It remains the one until it leaves the graph, is a killed
+    node of that kind, or such a node comes.
 
     Attributes:
         owner: its identity, for C; zeros: none so far.
@@ -84,24 +86,27 @@ class SolePublisher:
         self._kind = kind
         self.owner = MIDDLEWARE.ffi.new("uint8_t[]", _NOBODY)
         self._owner = _NOBODY
-        self._refused: dict[bytes, tuple[float, Refusal | None]] = {}  # until when, and why
+        # Until when a judgement of a publisher holds, and why it is refused.
+        self._known: dict[bytes, tuple[float, Refusal | None]] = {}
         self.withheld: list[tuple[bytes, bytes]] = []  # messages and publishers
 
     def admits(self, publisher: bytes) -> bool:
         """Return whether a message of a publisher is to be taken; report it if it is not."""
-        if publisher == self._owner:
-            return True
-        until, reason = self._refused.get(publisher, (0.0, None))
+        until, reason = self._known.get(publisher, (0.0, None))
         if time.monotonic() >= until:
             nodes = self._nodes()
-            if self._takes_over(publisher, nodes):
+            is_owner, is_final = self._judge(publisher, nodes)
+            if is_owner and publisher != self._owner:
                 self._take_over(publisher)
-                return True
-            reason = self._reason(nodes.get(publisher, ""), nodes.get(self._owner, ""))
-            self._refused[publisher] = time.monotonic() + LOOK_AGAIN, reason
+            reason = None if is_owner else self._reason(publisher, nodes)
+            again = math.inf if is_final else time.monotonic() + LOOK_AGAIN
+            self._known[publisher] = again, reason
+        if publisher == self._owner:
+            return True
         if reason is None:
             self._node.count(f"{self._topic} of another node of the same name")
         else:
+            self._node.note(f"other publishers of {self._topic}", reason)
             self._node.refuse(self._topic, reason)
         return False
 
@@ -114,8 +119,8 @@ class SolePublisher:
         if not self.withheld:
             return []
         nodes = self._nodes()
-        for _, publisher in self.withheld:
-            if publisher != self._owner and self._takes_over(publisher, nodes):
+        for publisher in {publisher for _, publisher in self.withheld}:
+            if publisher != self._owner and self._judge(publisher, nodes)[0]:
                 self._take_over(publisher)
         released = [data for data, publisher in self.withheld if publisher == self._owner]
         self.withheld = [one for one in self.withheld if one[1] != self._owner and one[1] in nodes]
@@ -123,7 +128,7 @@ class SolePublisher:
 
     def _take_over(self, publisher: bytes) -> None:
         self._owner = publisher
-        self._refused.clear()
+        self._known.clear()
         MIDDLEWARE.ffi.memmove(self.owner, publisher, len(publisher))
 
     def _nodes(self) -> dict[bytes, str]:
@@ -131,22 +136,28 @@ class SolePublisher:
         found = self._node.get_publishers_info_by_topic(self._full)
         return {bytes(one.endpoint_gid): _full_name(one) for one in found}
 
-    def _takes_over(self, publisher: bytes, nodes: dict[bytes, str]) -> bool:
-        if self._owner not in nodes:
-            return True
+    def _judge(self, publisher: bytes, nodes: dict[bytes, str]) -> tuple[bool, bool]:
+        """Return whether a publisher is the one, and whether it stays so while it publishes."""
         whole = self._nodes_of_kind()
-        if nodes.get(publisher) not in whole:
-            return False
-        if nodes[self._owner] not in whole:
-            return True
-        return self._node.has_lost(self._kind, sum(name in whole for name in nodes.values()))
+        ours = [one for one, name in nodes.items() if name in whole]
+        has_lost, kind = self._node.has_lost, self._kind
+        if publisher in ours:
+            is_owner = publisher == self._owner or self._owner not in ours
+            # The graph has a killed node for some time.
+            return is_owner or has_lost(kind, len(ours)), is_owner
+        if ours and not has_lost(kind, 1):
+            return False, False
+        return publisher == self._owner or self._owner not in nodes or self._owner in ours, False
 
     def _nodes_of_kind(self) -> set[str]:
         found = self._node.get_publishers_info_by_topic
         return set.intersection(*({_full_name(one) for one in found(sign)} for sign in self._signs))
 
-    def _reason(self, name: str, owner: str) -> Refusal | None:
-        """Return the refusal of a node; None: it has the owner's name, which it may succeed."""
+    def _reason(self, publisher: bytes, nodes: dict[bytes, str]) -> Refusal | None:
+        """Return the refusal of a publisher; None: its node has the name of the one taken."""
+        whole = self._nodes_of_kind()
+        ours = next((name for name in nodes.values() if name in whole), "")
+        name, owner = nodes.get(publisher, ""), nodes.get(self._owner, ours)
         if name == owner:
             return None
         rule = f"be node {owner}, whose messages are taken"

@@ -17,6 +17,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.page.page_address import PageAddress
 from arm_emulator.page.page_token import page_token
 from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.second_network import refuse_second_network
 
 
 @command(
@@ -35,6 +36,7 @@ def up(
     page: PageAt = None,
     record: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     namespace: str = "",
+    allow_second: bool = False,
     use_sim_time: bool = False,
     params_file: Annotated[Path | None, Parameter(metavar="FILE")] = None,
 ) -> int:
@@ -46,11 +48,12 @@ def up(
         rerun_file: Rerun recording to write.
         record: new bag, written by the emulator itself, independent of the network.
         namespace: of all nodes and topics, such as /cell1.
+        allow_second: start beside a network that runs on the same topics.
         use_sim_time: the nodes' own clocks follow the emulator's.
         params_file: ROS parameter file that overrides all other parameters.
     """
     output.facts({"scene": scene, "clock": clock, "record": record, "page": None, "ended": None})
-    streams: dict[str, object] = {"rerun_port": rerun_port}
+    streams: dict[str, object] = {"rerun_port": rerun_port, "alone": not allow_second}
     if rerun_file:
         streams["rerun_file"] = rerun_file
     if page is not None:
@@ -62,6 +65,8 @@ def up(
             raise Refusal("up", f"folder {record}", "be new", "one that exists")
         streams["record"] = record.resolve()
     with contextlib.suppress(KeyboardInterrupt):
+        if not allow_second:
+            refuse_second_network(namespace, "--allow-second")
         if params_file is None:  # which may change the servo's gains
             _check_loops(find_scene(scene))
         network = Bringup(

@@ -1,0 +1,155 @@
+"""Topics of one publisher: messages of others change nothing, whatever they contain."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from draws import some
+from network import JOINTS, SOLE_PUBLISHER, User, network
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of, stamp
+from arm_emulator_msgs.msg import (
+    EmulatorStatus,
+    MachineEvent,
+    MotionStatus,
+    MotorCommand,
+    MotorState,
+    ServoState,
+)
+
+SPEED = 0.3  # rad/s, of the trajectories below: 0.6 rad in 3 s, 1.5 times their mean
+Running = tuple[User, Bringup]
+
+
+@pytest.fixture(scope="module", params=["lockstep", "realtime"])
+def running(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Running]:
+    log = tmp_path_factory.mktemp("log")
+    with network(log, clock=request.param, start="first_answer") as both:
+        user, _ = both
+        user.heard = []
+        user.node.create_subscription(MotionStatus, "motion/status", user.heard.append, EVENT_QOS)
+        user.trajectories = user.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        user.wait("the run", lambda: user.truth is not None)
+        user.wait("a listener", lambda: user.trajectories.get_subscription_count() > 0)
+        user.wait("health", lambda: user.printed("motion_controller", "holding"))
+        yield both
+
+
+def state_of(user: User, number: int) -> int:
+    """Return the newest state of a trajectory, 0 for none."""
+    return next((one.state for one in user.heard[::-1] if one.number == number), 0)
+
+
+def move(user: User, to: float, seconds: int = 3) -> int:
+    """Send all joints to a place; return the number of the trajectory."""
+    number = 1 + max((one.number for one in user.heard), default=0)
+    point = JointTrajectoryPoint(positions=[to, 0.5 + to, 0.8 + to], velocities=[0.0] * 3)
+    point.time_from_start.sec = seconds
+    user.trajectories.publish(JointTrajectory(joint_names=JOINTS, points=[point]))
+    user.wait("the motion", lambda: state_of(user, number) == MotionStatus.STATE_MOVING)
+    return number
+
+
+def strangers(rng: random.Random, user: User) -> dict[str, Any]:
+    """Return a sound message of each topic, of any time."""
+    at = nanoseconds_of(user.truth.header.stamp)
+    time_ns = rng.choice((0, at // 2, at, at + 50_000_000, at + NANOSECONDS))
+    tick = time_ns // 1_000_000
+    q = [rng.uniform(-1.0, 1.0) for _ in JOINTS]
+    messages = {
+        "joint_states": JointState(name=JOINTS, position=q, velocity=q),
+        "joint_targets": JointState(name=JOINTS, position=q),
+        "servo_states": ServoState(joint_names=JOINTS, movable=[rng.randrange(2) for _ in JOINTS]),
+        "motor_states": MotorState(
+            tick=tick, joint_names=JOINTS, encoder_counts=[0] * 3, current=[0.0] * 3, powered=True
+        ),
+        "motor_commands": MotorCommand(tick=tick, joint_names=JOINTS, command=[24.0] * 3),
+        "emulator/events": MachineEvent(kind=MachineEvent.KIND_RESET),
+        "clock": Clock(clock=stamp(time_ns)),
+        "robot_description": String(data=user.description.replace("shoulder", "other")),
+    }
+    for one in messages.values():
+        if hasattr(one, "header"):
+            one.header.stamp = stamp(rng.choice((0, time_ns)))
+    return messages
+
+
+def test_messages_of_strangers_do_not_change_a_motion(running: Running) -> None:
+    """Also none that would reset time: a motion goes on, as slowly as it was commanded."""
+    user, _ = running
+    rng = random.Random(8)
+    stranger = Node("stranger", context=user.node.context)
+    user.add(stranger)
+    fastest, publishers = 0.0, {}
+    try:
+        for to in some((0.6, 0.0, 0.6, 0.0), 2):
+            number = move(user, to)
+            while state_of(user, number) == MotionStatus.STATE_MOVING:
+                for topic, message in strangers(rng, user).items():
+                    if topic not in publishers:
+                        qos = EVENT_QOS if "/" in topic or "robot" in topic else QoSProfile(depth=9)
+                        publishers[topic] = stranger.create_publisher(type(message), topic, qos)
+                    publishers[topic].publish(message)
+                user.spin(0.005)
+                fastest = max(fastest, *map(abs, user.truth.velocity))
+            assert state_of(user, number) == MotionStatus.STATE_REACHED, user.heard[-1]
+        for topic, owner in SOLE_PUBLISHER.items():
+            receivers = [one for one in user.diagnostics if user.refused(one, topic)]
+            assert receivers, f"no node refuses {topic}"
+            words = f"publisher must be node /{owner}, whose messages are taken, got node /stranger"
+            user.wait(
+                f"{topic} to be named",
+                lambda t=topic, w=words, r=receivers: any(
+                    w in user.value(one, f"other publishers of {t}") for one in r
+                ),
+            )
+    finally:
+        stranger.destroy_node()
+    # The true speed of an elastic arm swings a little about the commanded one.
+    assert SPEED * 0.9 < fastest < SPEED * 1.2, "the trajectory's largest speed is 0.3 rad/s"
+
+
+def test_a_reset_by_the_emulator_begins_anew(running: Running) -> None:
+    user, _ = running
+    number = move(user, 0.6, 600)  # longer than any delay of a busy machine
+    assert user.call("emulator/reset").success
+    user.wait("the end", lambda: state_of(user, number) == MotionStatus.STATE_ABORTED)
+    assert "the machine began anew" in next(
+        one.reason for one in user.heard[::-1] if one.number == number
+    )
+    after = move(user, 0.6)
+    user.wait("the next", lambda: state_of(user, after) == MotionStatus.STATE_REACHED)
+    running_ = EmulatorStatus.PHASE_RUNNING
+    user.wait("the run", lambda: user.status is not None and user.status.phase == running_)
+
+
+def test_a_first_publisher_yields_to_the_servo(tmp_path: Path) -> None:
+    """A stranger published joint states before there was a servo."""
+    with network(tmp_path, only=("motion_controller",), start="first_answer") as (user, _):
+        said = JointState(name=JOINTS, position=[0.3, 0.3, 0.3])
+        user.wait("a listener", lambda: user.measured.get_subscription_count() > 0)
+        user.measured.publish(said)
+        others = Bringup("three_axis", only=("emulator", "servo"), log=tmp_path / "others")
+        with others:
+            user.wait("the run", lambda: user.tick >= 200)
+            user.measured.publish(said)
+            words = "publisher must be node /servo"
+            user.wait(
+                "the refusal",
+                lambda: words in user.value("motion_controller", "newest refusal"),
+            )
+            tick = user.tick
+            user.wait("the run to go on", lambda: user.tick >= tick + 200)
