@@ -146,6 +146,8 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
     lines += [f'_Static_assert(OUR_{one} == {one}, "{one}");' for one in constants]
     lines += [
         '_Static_assert(sizeof(rcl_bytes) == sizeof(rcl_serialized_message_t), "bytes");',
+        '_Static_assert(sizeof(rcl_message_info) == sizeof(rmw_message_info_t), "info");',
+        '_Static_assert(sizeof(((rcl_gid*)0)->data) == RMW_GID_STORAGE_SIZE, "identity");',
         '_Static_assert(sizeof(rcl_allocator) == sizeof(rcl_allocator_t), "allocator");',
     ]
     for ours, theirs, fields in (
@@ -153,6 +155,10 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
          ("buffer", "buffer_length", "buffer_capacity", "allocator")),
         ("rcl_allocator", "rcl_allocator_t",
          ("allocate", "deallocate", "reallocate", "zero_allocate", "state")),
+        ("rcl_gid", "rmw_gid_t", ("implementation_identifier", "data")),
+        ("rcl_message_info", "rmw_message_info_t",
+         ("source_timestamp", "received_timestamp", "publication_sequence_number",
+          "reception_sequence_number", "publisher_gid", "from_intra_process")),
         ("rcl_subscriptions", "rcl_wait_set_t", ("subscriptions", "size_of_subscriptions")),
     ):  # fmt: skip
         lines += [

@@ -88,6 +88,31 @@ def test_up_that_is_killed_leaves_no_node() -> None:
         launcher.wait(PATIENCE)
 
 
+def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
+    """It is named, whether the second finds it before its nodes start or its emulator does."""
+    with up() as (launcher, children):
+        emulator = next(child for child in children if node_of(child) == "emulator")
+        late = start(
+            "emulator_node.node", "--ros-args", "-p", "alone:=true", "-r", "__node:=emulator_2"
+        )
+        second = start("arm_emulator", "up", "ur5")
+        elsewhere = start("arm_emulator", "up", "three_axis", "--namespace", "cell2")
+        printed, complaint = second.communicate(timeout=PATIENCE)
+        assert second.returncode == 2 and printed == "", complaint
+        assert complaint.startswith("second network: a network must be the only one"), complaint
+        pids = {str(child.pid) for child in children}
+        assert any(f"process {pid}" in complaint for pid in pids), complaint
+        _, complaint = late.communicate(timeout=PATIENCE)
+        assert late.returncode == 2, complaint
+        assert f"process {emulator.pid}" in complaint.splitlines()[-1], complaint
+        assert launcher.poll() is None and elsewhere.poll() is None
+        elsewhere.send_signal(signal.SIGINT)
+        _, complaint = elsewhere.communicate(timeout=PATIENCE)
+        assert elsewhere.returncode == 0, complaint
+        launcher.send_signal(signal.SIGINT)
+        assert launcher.wait(PATIENCE) == 0
+
+
 def test_up_reports_of_a_node_that_cannot_start() -> None:
     """The port of the Rerun stream is taken: the emulator states no, and the others end."""
     with own_domain(), socket_on_a_port() as port:

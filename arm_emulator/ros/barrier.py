@@ -29,7 +29,7 @@ class StartAnew(Exception):
 class Guarded(Protocol):
     """What the barrier needs of a node."""
 
-    refuse: Callable[[str, Refusal], None]
+    refuse: Callable[..., None]
 
     @property
     def context(self) -> Context:

@@ -109,7 +109,7 @@ def take_message(subscription: Any, sole: SolePublisher | None = None) -> bool:
         sole: the publisher whose messages are taken; None: any.
     """
     if sole is not None:
-        received = receive(subscription)
+        received = receive(subscription, sole)
         if received is not None:
             call_back(subscription, sole, *received)
         return received is not None

@@ -108,8 +108,9 @@ class LeanExecutor:
         take_message(subscription, self._soles.get(subscription))
 
     def _release(self) -> None:
-        """Call back with messages whose publisher was not the one when they came."""
+        """Report what was dropped; call back where the publisher has become the one meanwhile."""
         for subscription, sole in [*self._soles.items()]:
+            sole.report()
             for data in sole.released():
                 deliver(subscription, data)
 

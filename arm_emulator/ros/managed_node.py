@@ -15,6 +15,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.barrier import guard, guard_later, refuse_request, set_singly
@@ -35,8 +36,9 @@ class ManagedNode(LifecycleNode):
     All callbacks of messages and services are behind the barrier, see `guard`.
 
     Attributes:
-        refuse: gets a topic or a service, and the reason for which an input of it is refused.
-        count: gets what is counted without a warning.
+        refuse: gets a topic or a service, the reason for which an input of it is refused, and how
+            often it came.
+        count: gets what is counted without a warning, and how often it came.
         note: gets name and value of what its health is to have.
         has_lost: returns whether of some publishers of a kind of nodes one was killed.
         sole_publishers: of subscriptions whose topic one node publishes on.
@@ -57,8 +59,8 @@ class ManagedNode(LifecycleNode):
     def __init__(self, name: str) -> None:
         self.sole_publishers: dict[Any, SolePublisher] = {}
         # `Diagnostics` and `Doubles` put their own in the places of these.
-        self.refuse: Callable[[str, Refusal], None] = self._log_refusal
-        self.count: Callable[[str], None] = lambda what: None
+        self.refuse: Callable[..., None] = self._log_refusal
+        self.count: Callable[..., None] = lambda what, times=1: None
         self.note: Callable[[str, object], None] = lambda what, value: None
         self.has_lost: Callable[[str, int], bool] = lambda kind, there: False
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -299,7 +301,7 @@ class ManagedNode(LifecycleNode):
         else:
             logger.error("".join(traceback.format_exception(trouble)))
 
-    def _log_refusal(self, where: str, reason: Refusal) -> None:
+    def _log_refusal(self, where: str, reason: Refusal, times: int = 1) -> None:
         self.get_logger().warning(f"{where}: refused: {reason}")
 
     # Entities
@@ -335,7 +337,8 @@ class ManagedNode(LifecycleNode):
             return super().create_subscription(msg_type, topic, given, *more, **named)
         named["callback_group"] = OwnExecutorOnly()
         subscription = super().create_subscription(msg_type, topic, given, *more, **named)
-        self.sole_publishers[subscription] = SolePublisher(self, topic, only_from)
+        keeps = subscription.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+        self.sole_publishers[subscription] = SolePublisher(self, topic, only_from, keeps)
         return subscription
 
     def destroy_subscription(self, subscription: Any) -> bool:

@@ -66,7 +66,7 @@ class Owned(Protocol):
     """A topic of which one publisher's messages are taken.
 
     Attributes:
-        owner: identity of the publisher, ``uint8_t[ROS_GID]``.
+        owner: ``ros_publisher *``.
     """
 
     owner: CData

@@ -155,20 +155,20 @@ class Diagnostics:
         """Number of inputs refused so far."""
         return self._refused.total()
 
-    def refuse(self, topic: str, reason: Refusal) -> None:
-        """Count and log a refused input."""
+    def refuse(self, topic: str, reason: Refusal, times: int = 1) -> None:
+        """Count and log a refused input, which came several times."""
         first = self._refused[topic] == 0
-        self._refused[topic] += 1
+        self._refused[topic] += times
         self._newest_refusal = str(reason)
         self.log.trouble(f"{topic}: {_words(reason.rule)}", f"refused: {reason}")
         if first:
             self.publish()
 
-    def count(self, what: str) -> None:
+    def count(self, what: str, times: int = 1) -> None:
         """Count under `what` an input that was not needed, without a warning."""
         before = self.values.get(what, 0)
         assert isinstance(before, int)
-        self.values[what] = before + 1
+        self.values[what] = before + times
         if not before:
             self.publish()
 

@@ -11,7 +11,6 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import CallbackGroup
-from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
@@ -50,10 +49,11 @@ class OwnExecutorOnly(CallbackGroup):
         """See `CallbackGroup`."""
 
 
-def receive(subscription: Any) -> tuple[bytes, bytes] | None:
-    """Take the oldest message of a subscription: its bytes, and its publisher's identity."""
-    ffi, message = MIDDLEWARE.ffi, MIDDLEWARE.new("ros_received")
-    if not middleware().ros_receive(ffi.cast("void *", subscription.handle.pointer), message):
+def receive(subscription: Any, sole: SolePublisher) -> tuple[bytes, bytes] | None:
+    """Take the oldest message that is not dropped: its bytes, and its publisher's identity."""
+    handle = MIDDLEWARE.ffi.cast("void *", subscription.handle.pointer)
+    message = MIDDLEWARE.new("ros_received")
+    if not middleware().ros_receive(handle, sole.owner, message):
         return None
     return parts_of(message)
 
@@ -72,47 +72,58 @@ class SolePublisher:
     node of that kind, or such a node comes.
 
     Attributes:
-        owner: its identity, for C; zeros: none so far.
+        owner: ``ros_publisher *``.
 
     Args:
         node: the node that subscribes; it gets the refusals.
         topic: the topic.
         kind: kind of nodes whose work it is, of `KINDS`.
+        keeps: whether the topic keeps messages for late subscribers, who get them once.
     """
 
-    def __init__(self, node: ManagedNode, topic: str, kind: str) -> None:
+    def __init__(self, node: ManagedNode, topic: str, kind: str, keeps: bool) -> None:
         self._node, self._topic, self._full = node, topic, node.resolve_topic_name(topic)
         self._signs = [node.resolve_topic_name(one) for one in KINDS[kind]]
-        self._kind = kind
-        self.owner = MIDDLEWARE.ffi.new("uint8_t[]", _NOBODY)
+        self._kind, self._keeps = kind, keeps
+        self.owner = MIDDLEWARE.new("ros_publisher")
         self._owner = _NOBODY
-        # Until when a judgement of a publisher holds, and why it is refused.
-        self._known: dict[bytes, tuple[float, Refusal | None]] = {}
+        self._known: dict[bytes, float] = {}  # until when a judgement of a publisher holds
+        self._refusal: Refusal | None = None  # of the newest one that was refused
         self.withheld: list[tuple[bytes, bytes]] = []  # messages and publishers
 
     def admits(self, publisher: bytes) -> bool:
-        """Return whether a message of a publisher is to be taken; report it if it is not."""
-        until, reason = self._known.get(publisher, (0.0, None))
-        if time.monotonic() >= until:
+        """Return whether a message of a publisher is to be taken; it is counted if it is not."""
+        now = time.monotonic()
+        if now >= self._known.get(publisher, 0.0):
             nodes = self._nodes()
             is_owner, is_final = self._judge(publisher, nodes)
-            if is_owner and publisher != self._owner:
+            if not is_owner:
+                self._refusal = self._reason(publisher, nodes)
+                if not self._keeps:  # else they are withheld, each one
+                    self.owner.quiet_until = round((now + LOOK_AGAIN) * 1e9)
+            elif publisher != self._owner:
                 self._take_over(publisher)
-            reason = None if is_owner else self._reason(publisher, nodes)
-            again = math.inf if is_final else time.monotonic() + LOOK_AGAIN
-            self._known[publisher] = again, reason
+            self._known[publisher] = math.inf if is_final else now + LOOK_AGAIN
         if publisher == self._owner:
             return True
-        if reason is None:
-            self._node.count(f"{self._topic} of another node of the same name")
-        else:
-            self._node.note(f"other publishers of {self._topic}", reason)
-            self._node.refuse(self._topic, reason)
+        self.owner.dropped += 1
         return False
 
+    def report(self) -> None:
+        """Report messages of others that were dropped since the last time."""
+        dropped, self.owner.dropped = self.owner.dropped, 0
+        if not dropped:
+            return
+        if self._refusal is None:
+            self._node.count(f"{self._topic} of another node of the same name", dropped)
+        else:
+            self._node.note(f"other publishers of {self._topic}", self._refusal)
+            self._node.refuse(self._topic, self._refusal, dropped)
+
     def withhold(self, data: bytes, publisher: bytes) -> None:
-        """Keep a message that was not admitted and that its publisher does not repeat."""
-        self.withheld = [*self.withheld[1 - MOST_WITHHELD :], (data, publisher)]
+        """Keep a message that was not admitted, where its publisher does not repeat it."""
+        if self._keeps:
+            self.withheld = [*self.withheld[1 - MOST_WITHHELD :], (data, publisher)]
 
     def released(self) -> list[bytes]:
         """Return messages that were withheld and whose publisher is the one by now."""
@@ -129,7 +140,7 @@ class SolePublisher:
     def _take_over(self, publisher: bytes) -> None:
         self._owner = publisher
         self._known.clear()
-        MIDDLEWARE.ffi.memmove(self.owner, publisher, len(publisher))
+        self.owner.id, self.owner.quiet_until = publisher, 0
 
     def _nodes(self) -> dict[bytes, str]:
         """Return the full name of the node of each publisher of the topic."""
@@ -169,7 +180,7 @@ def call_back(subscription: Any, sole: SolePublisher | None, data: bytes, publis
     """Call back with the bytes of a message if its publisher is admitted."""
     if sole is None or sole.admits(publisher):
         deliver(subscription, data)
-    elif subscription.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL:
+    else:
         sole.withhold(data, publisher)
 
 

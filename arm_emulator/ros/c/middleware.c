@@ -2,20 +2,12 @@
 
 #include "middleware.h"
 
-#include <time.h>
-
 #include "bytes.h"
 
 /* ------------------------------------------------------------------------------ messages in */
 
 /* The newest message: one thread of a process runs a ros_wait. */
 static rcl_bytes taken;
-
-static int64_t now(void) {
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (int64_t)time.tv_sec * ROS_SECOND + time.tv_nsec;
-}
 
 /* Serve the topics that have messages; returns whether Python has to go on. */
 static int serve(ros_wait* wait) {
@@ -39,13 +31,13 @@ static int serve(ros_wait* wait) {
 }
 
 int ros_wait_run(ros_wait* wait, double seconds) {
-  const int64_t until = now() + (int64_t)(seconds * ROS_SECOND);
+  const int64_t until = ros_now() + (int64_t)(seconds * ROS_SECOND);
   if (!taken.buffer) taken = ros_no_bytes();
   wait->handled = 0;
   wait->left = -1;
   for (int64_t k = 0; k < wait->topics; ++k) wait->topic[k].ready = 0;
   for (;;) {
-    const int64_t left = until - now();
+    const int64_t left = until - ros_now();
     if (rcl_wait_set_clear(wait->set) != RCL_RET_OK) return ROS_FAILED;
     for (int64_t k = 0; k < wait->topics; ++k)
       if (rcl_wait_set_add_subscription(wait->set, wait->topic[k].subscription, NULL) != RCL_RET_OK)
@@ -58,10 +50,13 @@ int ros_wait_run(ros_wait* wait, double seconds) {
   }
 }
 
-int ros_receive(const void* subscription, ros_received* out) {
+int ros_receive(const void* subscription, ros_publisher* owner, ros_received* out) {
   static rcl_bytes received;
   if (!received.buffer) received = ros_no_bytes();
-  return ros_take_bytes(subscription, &received, out);
+  do
+    if (!ros_take_bytes(subscription, &received, out)) return 0;
+  while (ros_is_dropped(owner, out));
+  return 1;
 }
 
 /* ----------------------------------------------------------------------------- messages out */

@@ -22,10 +22,17 @@ typedef struct ros_received {
   uint8_t publisher[ROS_GID];
 } ros_received;
 
+/* The one publisher of a topic whose messages are taken. */
+typedef struct ros_publisher {
+  uint8_t id[ROS_GID];
+  int64_t quiet_until; /* ns, monotonic: until then messages of others are dropped, and counted */
+  int64_t dropped;
+} ros_publisher;
+
 /* A subscription, and the function that takes its messages. */
 typedef struct ros_topic {
   const void* subscription; /* rcl_subscription_t */
-  const uint8_t* owner;     /* the publisher whose messages are taken in C; null: any */
+  ros_publisher* owner;     /* whose messages are taken in C; null: those of any */
   /* Takes the bytes of a message, or leaves it, unchanged, to Python: enum ros_taken. Null: all
    * messages are Python's to take. */
   int (*take)(void* with, const uint8_t* data, int64_t size);
@@ -48,8 +55,9 @@ typedef struct ros_wait {
  * now. Returns enum ros_end. */
 int ros_wait_run(ros_wait* wait, double seconds);
 
-/* Take the oldest message of an rcl_subscription_t; 0: there is none. For one thread at a time. */
-int ros_receive(const void* subscription, ros_received* out);
+/* Take the oldest message of an rcl_subscription_t that is not dropped because of its publisher; 0:
+ * there is none. For one thread at a time. */
+int ros_receive(const void* subscription, ros_publisher* owner, ros_received* out);
 
 /* ----------------------------------------------------------------------------- messages out */
 
