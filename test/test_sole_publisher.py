@@ -141,13 +141,13 @@ def test_a_reset_by_the_emulator_begins_anew(running: Running) -> None:
 def test_a_first_publisher_yields_to_the_servo(tmp_path: Path) -> None:
     """A stranger published joint states before there was a servo."""
     with network(tmp_path, only=("motion_controller",), start="first_answer") as (user, _):
-        said = JointState(name=JOINTS, position=[0.3, 0.3, 0.3])
+        sent = JointState(name=JOINTS, position=[0.3, 0.3, 0.3])
         user.wait("a listener", lambda: user.measured.get_subscription_count() > 0)
-        user.measured.publish(said)
+        user.measured.publish(sent)
         others = Bringup("three_axis", only=("emulator", "servo"), log=tmp_path / "others")
         with others:
             user.wait("the run", lambda: user.tick >= 200)
-            user.measured.publish(said)
+            user.measured.publish(sent)
             words = "publisher must be node /servo"
             user.wait(
                 "the refusal",

@@ -27,7 +27,7 @@ class StartAnew(Exception):
 
 
 class Guarded(Protocol):
-    """What the barrier needs of a node."""
+    """A node behind the barrier."""
 
     refuse: Callable[..., None]
 

@@ -46,7 +46,7 @@ def _started(process: int) -> int:
 
 @dataclass(frozen=True)
 class Identity:
-    """Which of our nodes published its health.
+    """Identity of one of our nodes, from its health.
 
     Attributes:
         kind: of `KINDS`.

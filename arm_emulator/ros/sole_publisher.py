@@ -1,14 +1,15 @@
 """Topics of which a node takes the messages of one publisher: that of the node whose work they are.
 
-rclpy tells callbacks nothing of a message's publisher, rcl does: its identity, by which the graph
-has its node. So these messages are taken through c/middleware.h.
+rclpy passes nothing about its publisher on with a message, rcl does: its identity, by which the
+graph has its node. So these messages are taken through c/middleware.h.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.serialization import deserialize_message
@@ -19,8 +20,6 @@ from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
 
-if TYPE_CHECKING:
-    from arm_emulator.ros.managed_node import ManagedNode
 
 # Kinds of nodes, and topics by which such a node is known: it publishes all of them. The first one
 # is named in its diagnostics, see `Doubles`.
@@ -64,6 +63,21 @@ def parts_of(message: CData) -> tuple[bytes, bytes]:
     return bytes(data), bytes(message.publisher)
 
 
+class Receiver(Protocol):
+    """A node that subscribes, see `ManagedNode`."""
+
+    refuse: Callable[..., None]
+    count: Callable[..., None]
+    note: Callable[[str, object], None]
+    has_lost: Callable[[str, int], bool]
+
+    def resolve_topic_name(self, topic: str) -> str:
+        """See `Node`."""
+
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]:
+        """See `Node`."""
+
+
 class SolePublisher:
     """The publisher of a topic whose messages a node takes.
 
@@ -81,7 +95,7 @@ class SolePublisher:
         keeps: whether the topic keeps messages for late subscribers, who get them once.
     """
 
-    def __init__(self, node: ManagedNode, topic: str, kind: str, keeps: bool) -> None:
+    def __init__(self, node: Receiver, topic: str, kind: str, keeps: bool) -> None:
         self._node, self._topic, self._full = node, topic, node.resolve_topic_name(topic)
         self._signs = [node.resolve_topic_name(one) for one in KINDS[kind]]
         self._kind, self._keeps = kind, keeps

@@ -11,7 +11,7 @@ int64_t ros_now(void);
 rcl_bytes ros_no_bytes(void);
 
 /* Take the oldest message of an rcl_subscription_t into `bytes`, to which `out` then points; 0:
- * there is none. */
+ * no message has come. */
 int ros_take_bytes(const void* subscription, rcl_bytes* bytes, ros_received* out);
 /* Whether a message of another publisher is dropped, which is counted. */
 int ros_is_dropped(ros_publisher* owner, const ros_received* message);

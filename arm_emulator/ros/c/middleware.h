@@ -56,7 +56,7 @@ typedef struct ros_wait {
 int ros_wait_run(ros_wait* wait, double seconds);
 
 /* Take the oldest message of an rcl_subscription_t that is not dropped because of its publisher; 0:
- * there is none. For one thread at a time. */
+ * no message has come. For one thread at a time. */
 int ros_receive(const void* subscription, ros_publisher* owner, ros_received* out);
 
 /* ----------------------------------------------------------------------------- messages out */
