@@ -20,7 +20,6 @@ from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
 
-
 # Kinds of nodes, and topics by which such a node is known: it publishes all of them. The first one
 # is named in its diagnostics, see `Doubles`.
 KINDS = {
