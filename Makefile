@@ -10,6 +10,7 @@ PYTHON ?= python3.12 python3.11 python3
 help:
 	@echo 'make setup              prepare .venv/ and install/; every command below does it by itself'
 	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
+	@echo 'make page               get the page of look, run --page and up --page (viser)'
 	@echo 'make robots             get the descriptions of ur5 and panda; demo and test do it by themselves'
 	@echo 'make test               run the tests'
 	@echo 'make test-in-full       run the tests with every case of each class'
@@ -113,6 +114,12 @@ export QUIET_START
 	@$(call quietly,robots,$(INSTALL) $<)
 	@touch $@
 
+# Not `pip install .[page]`, which would put a copy of this checkout into the environment.
+.venv/.page: requirements-peers.txt .venv/.requirements
+	@echo 'setup: the page in the browser ...'
+	@$(call quietly,page,.venv/bin/python -m pip install -c $< viser trimesh websockets)
+	@touch $@
+
 .venv/.peers: requirements-peers.txt .venv/.requirements
 	@echo 'setup: masters of field buses, a microcontroller, a checker of FMUs ...'
 	@$(call quietly,peers,$(INSTALL) $<)
@@ -153,9 +160,14 @@ install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 # hand without --symlink-install removes the linked setup.py, and the next command links again.
 LINKED := build/arm_emulator/setup.py
 SHARED := $(shell find config launch resource -type f 2>/dev/null)
+# What `pip install .` has left in the environment: a copy of this checkout, and a command that runs it.
+COPIED := $(wildcard .venv/lib/python*/site-packages/arm_emulator-*.dist-info)
+LAUNCHER := $(shell grep -ls '$(CURDIR)/install/setup.sh' .venv/bin/arm_emulator 2>/dev/null)
 
 install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
-                  $(if $(wildcard $(LINKED)),,FORCE)
+                  $(if $(wildcard $(LINKED)),,FORCE) $(if $(COPIED),FORCE) $(if $(LAUNCHER),,FORCE)
+	@$(if $(COPIED),echo 'setup: removes the copy of this checkout that pip has installed'; \
+	  $(call quietly,copy,.venv/bin/python -m pip uninstall -y arm_emulator))
 	@echo 'setup: nodes and command line ...'
 	@rm -rf build/arm_emulator install/arm_emulator
 	@$(call quietly,package,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator --symlink-install)
@@ -167,6 +179,8 @@ install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.m
 # Scenes whose URDF comes from example-robot-data ask for that package.
 SCENE_FILE := $(or $(wildcard config/$(SCENE).yaml),$(SCENE))
 ROBOTS := $(if $(shell grep -s '^urdf: *.\?example-robot-data:' '$(SCENE_FILE)'),.venv/.robots)
+
+page: setup .venv/.page
 
 robots: .venv/.robots
 
@@ -242,4 +256,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE
+.PHONY: help setup page robots demo test test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE

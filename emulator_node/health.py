@@ -20,13 +20,14 @@ class Health:
     Args:
         own: context with log and machine.
         timeout: gives the wall time without an answer that is reported [s].
+        page: gives how the page has ended before the machine, in words.
     """
 
-    def __init__(self, own: Context, timeout: Callable[[], float]) -> None:
+    def __init__(self, own: Context, timeout: Callable[[], float], page: Callable[[], str]) -> None:
         self._session, self._gate, self._outbox = own.session, own.gate, own.outbox
         self._logger, self._diagnostics = own.node.get_logger(), own.diagnostics
         self._view = own.view
-        self._timeout = timeout
+        self._timeout, self._page = timeout, page
         self._reported: Diverged | EndOfTime | None = None  # the fault that was published last
 
     def report_fault(self) -> None:
@@ -44,9 +45,14 @@ class Health:
     def report(self, waited: float) -> None:
         """Publish the machine's health; `waited`: since this tick was published [s]."""
         session, diagnostics, record = self._session, self._diagnostics, self._outbox.record
-        late = waited > self._timeout()
+        late, page = waited > self._timeout(), self._page()
         if session.phase is Phase.STOPPED:
             diagnostics.error(str(session.fault))
+        elif session.phase is Phase.PAUSED and page:
+            diagnostics.warn(
+                f"paused at tick {session.tick}, and the page is gone: {page}; "
+                "emulator/pause with data: false lets time go on"
+            )
         elif session.phase is Phase.PAUSED:
             diagnostics.ok(f"paused at tick {session.tick}")
         elif session.phase is Phase.FREE_RUNNING:
@@ -64,6 +70,8 @@ class Health:
             )
         elif record is not None and record.trouble:
             diagnostics.warn(f"the record is not complete: {record.trouble}")
+        elif page:
+            diagnostics.warn(f"running without its page: {page}")
         elif not session.powered:
             diagnostics.warn("the drives' power is off, motors at 0 V")
         else:

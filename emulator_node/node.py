@@ -10,9 +10,11 @@ if __name__ == "__main__":  # before slow imports
     if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
+    from arm_emulator.base.wheel import refuse_missing_modules
     from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
+    refuse_missing_modules("emulator")
 
 import time
 from collections.abc import Mapping
@@ -139,7 +141,7 @@ class EmulatorNode(ManagedNode):
         self._own = own = Context(self, session, diagnostics, gate, outbox, view, pace)
         self._reports = reports = Reports(own, config.report_period)
         self._status = status = Status(own, reports)
-        health = Health(own, lambda: self._config.timeout)
+        health = Health(own, lambda: self._config.timeout, lambda: watched.trouble)
         breaks = Breaks(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
         loop = LoopPacer(own, reports, health, breaks) if session.by_itself else None
         self._pacer: Pacer = loop or LockstepPacer(own, reports, health, breaks)

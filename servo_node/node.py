@@ -10,9 +10,11 @@ if __name__ == "__main__":  # before slow imports
     if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
+    from arm_emulator.base.wheel import refuse_missing_modules
     from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
+    refuse_missing_modules("servo")
 
 import time
 from array import array

@@ -13,11 +13,11 @@ from arm_emulator.build.c_header import Library
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.machine.core_calls import ARM
 
-NAMES = 'hip\'s "<1>"', "lift"
+NAMES = "hip [1]: left", "lift"
 
 PERIOD = 1e-3
 
-MASS, STIFFNESS = "payload.mass", "joints.'hip\\'s \\\"<1>\\\"'.gear.stiffness"
+MASS, STIFFNESS = "payload.mass", "joints.'hip [1]: left'.gear.stiffness"
 
 LINES = "command_*", "measurement_*", "controller_*", "encoders_swapped"
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from test_dependencies import OF_ROS, imported
 
 from arm_emulator.cli.commands import doctor
 from arm_emulator.cli.commands.doctor import Finding, findings
@@ -52,10 +53,44 @@ def test_a_missing_tool_is_a_problem_with_a_remedy(
     assert found("compiler").level == "problem"
     monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
     assert found("disk").level == "problem" and "make room" in found("disk").remedy
-    monkeypatch.setattr(doctor, "EXTRAS", (("no_such_module", "no-such", "`nothing`"),))
-    assert found("no-such") == Finding(
-        "no-such", "note", "not installed, needed by `nothing`", "pip install no-such"
-    )
+
+
+def test_every_import_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Modules that are missing, and those that cannot be imported, are named with their package."""
+    known = {*doctor.NEEDED, *doctor.EXTRAS}
+    ours = {one for one in imported("arm_emulator") if not OF_ROS.fullmatch(one)}
+    assert ours <= known, "each is needed by all, or by the commands that are named"
+    (tmp_path / "coal.py").write_text("raise ImportError('libcoal.so: no such file')")
+    (tmp_path / "broken_module.py").write_text("print('noise')\nraise SystemExit(0)")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(doctor, "NEEDED", ("coal", "no_such_module", "numpy"))
+    monkeypatch.setattr(doctor, "EXTRAS", {"broken_module": "`this`", "no_such_extra": "`that`"})
+    found = {one.name: one for one in doctor.imports()}
+    assert found["numpy"].level == "ok"
+    assert found["coal"].level == "problem" and "libcoal.so" in found["coal"].text
+    assert found["coal"].remedy == "pip install pin"
+    assert found["no_such_module"].level == "problem"
+    assert found["broken_module"].level == "note" and "`this`" in found["broken_module"].text
+    assert found["no_such_extra"] == Finding(
+        "no_such_extra", "note", "module no_such_extra is not installed, needed by `that`",
+        "pip install no_such_extra",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [
+    ["-m", "motion_controller_node.node"], ["-m", "arm_emulator", "run", "three_axis"],
+])  # fmt: skip
+def test_a_program_without_a_package_ends_with_one_line(words: list[str], tmp_path: Path) -> None:
+    """A node that imports at its top does so, too: `up` prints its line and ends with its code."""
+    (tmp_path / "coal.py").write_text("raise ModuleNotFoundError('none', name='coal')")
+    path = os.pathsep.join([str(tmp_path), os.environ["PYTHONPATH"]])
+    done = subprocess.run(
+        [sys.executable, *words], env=os.environ | {"PYTHONPATH": path},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "Python module coal must be installed" in line and "pip install pin" in line
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
         "truth.motor_speed": state.omega_m,
         "truth.current": state.current,
         "truth.energy": plant.energy,
-        "truth.winding_temperature.'hip\\'s \\\"<1>\\\"'": plant.winding_temperatures[0],
+        f"truth.winding_temperature.'{NAMES[0]}'": plant.winding_temperatures[0],
         "faults": measured.faults,
     }
     outputs = {n for n, v in one.fmu.variables.items() if v.attrib["causality"] == "output"}

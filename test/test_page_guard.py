@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import socket
 
+import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.page.guard import COOKIE, Guard
+from arm_emulator.page.guard import Guard
 from arm_emulator.page.page_address import PageAddress
 
 TOKEN = "s3cret-token"
@@ -15,42 +16,82 @@ OWN = {"Host": "127.0.0.1:8765"}
 
 
 @pytest.mark.parametrize(
-    ("path", "headers", "reason"),
+    ("path", "headers", "status", "below"),
     [
-        (f"/?token={TOKEN}", OWN, ""),
-        ("/", {**OWN, "Cookie": f"{COOKIE}={TOKEN}"}, ""),
-        ("/a.js", {**OWN, "Cookie": f"other=1; {COOKIE}={TOKEN}"}, ""),
-        (f"/?token={TOKEN}", {"Host": "localhost:8765", "Origin": "http://localhost:8765"}, ""),
-        (f"/?token={TOKEN}", {"Host": "[::1]:8765"}, ""),
-        ("/", OWN, "token"),
-        ("/?token=", OWN, "token"),
-        ("/?token=other", OWN, "token"),
-        (f"/?token={TOKEN}x", OWN, "token"),
-        (f"/?token={TOKEN[:-1]}", OWN, "token"),
-        ("/", {**OWN, "Cookie": f"{COOKIE}=other"}, "token"),
-        ("/", {**OWN, "Cookie": f"x{COOKIE}={TOKEN}"}, "token"),
-        ("/", {**OWN, "Cookie": "=;=;\x00"}, "token"),
-        (f"/{TOKEN}", OWN, "token"),
-        (f"/?token={TOKEN}", {}, "address"),
-        (f"/?token={TOKEN}", {"Host": "evil.example:8765"}, "address"),
-        (f"/?token={TOKEN}", {"Host": "127.0.0.1.evil.example"}, "address"),
-        (f"/?token={TOKEN}", {"Host": "evil@127.0.0.2"}, "address"),
-        (f"/?token={TOKEN}", {**OWN, "Origin": "http://evil.example"}, "another page"),
-        (f"/?token={TOKEN}", {**OWN, "Origin": "http://127.0.0.1:9999"}, "another page"),
-        (f"/?token={TOKEN}", {**OWN, "Origin": "null"}, "another page"),
+        (f"/{TOKEN}/", OWN, 200, "/"),
+        (f"/{TOKEN}", OWN, 200, "/"),
+        (f"/{TOKEN}?look=dark", OWN, 200, "/?look=dark"),
+        (f"/{TOKEN}/a/b.js?x=..", OWN, 200, "/a/b.js?x=.."),
+        (f"/{TOKEN}/", {"Host": "localhost:8765", "Origin": "http://localhost:8765"}, 200, "/"),
+        (f"/{TOKEN}/", {"Host": "[::1]:8765"}, 200, "/"),
+        ("/", OWN, 403, "token"),
+        ("/other/", OWN, 403, "token"),
+        (f"/{TOKEN}x/", OWN, 403, "token"),
+        (f"/{TOKEN[:-1]}/", OWN, 403, "token"),
+        (f"/?token={TOKEN}", OWN, 403, "token"),
+        (f"//{TOKEN}/", OWN, 403, "token"),
+        ("/", {**OWN, "Cookie": f"arm_emulator_page={TOKEN}"}, 403, "token"),
+        (f"/{TOKEN}/", {}, 403, "address"),
+        (f"/{TOKEN}/", {"Host": "evil.example:8765"}, 403, "address"),
+        (f"/{TOKEN}/", {"Host": "127.0.0.1.evil.example"}, 403, "address"),
+        (f"/{TOKEN}/", {"Host": "evil@127.0.0.2"}, 403, "address"),
+        (f"/{TOKEN}/", {**OWN, "Origin": "http://evil.example"}, 403, "another page"),
+        (f"/{TOKEN}/", {**OWN, "Origin": "http://127.0.0.1:9999"}, 403, "another page"),
+        (f"/{TOKEN}/", {**OWN, "Origin": "null"}, 403, "another page"),
+        ("", OWN, 400, "malformed"),
+        (TOKEN, OWN, 400, "malformed"),
+        (f"http://127.0.0.1:8765/{TOKEN}/", OWN, 400, "malformed"),
+        (f"/{TOKEN}/../../etc/passwd", OWN, 400, "malformed"),
+        (f"/{TOKEN}/..", OWN, 400, "malformed"),
+        (f"/{TOKEN}/\0", OWN, 400, "malformed"),
+        (f"/{TOKEN}/\xff", OWN, 400, "malformed"),
+        (f"/{TOKEN}\xff/", OWN, 400, "malformed"),
+        (f"/{TOKEN}/", {"Host": "[::1"}, 400, "malformed"),
+        (f"/{TOKEN}/", {**OWN, "Origin": "http://[x"}, 400, "malformed"),
     ],
 )  # fmt: skip
-def test_requests_are_judged(path: str, headers: dict[str, str], reason: str) -> None:
-    found = Guard(TOKEN).reason(path, headers)
-    assert (reason in found) if reason else not found, found
+def test_requests_are_judged(path: str, headers: dict[str, str], status: int, below: str) -> None:
+    found = Guard(TOKEN).judge(path, headers)
+    assert found.status == status
+    assert found.path == below if status == 200 else below in found.text
 
 
-def test_the_cookie_is_set_where_the_token_came_and_no_script_or_other_page_gets_it() -> None:
-    guard = Guard(TOKEN)
-    cookie = guard.cookie(f"/?token={TOKEN}")
-    assert cookie.startswith(f"{COOKIE}={TOKEN};")
-    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
-    assert guard.cookie("/") == "" == guard.cookie("/a.js?x=1")
+def test_a_header_that_comes_twice_is_malformed() -> None:
+    of = pytest.importorskip("websockets.datastructures", reason="see requirements-peers.txt")
+    headers = of.Headers([("Host", "127.0.0.1:1"), ("Host", "evil.example")])
+    assert Guard(TOKEN).judge(f"/{TOKEN}/", headers).status == 400
+
+
+def test_any_request_has_an_answer() -> None:
+    """Random bytes in path and headers end in one of three answers, and open nothing."""
+    rng = np.random.default_rng(7)
+    pieces = [
+        "/",
+        TOKEN,
+        "..",
+        "?",
+        "%",
+        "[",
+        "]",
+        "@",
+        ":",
+        "//",
+        "\0",
+        "\xff",
+        "é",
+        "#",
+        " ",
+        "x",
+    ]
+    for _ in range(2000):
+        path, host, origin = (
+            "".join(rng.choice(pieces, int(rng.integers(0, 6)))) for _ in range(3)
+        )
+        found = Guard(TOKEN).judge(path, {"Host": host, "Origin": origin})
+        assert found.status in (400, 403), (path, host, origin)
+        found = Guard(TOKEN).judge(path, OWN)
+        assert found.status in (200, 400, 403), path
+        assert (found.status == 200) <= (path.partition("?")[0].split("/")[1:2] == [TOKEN]), path
 
 
 @pytest.mark.parametrize(("text", "host", "port"), [
@@ -82,5 +123,5 @@ def test_a_page_for_other_machines_is_asked_for_by_addresses_and_by_its_own_name
     assert not any(map(every.is_asked_by, ("evil.example", "192.168.1.5.evil.example", "", None)))
     one = PageAddress.of("192.168.1.5:0")
     assert one.is_asked_by("192.168.1.5") and not one.is_asked_by("192.168.1.6")
-    assert Guard(TOKEN, one).reason(f"/?token={TOKEN}", {"Host": "192.168.1.5:80"}) == ""
-    assert "token" in Guard(TOKEN, one).reason("/", {"Host": "192.168.1.5:80"})
+    assert Guard(TOKEN, one).judge(f"/{TOKEN}/", {"Host": "192.168.1.5:80"}).status == 200
+    assert "token" in Guard(TOKEN, one).judge("/", {"Host": "192.168.1.5:80"}).text

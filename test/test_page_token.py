@@ -1,49 +1,36 @@
-"""The page's token: the same for a user's pages, unknown to others."""
+"""The page's token: a new one for each run, or the one that its launcher has printed."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
+import re
 
 import pytest
 
-from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.page.entrance import is_at_entrance
-from arm_emulator.page.page_token import NAME, page_token
+from arm_emulator.page.page_token import VARIABLE, new_token, page_token
 
 
-@pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    return tmp_path / NAME
+def test_every_run_has_a_token_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    tokens = {page_token() for _ in range(100)}
+    assert len(tokens) == 100
+    assert all(re.fullmatch("[A-Za-z0-9_-]{22}", one) for one in tokens), "128 bits, for a path"
 
 
-def test_a_token_is_kept_for_its_user_alone(file: Path) -> None:
-    token = page_token()
-    assert len(token) > 20 and page_token() == token == file.read_text()
-    assert file.stat().st_mode & 0o777 == 0o600
-    assert [one.name for one in file.parent.iterdir()] == [NAME]
-    file.unlink()
-    assert page_token() != token
+def test_the_token_of_a_launcher_serves_one_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    token = new_token()
+    monkeypatch.setenv(VARIABLE, token)
+    assert page_token() == token
+    assert VARIABLE not in os.environ and page_token() != token
 
 
-@pytest.mark.parametrize("how", ["readable", "short", "link", "folder"])
-def test_a_file_that_is_not_a_secret_is_not_used(file: Path, how: str, tmp_path: Path) -> None:
-    token = page_token()
-    match how:
-        case "readable":
-            file.chmod(0o644)
-        case "short":
-            file.write_text("")
-        case "link":
-            file.rename(tmp_path / "other")
-            file.symlink_to(tmp_path / "other")
-        case _:
-            file.unlink()
-            file.mkdir()
-    fresh = page_token()
-    assert fresh != token and len(fresh) == len(token) and page_token() != fresh
+@pytest.mark.parametrize("weak", ["", "short", "../" + 30 * "a", 30 * "ä", 30 * "a" + "?x"])
+def test_a_launcher_cannot_weaken_it(weak: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, weak)
+    assert page_token() != weak
 
 
 def test_browsers_come_in_by_the_entrance_once() -> None:
-    assert is_at_entrance("/?token=x") and is_at_entrance("/")
-    assert not is_at_entrance("/?token=x&look=dark&darkMode=") and not is_at_entrance("/a.js")
+    assert is_at_entrance("/?x=y") and is_at_entrance("/")
+    assert not is_at_entrance("/?look=dark&darkMode=") and not is_at_entrance("/a.js")

@@ -266,10 +266,16 @@ def _library_name(unit: Unit, target: str) -> str:
     return f"{_stem(unit, target)}{compiler[:OF_COMPILER]}.so"
 
 
+def stem_of(name: str) -> str:
+    """Return the begin of the file names of a unit's libraries, up to its digest.
+
+    It is a name for every file system, even with a suffix for files beside the library.
+    """
+    return "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in name)[:60]
+
+
 def _stem(unit: Unit, target: str) -> str:
-    # A name for every file system, even with a suffix for files beside the library.
-    name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in unit.name)[:60]
-    return f"{name}-{_digest(unit, target)[: 20 - OF_COMPILER]}"
+    return f"{stem_of(unit.name)}-{_digest(unit, target)[: 20 - OF_COMPILER]}"
 
 
 def _digest(unit: Unit, target: str) -> str:

@@ -35,6 +35,7 @@ _STYLE = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "figure.facecolor": "white",
+    "text.parse_math": False,  # names in a campaign are text
     "figure.constrained_layout.w_pad": 0.12,  # inches
     "figure.constrained_layout.h_pad": 0.08,
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.escape import html_text
 from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign import pictures
 from arm_emulator.campaign.campaign_file import Campaign
@@ -123,14 +123,14 @@ def _page(
     drawn: dict[str, bytes],
     findings: Sequence[Finding],
 ) -> Iterable[str]:
-    scenario, name = campaign.nominal[0], html.escape(campaign.file.stem)
+    scenario, name = campaign.nominal[0], html_text(campaign.file.stem)
     yield f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
     yield f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>"
     method = campaign.search
     of_all = "" if method else f"of {campaign.count} "
     runs = f"{summary.count} {of_all}runs" if summary.count else "Runs and forks of runs"
     yield f"<h1>{name}</h1><p class=lead>{runs} of the scene "
-    yield f"<b>{html.escape(campaign.scene.name)}</b>, {scenario.seconds:g} s each; "
+    yield f"<b>{html_text(campaign.scene.name)}</b>, {scenario.seconds:g} s each; "
     how = f"searched by {method.kind}" if method else campaign.variation.sampling
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
     if summary.count:
@@ -184,24 +184,24 @@ def _of_runs(
 
 
 def _finding(one: Finding) -> Iterable[str]:
-    yield f"<h2>{html.escape(one.title)}</h2><p>{html.escape(one.about)}</p>"
+    yield f"<h2>{html_text(one.title)}</h2><p>{html_text(one.about)}</p>"
     if not one.rows:
         return
     words = [isinstance(entry, str) for entry in one.rows[0]]
     kinds = ["" if word else " class=n" for word in words]
     yield "<div class=scroll><table><tr>"
     yield "".join(
-        f"<th{kind}>{html.escape(head)}" for kind, head in zip(kinds, one.head, strict=True)
+        f"<th{kind}>{html_text(head)}" for kind, head in zip(kinds, one.head, strict=True)
     )
     yield "</tr>"
     for row in one.texts():
         cells = zip(kinds, row, strict=True)
-        yield "<tr>" + "".join(f"<td{kind}>{html.escape(entry)}" for kind, entry in cells) + "</tr>"
+        yield "<tr>" + "".join(f"<td{kind}>{html_text(entry)}" for kind, entry in cells) + "</tr>"
     yield "</table></div>"
 
 
 def _card(value: str, text: str, kind: str = "") -> str:
-    return f"<div class='card {kind}'><b>{html.escape(value)}</b><span>{text}</span></div>"
+    return f"<div class='card {kind}'><b>{html_text(value)}</b><span>{text}</span></div>"
 
 
 def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
@@ -215,12 +215,12 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         given = campaign.requirements.get(one.name, "")
         text = given if isinstance(given, str) else str(given.get("python", ""))
         bad = " bad" if one.hits else ""
-        yield f"<tr><td class=formula><b>{html.escape(one.name)}</b>"
-        yield f"<br><code>{html.escape(text)}</code>" if text else ""
+        yield f"<tr><td class=formula><b>{html_text(one.name)}</b>"
+        yield f"<br><code>{html_text(text)}</code>" if text else ""
         yield f"<td class='n{bad}'>{one.hits}"
         yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
         known = one.worst >= 0
-        unit = html.escape(units.get(f"{ROBUSTNESS}{one.name}", ""))
+        unit = html_text(units.get(f"{ROBUSTNESS}{one.name}", ""))
         yield f"<td class='n{bad}'>{one.least:.4g} {unit}" if known else "<td>"
         yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"
     yield "</table></div>"
@@ -246,12 +246,12 @@ def _worst(
     command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
     yield "<h2>Worst runs</h2><p>The least margins of each requirement, in turns. This line prints "
     yield "the row of any run and records its motion:"
-    yield f"<br><code>{html.escape(command)} INDEX --record run.mcap</code> or "
+    yield f"<br><code>{html_text(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
     heads = {name: f"margin of {short}" for name, short in margins.items()}
     for name, head in (heads | {name: pictures.short(name) for name in shown}).items():
         unit = f" [{units[name]}]" if units[name] else ""
-        yield f"<th class=n>{html.escape(head + unit)}"
+        yield f"<th class=n>{html_text(head + unit)}"
     yield "<th>drive it again</tr>"
     for at in np.argsort(ranks, kind="stable")[:WORST]:
         index = int(columns[INDEX][at])
@@ -261,7 +261,7 @@ def _worst(
             yield f"<td class='n{'' if margin >= 0.0 else ' bad'}'>{margin:.4g}"
         yield "".join(f"<td class=n>{columns[name][at]:.4g}" for name in shown)
         line = f"{command} {index} --rerun run_{index}.rrd"
-        yield f"<td><code>{html.escape(line)}</code></tr>"
+        yield f"<td><code>{html_text(line)}</code></tr>"
     yield "</table></div>"
 
 
@@ -272,7 +272,7 @@ def _quantiles(summary: Summary) -> Iterable[str]:
     yield "<h2>Quantiles</h2><div class=scroll><table><tr><th>"
     yield "".join(f"<th class=n>{100 * q:g} %" for q in heads) + "</tr>"
     for column in dict.fromkeys(one.column for one in summary.quantiles):
-        yield f"<tr><td>{html.escape(column)}"
+        yield f"<tr><td>{html_text(column)}"
         for one in (one for one in summary.quantiles if one.column == column):
             low_high = f"{one.low:.5g} to {one.high:.5g}"
             yield f"<td class=n title='{low_high}'>{one.value:.4g}"

@@ -12,6 +12,7 @@ from functools import partial
 
 from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import missing_module
 from arm_emulator.cli.command import Command, command_names, load_command, near_names, summary_of
 from arm_emulator.cli.output import output
 from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
@@ -102,9 +103,10 @@ def _missing(where: str, missing: ModuleNotFoundError) -> Refusal:
     if not top or top == "arm_emulator":
         raise missing
     of_ros = top in ROS_MODULES or top.endswith(("_msgs", "_srvs", "_interfaces"))
-    quantity = f"ROS 2, with its Python module {top}," if of_ros else f"Python module {top}"
-    remedy = ROS_REMEDY if of_ros else f"pip install {top}"
-    return Refusal(where, quantity, "be installed", "none", remedy)
+    if not of_ros:
+        return missing_module(where, top)
+    quantity = f"ROS 2, with its Python module {top},"
+    return Refusal(where, quantity, "be installed", "none", ROS_REMEDY)
 
 
 def _without_command(words: Sequence[str]) -> int:

@@ -10,6 +10,8 @@ from typing import Any
 
 import yaml
 
+from arm_emulator.base.escape import xml_text
+from arm_emulator.build.unit import stem_of
 from arm_emulator.design import moveit_semantics as semantics
 from arm_emulator.design import ros2_control
 from arm_emulator.machine.scene import Scene
@@ -88,7 +90,7 @@ def generate_launch_description():
     rviz = generate_moveit_rviz_launch(config)
     return LaunchDescription(
         [
-            DeclareLaunchArgument("scene", default_value="{scene}"),
+            DeclareLaunchArgument("scene", default_value={scene!r}),
             DeclareLaunchArgument("clock", default_value="realtime"),
             DeclareLaunchArgument("use_rviz", default_value="true"),
             IncludeLaunchDescription(
@@ -165,7 +167,7 @@ def _yaml(content: Mapping[str, Any]) -> str:
 
 def _description(scene: Scene, package: str) -> str:
     """Return the robot description as a xacro source that finds the machine in its package."""
-    robot = ET.fromstring(ros2_control.description(scene, "MACHINE"))
+    robot = ET.fromstring(ros2_control.description(scene, f"MACHINE/{stem_of(scene.name)}"))
     folders = [Path(folder) for folder in package_folders()]
     for mesh in robot.iter("mesh"):
         # A wheel's packages are not in the index of ROS packages.
@@ -174,7 +176,7 @@ def _description(scene: Scene, package: str) -> str:
         if found is not None:
             mesh.set("filename", found.as_uri())
     text = re.sub(r"\$(?=[({])", "$$", ET.tostring(robot, encoding="unicode"))
-    return text.replace(">MACHINE<", f">$(find {package})/{MACHINE}/{scene.name}<") + "\n"
+    return text.replace(">MACHINE/", f">$(find {package})/{MACHINE}/") + "\n"
 
 
 def _assistant(name: str, package: str) -> dict[str, Any]:
@@ -192,7 +194,7 @@ def _package_xml(package: str, scene: str) -> str:
         ("version", "0.1.0"),
         ("description", f"MoveIt for the emulated arm {scene}"),
     ):
-        ET.SubElement(root, tag).text = text
+        ET.SubElement(root, tag).text = xml_text(text)
     ET.SubElement(root, "maintainer", email="arm_emulator@example.org").text = "its user"
     ET.SubElement(root, "license").text = "Apache-2.0"
     ET.SubElement(root, "buildtool_depend").text = "ament_cmake"

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
+from arm_emulator.base.escape import one_line
 from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.sizing import Demand, Sized, rounded
@@ -71,7 +72,7 @@ def scene_text(
     kinds = {type(drive.joint.motor) for drive in drives if drive.joint.motor}
     rules = "\n".join(f"#                {rule}" for kind in kinds for rule in kind.rules)
     lines = [
-        _RULES.format(robot=given.robot, file=f"{name}.yaml", motor=rules),
+        _RULES.format(robot=one_line(given.robot), file=f"{name}.yaml", motor=rules),
         f"name: {_text(name)}",
         f"urdf: {_text(f'urdf/{name}.urdf')}",
         f"tool: {_text(choice.tool)}",
@@ -83,11 +84,11 @@ def scene_text(
         lines.append(f"payload: {{mass: {given.payload!r}}}  # kg, at the tool")
     if given.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
-        lines += [f"  - {_text(one.link)}  # {one.how}" for one in given.assumed]
+        lines += [f"  - {_text(one.link)}  # {one_line(one.how)}" for one in given.assumed]
     if choice.held:
         lines += ["", "locked:"]
         for joint, held in choice.held.items():
-            lines.append(f"  {_text(joint)}: {held.position!r}  # {held.reason}")
+            lines.append(f"  {_text(joint)}: {held.position!r}  # {one_line(held.reason)}")
     lines += ["", "joints:"]
     for demand, drive in zip(demands, drives, strict=True):
         lines += _joint(demand, drive)
@@ -178,7 +179,8 @@ def servo_text(config: ServoConfig, heading: str) -> str:
             value = getattr(joint, one.name)
             if one.name == "name" or value == one.default:
                 continue
-            key = f"    joints.{joint.name}.{one.name}" if dotted else f"        {one.name}"
+            path = _text(f"joints.{joint.name}.{one.name}")
+            key = f"    {path}" if dotted else f"        {one.name}"
             lines.append(f"{key}: {value!r}")
     return "\n".join(lines) + "\n"
 
@@ -214,7 +216,8 @@ def drives_text(drives: Mapping[str, DriveNumbers]) -> list[str]:
         for one in fields(DriveNumbers):
             value = getattr(drive, one.name)
             if value != one.default:
-                key = f"    {SECTION}.{name}.{one.name}" if dotted else f"        {one.name}"
+                path = _text(f"{SECTION}.{name}.{one.name}")
+                key = f"    {path}" if dotted else f"        {one.name}"
                 lines.append(f"{key}: {value!r}")
     return lines
 

@@ -15,6 +15,7 @@ import zlib
 import numpy as np
 
 from arm_emulator.base.address import not_free
+from arm_emulator.base.escape import c_comment, c_string
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answered_tick import answer_tick
 from arm_emulator.machine.answers import Needless
@@ -84,9 +85,10 @@ class Datagrams:
                 lines.append(f"  {c_type} {field}{size};" + (f"  /* {unit} */" if unit else ""))
             return "typedef struct {\n" + "\n".join(lines) + f"\n}} {name};\n"
 
-        names = ", ".join(f'"{name}"' for name in self._scene.joint_names)
+        names = ", ".join(map(c_string, self._scene.joint_names))
+        scene = c_comment(self._scene.name)
         return f"""\
-/* Datagrams of `arm_emulator udp {self._scene.name}`, numbers little-endian. --header writes it. */
+/* Datagrams of `arm_emulator udp {scene}`, numbers little-endian. --header writes it. */
 #ifndef ARM_UDP_H
 #define ARM_UDP_H
 

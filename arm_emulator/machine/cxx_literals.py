@@ -1,4 +1,4 @@
-"""Numbers and texts as C++ writes them."""
+"""Numbers as C++ writes them."""
 
 from __future__ import annotations
 
@@ -20,13 +20,3 @@ def fields(numbers: Mapping[str, float]) -> str:
 def vector(values: Sequence[float] | Array) -> str:
     """Return a Vec3."""
     return f"{{{fields(dict(zip('xyz', values, strict=True)))}}}"
-
-
-def text(words: str) -> str:
-    """Return a string literal of plain ASCII."""
-    plain = "".join(c if c.isascii() and c.isalnum() else _octal(c) for c in words)
-    return f'"{plain}"'
-
-
-def _octal(character: str) -> str:
-    return "".join(f"\\{byte:03o}" for byte in character.encode())

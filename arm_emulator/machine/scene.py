@@ -18,6 +18,7 @@ import numpy as np
 
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.config_files import BESIDE, find_config
+from arm_emulator.base.name_rule import check_joint_name, check_scene_name
 from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
@@ -37,7 +38,6 @@ from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from arm_emulator.machine.varied import Varied, choose
 
 MASS_NAME = "payload.mass"
-LONGEST_NAME = 100  # bytes
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
 # Meaning of a drive's home offset: from the home position to the zero position, or the reverse.
@@ -200,7 +200,7 @@ def scene_of(given: Scene | str | Path, where: str) -> Scene:
 
 def _build(root: Section, file: Path) -> Scene:
     where = file.name
-    name = root.text("name", most_bytes=LONGEST_NAME)
+    name = check_scene_name(where, root.text("name"))
     links = SceneLinks(root, file)
     chain, mass = links.chain, links.payload_mass
     gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
@@ -317,4 +317,6 @@ def _imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
     section = root.section("imus")
     if section is None:
         return ()
+    for name in section.keys():
+        check_joint_name(root.where, "name in imus", name)
     return tuple(Imu.read(name, section.required_section(name), chain) for name in section.keys())

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from arm_emulator.base.config_files import BESIDE
+from arm_emulator.base.name_rule import LONGEST_NAME, SCENE_MARKS
 from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.machine.integrator import EVENTS, EXCHANGES, Integrator
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.payload import COM, INERTIA, MASS
-from arm_emulator.machine.scene import CORES, GRAVITY, HOME_OFFSETS, LONGEST_NAME, Scene
+from arm_emulator.machine.scene import CORES, GRAVITY, HOME_OFFSETS, Scene
 from arm_emulator.machine.scene_links import LOCKED, SHARE
 from arm_emulator.machine.schemes.known import SCHEMES
 
@@ -42,7 +43,8 @@ def _names(of: str, absent: str, text: str) -> Key:
 _SCENE, _INTEGRATOR = numbers_of(Scene), numbers_of(Integrator)
 
 MACHINE: Keys = {
-    "name": Key("", range=f"text, at most {LONGEST_NAME} bytes", absent="refused",
+    "name": Key("", range=f"letters, digits, blanks and `{SCENE_MARKS}`, at most {LONGEST_NAME}"
+                " bytes", absent="refused",
                 text="what the scene is called"),
     "urdf": Key("", range="file", absent="refused",
                 text="the links. A path relative to the scene file, or `example-robot-data:PATH`"

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from arm_emulator.base.escape import c_string
 from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
-from arm_emulator.machine.cxx_literals import fields, number, text, vector
+from arm_emulator.machine.cxx_literals import fields, number, vector
 from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.joint import Joint
@@ -166,8 +167,8 @@ def _inputs(scene: Scene) -> str:
         at = [input_at(joint, name) for joint in scene.joints]
         pairs = zip(scene.joints, at, strict=True)
         of = ", ".join(str(joint.inputs[1:].index(one) if one else -1) for joint, one in pairs)
-        units = ", ".join(text(one.unit if one else "") for one in at)
-        rows.append(f"      {{{text(name)}, {{{of}}}, {{{units}}}}},\n")
+        units = ", ".join(c_string(one.unit if one else "") for one in at)
+        rows.append(f"      {{{c_string(name)}, {{{of}}}, {{{units}}}}},\n")
     return f"""\
   static constexpr int inputs = {len(names)};
   static constexpr arm::FurtherInput<N> input[inputs + 1] = {{
@@ -180,7 +181,7 @@ def _readings(scene: Scene) -> str:
     if not rows:
         return "  static constexpr int readings = 0;\n"
     lines = ",\n".join(
-        f"      {{{text(one.name)}, {text(one.unit)}, {text(one.unit_at('prismatic'))}}}"
+        f"      {{{', '.join(map(c_string, (one.name, one.unit, one.unit_at('prismatic'))))}}}"
         for one in rows
     )
     return f"""\
@@ -221,7 +222,7 @@ def _matrix(rows: Array) -> str:
 def _parameter(one: Varied) -> str:
     least, most = one.number.ends
     numbers = fields({"least": least, "most": most})
-    return f"{{.name = {text(one.name)}, {numbers}}}"
+    return f"{{.name = {c_string(one.name)}, {numbers}}}"
 
 
 def _body(body: Body) -> str:
@@ -305,4 +306,4 @@ def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> st
 
 def _device(joint: Joint) -> str:
     counts_per_rad = number(joint.counts_per_turn / (2.0 * math.pi))
-    return f"      {{.name = {text(joint.name)}, .counts_per_rad = {counts_per_rad}}}"
+    return f"      {{.name = {c_string(joint.name)}, .counts_per_rad = {counts_per_rad}}}"

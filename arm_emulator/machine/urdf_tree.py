@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.name_rule import check_joint_name
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import EYE, X_AXIS, Array, Bodies, Frame, clean, turns
 
@@ -47,6 +48,8 @@ def names_of(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
             raise Refusal(where, f"{tag} name", "be given and unique", repr(name))
         if not name.isprintable():
             raise Refusal(where, f"{tag} name", "have printable letters only", repr(name))
+        if tag == "joint":
+            check_joint_name(where, "joint name", name)
         names[name] = place
     return names
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ class Desk:
 
     def __init__(self, hands: MachineHands, near: Connection | None = None) -> None:
         self._hands, self._near, self._closing = hands, near, threading.Event()
+        self._served = near is not None
 
     def attends(self) -> bool:
         """Answer waiting requests between two ticks; while time stands still on request, stay here.
@@ -46,7 +48,7 @@ class Desk:
 
     def drive(self, advance: Callable[[int], None], ticks: int) -> None:
         """Let so many ticks pass, and answer requests in between."""
-        if self._near is None:
+        if not self._served:
             advance(ticks)
             return
         while ticks > 0 and self.attends():
@@ -58,12 +60,17 @@ class Desk:
 
     def attend_always(self, session: Session) -> None:
         """Answer requests in a thread, while its owner lets the session's time pass."""
-        assert self._near is not None
-        while not self._closing.is_set():
-            with contextlib.suppress(OSError):
-                if self._near.poll(LOOK):
-                    with session.turn, session.between_ticks():
-                        self.attends()
+        while not self._closing.is_set() and self._near is not None:
+            if self._has_request():
+                with session.turn, session.between_ticks():
+                    self.attends()
+
+    def _has_request(self) -> bool:
+        """Return whether a request waits, or the page has ended."""
+        try:
+            return self._near is not None and self._near.poll(LOOK)
+        except OSError:
+            return True
 
     def close(self) -> None:
         """Answer no more requests."""
@@ -72,15 +79,34 @@ class Desk:
     def _fulfil(self, timeout: float) -> None:
         if self._near is None:
             return
-        with contextlib.suppress(OSError, EOFError):  # the page has ended
+        try:
             while self._near.poll(timeout):
-                what, given = self._near.recv()
-                try:
-                    answer = getattr(self._hands, what)(*given)
-                except Refusal as reason:
-                    answer = reason
-                self._near.send((self._hands.tick, answer))
+                number, what, given = self._near.recv()
+                self._near.send((number, self._hands.tick, self._answer(what, given)))
                 timeout = 0.0
+        except (OSError, EOFError):
+            self._near = None
+            if not self._closing.is_set():
+                self._go_on_alone()
+
+    def _answer(self, what: str, given: tuple[Any, ...]) -> Any:
+        """Return the answer to a request, which a browser may have filled with anything."""
+        try:
+            if what not in Hands.can(self._hands):
+                raise Refusal("page", "action", "be possible here", what)
+            return getattr(self._hands, what)(*given)
+        except Refusal as reason:
+            return reason
+        except (TypeError, ValueError, LookupError, ArithmeticError) as error:
+            return Refusal("page", what, "have values that it can take", repr(error))
+
+    def _go_on_alone(self) -> None:
+        """Let time pass again, since the page that may have stopped it has ended."""
+        words = "the machine goes on"
+        if self._hands.paused:
+            self._hands.pause(False)
+            words = "the machine, which it had paused, goes on"
+        print(f"page: its process has ended; {words}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
@@ -149,7 +175,7 @@ class _PipedHands(Hands):
         self._pipe, self._able, self._turn = pipe, able, threading.Lock()
         self._events: list[tuple[int, str]] = []
         self._paused: bool | None = None
-        self._tick = 0
+        self._tick, self._number = 0, 0
 
     def can(self) -> frozenset[str]:
         return self._able
@@ -166,11 +192,15 @@ class _PipedHands(Hands):
             Refusal: it has refused, or does not answer.
         """
         with self._turn:
+            self._number += 1
             try:
-                self._pipe.send((what, given))
-                if not self._pipe.poll(PATIENCE):
-                    raise Refusal("page", "machine", f"answer within {PATIENCE:g} s", "no answer")
-                self._tick, answer = self._pipe.recv()
+                self._pipe.send((self._number, what, given))
+                number = 0
+                while number != self._number:  # others came too late for their requests
+                    if not self._pipe.poll(PATIENCE):
+                        rule = f"answer within {PATIENCE:g} s"
+                        raise Refusal("page", "machine", rule, "no answer")
+                    number, self._tick, answer = self._pipe.recv()
             except (OSError, EOFError):
                 raise Refusal("page", "machine", "go on", "one that has ended") from None
         if isinstance(answer, Refusal):

@@ -6,8 +6,10 @@ from urllib.parse import parse_qs, urlsplit
 
 LOOK = "look"  # in the query: the browser has been here
 # `darkMode` is what the library of the page looks for.
-TEXT = """<!doctype html><meta charset="utf-8"><title>arm_emulator</title><script>
+TEXT = """<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">
+<title>arm_emulator</title><script>
 const to = new URL(location.href);
+if (!to.pathname.endsWith("/")) to.pathname += "/";
 const dark = matchMedia("(prefers-color-scheme: dark)").matches;
 to.searchParams.set("LOOK", dark ? "dark" : "light");
 if (dark) to.searchParams.set("darkMode", "");

@@ -2,70 +2,81 @@
 
 A browser sends the requests of any page that is open in it to this machine, too. So the token alone
 opens the page, a page of another origin gets nothing, and neither does a name that resolves to this
-machine (DNS rebinding).
+machine (DNS rebinding). The token is the first folder of the path, from which the browser takes all
+its further requests, that of the websocket among them. There is no cookie: browsers send cookies to
+every port of a host (RFC 6265, 8.5).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hmac
-import http
 import importlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from http.cookies import CookieError, SimpleCookie
+from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from arm_emulator.page.entrance import TEXT, is_at_entrance
 from arm_emulator.page.page_address import PageAddress
 
-COOKIE = "arm_emulator_page"
 HERE = PageAddress()
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """Decision on a request.
+
+    Attributes:
+        status: OK, or that of its refusal.
+        text: reason of its refusal.
+        path: what it asks for below the folder of the token.
+    """
+
+    status: HTTPStatus
+    text: str = ""
+    path: str = ""
 
 
 class Guard:
     """Decides on requests.
 
     Args:
-        token: secret of the page, in the query of its first request and in a cookie afterwards.
+        token: secret of the page, the first folder of the path of every request.
         address: at which the page is served.
     """
 
     def __init__(self, token: str, address: PageAddress = HERE) -> None:
         self._token, self._address = token, address
 
-    def reason(self, path: str, headers: Any) -> str:
-        """Return why a request is refused; empty: it is not.
+    def judge(self, path: str, headers: Any) -> Verdict:
+        """Return the decision on a request.
 
         Args:
             path: of the request, with its query.
             headers: of the request, with `get`.
         """
-        host = headers.get("Host", "")
-        if not self._address.is_asked_by(urlsplit(f"//{host}").hostname):
-            return "the page is not asked for by its own address"
-        origin = headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return "the request comes from another page"
-        if not any(hmac.compare_digest(one, self._token) for one in _tokens(path, headers)):
-            return "the token is missing or wrong: open the whole address that was printed"
-        return ""
-
-    def cookie(self, path: str) -> str:
-        """Return the cookie to set in the answer to a request with a token; empty: none."""
-        if "token" not in parse_qs(urlsplit(path).query):
-            return ""
-        return f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-
-
-def _tokens(path: str, headers: Any) -> Iterator[str]:
-    yield from parse_qs(urlsplit(path).query).get("token", ())
-    try:
-        cookies = SimpleCookie(headers.get("Cookie", ""))
-    except CookieError:
-        return
-    if COOKIE in cookies:
-        yield cookies[COOKIE].value
+        try:
+            host = headers.get("Host", "")
+            asked = urlsplit(f"//{host}").hostname
+            origin = headers.get("Origin")
+            own = origin is None or urlsplit(origin).netloc == host
+        except (ValueError, LookupError):  # no address, or a header that came twice
+            return Verdict(HTTPStatus.BAD_REQUEST, "the request is malformed")
+        folders = path.partition("?")[0].split("/")
+        if not (path[:1] == "/" and path.isascii() and path.isprintable()) or ".." in folders:
+            return Verdict(HTTPStatus.BAD_REQUEST, "the path of the request is malformed")
+        if not self._address.is_asked_by(asked):
+            reason = "the page is not asked for by its own address"
+            return Verdict(HTTPStatus.FORBIDDEN, reason)
+        if not own:
+            return Verdict(HTTPStatus.FORBIDDEN, "the request comes from another page")
+        if not hmac.compare_digest(folders[1].encode(), self._token.encode()):
+            reason = "the token is missing or wrong: open the whole address that was printed"
+            return Verdict(HTTPStatus.FORBIDDEN, reason)
+        below = path[1 + len(self._token) :]
+        return Verdict(HTTPStatus.OK, path=below if below[:1] == "/" else f"/{below}")
 
 
 @contextmanager
@@ -80,22 +91,27 @@ def guarded(guard: Guard) -> Iterator[None]:
 
     plain = server.serve
 
-    def answer(status: http.HTTPStatus, kind: str, text: str) -> Response:
+    def answer(status: HTTPStatus, kind: str, text: str) -> Response:
         body = text.encode()
         lines = {"Content-Type": f"text/{kind}", "Content-Length": str(len(body))}
         return Response(status.value, status.phrase, Headers(lines), body)
 
     def serve(*given: Any, process_request: Callable[[Any, Any], Any], **named: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
-            reason = guard.reason(request.path, request.headers)
-            if reason:
-                return answer(http.HTTPStatus.FORBIDDEN, "plain", f"arm_emulator: {reason}\n")
-            if is_at_entrance(request.path) and "Upgrade" not in request.headers:
-                response = answer(http.HTTPStatus.OK, "html", TEXT)
-            else:
-                response = process_request(connection, request)
-            if response is not None and (cookie := guard.cookie(request.path)):
-                response.headers["Set-Cookie"] = cookie
+            verdict = guard.judge(request.path, request.headers)
+            if verdict.status is not HTTPStatus.OK:
+                return answer(verdict.status, "plain", f"arm_emulator: {verdict.text}\n")
+            if is_at_entrance(verdict.path) and "Upgrade" not in request.headers:
+                return answer(HTTPStatus.OK, "html", TEXT)
+            below = dataclasses.replace(request, path=verdict.path)
+            try:
+                response = process_request(connection, below)
+            except OSError:  # a folder, or a name that no file can have
+                return answer(HTTPStatus.NOT_FOUND, "plain", "arm_emulator: no such file\n")
+            except (ValueError, LookupError):
+                return answer(HTTPStatus.BAD_REQUEST, "plain", "arm_emulator: malformed request\n")
+            if response is not None:
+                response.headers["Referrer-Policy"] = "no-referrer"  # the path has the token
             return response
 
         return plain(*given, process_request=checked, **named)

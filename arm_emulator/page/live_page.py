@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.column import Column, Rows
+from arm_emulator.base.escape import markdown_code, markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.record_row import values_of
 from arm_emulator.machine.scene import Scene
 from arm_emulator.page.arm_scene import ArmScene
+from arm_emulator.page.choice import chosen
 from arm_emulator.page.event_list import EventList
 from arm_emulator.page.hands import Hands
 from arm_emulator.page.live_history import LiveHistory
 from arm_emulator.page.machine_tab import machine_tab
-from arm_emulator.page.number_table import UNITS, as_code, number_table
+from arm_emulator.page.number_table import UNITS, number_table
 from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.push_tab import PushTab
 from arm_emulator.page.signal_plot import SignalPlot
@@ -81,7 +83,7 @@ class LivePage:
         self._arm = ArmScene(served.server, scene)
         served.look_from(self._arm.size)
         can = hands.can()
-        gui.add_markdown(f"**{scene.name}**")
+        gui.add_markdown(f"**{markdown_text(scene.name)}**")
         self._moment = gui.add_markdown("no tick yet")
         self._slider = gui.add_slider("Tick", 0, 1, 1, 0)
         self._slider.on_update(lambda _: None if self._changing else self.go(self._slider.value))
@@ -111,7 +113,7 @@ class LivePage:
                 gui.add_button("Set the breakpoint").on_click(lambda _: self._break())
             self._list = EventList(gui, self.go)
         if self._arm.missing:
-            gui.add_markdown(f"The arm's shapes are not shown. {self._arm.missing}")
+            gui.add_markdown(f"The arm's shapes are not shown. {markdown_text(self._arm.missing)}")
 
     @property
     def server(self) -> Any:
@@ -223,7 +225,7 @@ class LivePage:
 
     def _plot(self) -> None:
         with self.exclusive:
-            self._plots.show(self._history.since(SPANS[self._span.value], SAMPLES))
+            self._plots.show(self._history.since(SPANS[chosen(self._span, SPANS)], SAMPLES))
 
     @property
     def plotted(self) -> tuple[Any, ...]:
@@ -248,7 +250,7 @@ class LivePage:
         except Refusal as reason:
             self._refused(str(reason))
             return ""
-        self.answer.content = answer
+        self.answer.content = markdown_text(answer)
         return answer
 
     def _refused(self, reason: str) -> None:
@@ -258,7 +260,7 @@ class LivePage:
                 (int(newest["tick"][0]) if len(newest) else 0, f"refused: {reason}")
             )
             self._list.show(self._events)
-            self.answer.content = as_code(reason)
+            self.answer.content = markdown_code(reason)
 
     def _time_controls(self, gui: Any, can: frozenset[str]) -> None:
         if "pause" in can:
@@ -275,7 +277,7 @@ class LivePage:
             known = (label for label, factor in RATES.items() if factor == self._hands.factor)
             now = next(known, None)
             rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
-            rate.on_update(lambda _: self.ask("rate", RATES[rate.value]))
+            rate.on_update(lambda _: self.ask("rate", RATES[chosen(rate, RATES)]))
 
     def _switch(self) -> None:
         pauses = self._pause_button.label == "Pause"

@@ -5,28 +5,23 @@ It ends when its input does: the run is over, however it ended.
 
 from __future__ import annotations
 
-import contextlib
-import os
-import pickle
-import select
-import signal
 import sys
-from typing import Any
+import traceback
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.record_ring import SharedRing
 from arm_emulator.page.hands import Hands
 from arm_emulator.page.live_page import LivePage
+from arm_emulator.runs.row_end import RowEnd
 
 FRAME = 0.05  # s, wall, between two pictures
+GRACE = 3.0  # s, wall: nothing is lost by its end
 
 
 def main() -> None:
     """Serve the page until the run is over; hand the run the page's address at first."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-    os.nice(10)
-    task = pickle.load(sys.stdin.buffer)
+    end = RowEnd(niceness=10, grace=GRACE)
+    task = end.task
     try:
         ring = SharedRing(task["memory"], task["kind"])
         hands: Hands = task["hands"]()
@@ -34,26 +29,26 @@ def main() -> None:
             task["scene"], task["columns"], task["kind"], hands, task["at"], task["varied"]
         )
     except Refusal as no:
-        _hand_over(no)
+        end.answer(no)
         return
-    _hand_over(page.url)
-    _show_all(ring, page)
+    end.answer(page.url)
+    _show_all(end, ring, page)
+    end.end_in_time()
     hands.close()
     page.close()
-    _hand_over("")
+    end.answer("")
 
 
-def _show_all(ring: SharedRing, page: LivePage) -> None:
-    """Show rows until input ends."""
-    while not select.select([sys.stdin], [], [], FRAME)[0]:
+def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:
+    """Show rows until the run is over, whatever a browser has made of the controls."""
+    reported = ""
+    while not end.is_over(FRAME):
         page.take(ring.take(), ring.dropped)
-        page.draw()
-
-
-def _hand_over(what: Any) -> None:
-    with contextlib.suppress(BrokenPipeError):  # the run was killed
-        pickle.dump(what, sys.stdout.buffer)
-        sys.stdout.flush()
+        try:
+            page.draw()
+        except Exception as error:
+            if reported != (reported := repr(error)):
+                print("page: not drawn", traceback.format_exc(), sep="\n", file=sys.stderr)
 
 
 if __name__ == "__main__":

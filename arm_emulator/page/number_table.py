@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.escape import markdown_text
+
 # In a line above, as units as headings would make it too wide for a narrow window.
 UNITS = "rad, rad/s, N m (slides: m, m/s, N), A, and what the motor got"
 
@@ -16,13 +18,8 @@ def number_table(names: Sequence[str], columns: dict[str, Any]) -> str:
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for j, name in enumerate(names):
         cells = (_cell(np.asarray(one)[j]) for one in columns.values())
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        lines.append(f"| {markdown_text(name)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
-
-
-def as_code(text: str) -> str:
-    """Return text as it is, in Markdown."""
-    return f"```\n{text}\n```"
 
 
 def _cell(value: Any) -> str:

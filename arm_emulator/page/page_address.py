@@ -71,4 +71,4 @@ class PageAddress:
 
     def url(self, token: str) -> str:
         """Return the address for browsers, with the secret of the page."""
-        return f"http://{self.name}:{self.port}/?token={token}"
+        return f"http://{self.name}:{self.port}/{token}/"

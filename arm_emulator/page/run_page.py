@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.analysis.torque_terms import TermsNow
+from arm_emulator.base.escape import markdown_code, markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session import Session
 from arm_emulator.page.arm_scene import ArmScene
+from arm_emulator.page.choice import chosen
 from arm_emulator.page.event_list import EventList
-from arm_emulator.page.number_table import UNITS, as_code, number_table
+from arm_emulator.page.number_table import UNITS, number_table
 from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.signal_plot import FIRST, HEIGHT, SCALES, lines_of
 from arm_emulator.page.subject import Subject
@@ -72,7 +74,8 @@ class RunPage:
         self.gui: Any = server.gui
         self._build(server, scene.name)
         if self._arm.missing:
-            server.gui.add_markdown(f"The arm's shapes are not shown. {self._arm.missing}")
+            missing = markdown_text(self._arm.missing)
+            server.gui.add_markdown(f"The arm's shapes are not shown. {missing}")
         self.lay_over(over)
         self._thread = threading.Thread(target=self._play, name="page", daemon=True)
         self._thread.start()
@@ -179,7 +182,7 @@ class RunPage:
 
     def _build(self, server: Any, name: str) -> None:
         gui, period = server.gui, self._session.scene.servo_period
-        gui.add_markdown(f"**{name}**, {self.last * period:g} s")
+        gui.add_markdown(f"**{markdown_text(name)}**, {self.last * period:g} s")
         self._moment = gui.add_markdown("")
         self._slider = gui.add_slider("Tick", 0, max(1, self.last), 1, 0)
         self._slider.on_update(lambda _: None if self.changing else self._go(self._slider.value))
@@ -243,7 +246,7 @@ class RunPage:
             try:
                 condition = Condition(self._condition.value, scene, "page")
             except Refusal as reason:
-                self._found.content = as_code(str(reason))
+                self._found.content = markdown_code(str(reason))
                 return
             before = self.line.tick
             tick = self.line.find(lambda run: condition.holds(run.session), self.last)
@@ -262,7 +265,9 @@ class RunPage:
                 f"On each {side} [N m or N]\n\n" + number_table(names, rows)
                 for side, rows in (("link", terms.link), ("rotor", terms.rotor))
             ]
-            self._terms.content = "\n\n".join([*tables, *(f"- {one}" for one in active)])
+            self._terms.content = "\n\n".join(
+                [*tables, *(f"- {markdown_text(one)}" for one in active)]
+            )
 
     # Pictures
 
@@ -275,7 +280,7 @@ class RunPage:
                     at = float(self.line.tick)
                     continue
                 at = max(at, float(self.line.tick))
-                at += FRAME * float(self._rate.value) / self._session.scene.servo_period
+                at += FRAME * float(chosen(self._rate, RATES)) / self._session.scene.servo_period
                 tick = min(int(at), self.last)
                 if tick != self.line.tick:
                     self.line.go_to(tick)
@@ -331,7 +336,9 @@ class RunPage:
 
     def _plot(self) -> None:
         with self.exclusive:
-            self._chart.data, self._chart.series = self._series(self._group.value)
+            self._chart.data, self._chart.series = self._series(
+                chosen(self._group, self._subject.history.groups)
+            )
 
 
 def _check_alike(one: Subject, other: Subject) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.column import Column, Rows
+from arm_emulator.page.choice import chosen
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 FIRST = "q"  # quantity of the first plot
@@ -61,7 +62,7 @@ class SignalPlot:
 
     def show(self, rows: Rows) -> None:
         """Plot the chosen quantity of rows (K,)."""
-        group = self._choice.value
+        group = chosen(self._choice, self._groups)
         columns = self._groups[group]
         values = [one.of(rows).astype(np.float64) for one in columns]
         data = (rows["t"].astype(np.float64), *values)

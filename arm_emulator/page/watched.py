@@ -12,6 +12,7 @@ from arm_emulator.page.hands import Hands
 from arm_emulator.runs.row_process import RowProcess
 
 PROCESS = "arm_emulator.page.live_process"
+PATIENCE = 4.0  # s, wall: for the end of the page
 
 
 def stay() -> None:
@@ -57,7 +58,9 @@ class Watched:
             "hands": hands,
             "varied": dict(plant.parameters),
         }
-        self._process = RowProcess(plant, PROCESS, task, "page", waits=waits, files=files)
+        self._process = RowProcess(
+            plant, PROCESS, task, "page", waits=waits, patience=PATIENCE, files=files
+        )
         self.url = str(self._process.ready)
 
     def __enter__(self) -> Watched:
@@ -70,6 +73,11 @@ class Watched:
         """Show the machine as it is now, after a change by hand."""
         if self._process is not None:
             self._process.take()
+
+    @property
+    def trouble(self) -> str:
+        """End of the page before the machine, in words; empty if it is served, or never was."""
+        return "" if self._process is None else self._process.trouble
 
     def close(self) -> None:
         """End the page.

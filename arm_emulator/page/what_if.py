@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from arm_emulator.base.escape import markdown_code, markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.page.hands import Vector
-from arm_emulator.page.number_table import as_code
 from arm_emulator.page.push_tab import PushTab
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
@@ -72,7 +72,7 @@ class WhatIf:
     def _push(self, link: str, force: Vector, moment: Vector) -> None:
         """Let a wrench act from the moment on at which the run goes on."""
         self._pushes[link] = order = Push(link, force, moment)
-        self._pushed.content = f"When it goes on (tab *What if*): {order.name}"
+        self._pushed.content = f"When it goes on (tab *What if*): {markdown_text(order.name)}"
 
     def _keep_all(self) -> None:
         """Write every timeline as a bag that names its parent's."""
@@ -87,9 +87,9 @@ class WhatIf:
                     assert self._keep is not None
                     self._keep(line, bag, bags.get(id(line.parent)))
                     bags[id(line)] = bag
-                answer = f"{len(bags)} bags in {folder.resolve()}"
+                answer = markdown_text(f"{len(bags)} bags in {folder.resolve()}")
             except (Refusal, OSError) as reason:
-                answer = as_code(str(reason))
+                answer = markdown_code(str(reason))
             self._page.line.go_to(self._page.line.tick)  # forks take turns in one machine
             self._answer.content = answer  # last: all that it reports is done
 
@@ -125,9 +125,9 @@ class WhatIf:
             try:
                 done = self._change(line)
                 line.advance(round(seconds / period))
-                answer = f"{name}: {done or 'as it was'}"
+                answer = markdown_text(f"{name}: {done or 'as it was'}")
             except (Refusal, Diverged) as reason:
-                answer = as_code(str(reason))
+                answer = markdown_code(str(reason))
             if line.newest == begin:  # refused at once: no other future
                 line = self._page.line
             elif forked:

@@ -16,6 +16,7 @@ from arm_emulator.runs.row_process import RowProcess
 from arm_emulator.view.viewer_command import viewer_command
 
 PROCESS = "arm_emulator.runs.recorder_process"
+PATIENCE = 90.0  # s, wall: for the end of a whole run's files on a slow disk
 
 
 class Recorder:
@@ -38,7 +39,9 @@ class Recorder:
         self._process: RowProcess | None = None
         if kept != NOTHING:
             task = {"record": kept.record, "rerun": kept.rerun}
-            self._process = RowProcess(plant, PROCESS, task, "record", waits=waits)
+            self._process = RowProcess(
+                plant, PROCESS, task, "record", waits=waits, patience=PATIENCE
+            )
 
     def __enter__(self) -> Recorder:
         return self

@@ -5,12 +5,7 @@ It ends when its input does: the run is over, however it ended.
 
 from __future__ import annotations
 
-import contextlib
 import os
-import pickle
-import select
-import signal
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -18,43 +13,41 @@ from arm_emulator.base.column import Rows
 from arm_emulator.base.record_file import RecordFile, open_record
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.record_ring import SharedRing
+from arm_emulator.runs.row_end import RowEnd
 
 IDLE = 0.01  # s, wall: how often an empty ring is looked at
+GRACE = 4.0  # s, wall: for the end of its files when the run has died, or after SIGTERM
 
 
 def main() -> None:
-    """Take rows until the run is over; print what went wrong."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-    os.nice(5)
-    task = pickle.load(sys.stdin.buffer)
+    """Take rows until the run is over; answer what went wrong."""
+    end = RowEnd(niceness=5, grace=GRACE)
+    task = end.task
     files: list[RecordFile] = []
     try:
         ring = SharedRing(task["memory"], task["kind"])
-        show, end = _view(task)
+        show, close_view = _view(task)
         if task["record"] is not None:
             files.append(open_record("record", task["record"], task["columns"]))
     except Refusal as no:
-        report(no)
+        end.answer(no)
         return
-    report(None)
-    trouble = ""
+    end.answer(None)
+    troubles = []
     try:
-        _take_all(ring, files, show)
+        _take_all(end, ring, files, show)
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
-        trouble = f"the disk takes no more: {reason}"
-    report("; ".join(filter(None, (trouble, end()))))
+        troubles.append(f"the disk takes no more: {reason}")
+    troubles.append(close_view())
+    if end.stopped:
+        troubles.append("the recorder was ended by SIGTERM")
+    end.answer("; ".join(filter(None, troubles)))
 
 
-def report(what: Refusal | str | None) -> None:
-    """Hand the run a refusal or None, and at the end what went wrong."""
-    with contextlib.suppress(BrokenPipeError):  # the run was killed
-        pickle.dump(what, sys.stdout.buffer)
-        sys.stdout.flush()
-
-
-def _take_all(ring: SharedRing, files: list[RecordFile], show: Callable[[Rows], None]) -> None:
+def _take_all(
+    end: RowEnd, ring: SharedRing, files: list[RecordFile], show: Callable[[Rows], None]
+) -> None:
     """Take rows until input ends.
 
     Raises:
@@ -68,10 +61,10 @@ def _take_all(ring: SharedRing, files: list[RecordFile], show: Callable[[Rows], 
                 show(rows)
                 for file in files:
                     file.write(rows)
-            elif over:
+            if end.stopped or (over and not len(rows)):
                 break
-            else:  # rows that were written before the end are there when it is seen
-                over = bool(select.select([sys.stdin], [], [], IDLE)[0])
+            if not len(rows):  # rows that were written before the end are there when it is seen
+                over = end.is_over(IDLE)
         for file in files:
             file.close()
     except OSError:
@@ -84,6 +77,7 @@ def _view(task: dict[str, Any]) -> tuple[Callable[[Rows], None], Callable[[], st
     """Return what shows rows, and what ends the show."""
     if task["rerun"] is None:
         return lambda rows: None, lambda: ""
+    os.environ.setdefault("RUST_LOG", "off")  # what Rerun cannot write is reported by `main`
     from arm_emulator.view.rerun_rows import RerunRows
 
     rows = RerunRows(task["rerun"], task["columns"], task["angle_per_count"], task["view"])

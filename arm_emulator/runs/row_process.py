@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
+import select
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.listeners import leave, listen
@@ -18,14 +21,16 @@ from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.runs.view_of import view_of
 
 HERE = Path(__file__).resolve().parents[2]  # what the other process imports from
+START = 120.0  # s, wall: for its imports, on a busy machine
+END = 2.0  # s, wall: for its end after its last answer
 
 
 class RowProcess:
     """A running module that takes the rows of a plant, until it is closed.
 
-    The module finds its task as a pickled dict on its input, which ends when it has to. On its
-    output it puts pickled answers: one when it is ready, which is a `Refusal` if it cannot be, and
-    one at its end.
+    The module gets its task as a pickled dict on its input, which ends when it has to, and hands
+    pickled answers back through a pipe that nothing else writes into (`RowEnd`): one when it is
+    ready, which is a `Refusal` if it cannot be, and one at its end. What it prints goes to stderr.
 
     Attributes:
         ready: its first answer.
@@ -37,6 +42,7 @@ class RowProcess:
         where: for refusals.
         waits: whether the machine waits for a slow reader; else rows that find no room are dropped
             and counted.
+        patience: wall time that it has to end in [s]; then it is killed.
         files: further descriptors that it inherits.
 
     Raises:
@@ -51,23 +57,24 @@ class RowProcess:
         where: str,
         *,
         waits: bool,
+        patience: float,
         files: tuple[int, ...] = (),
     ) -> None:
-        self._plant, self._where = plant, where
+        self._plant, self._where, self._patience = plant, where, patience
         row = RecordRow(plant)
         memory = os.memfd_create("record_ring")
         try:
             os.ftruncate(memory, SharedRing.size(row.rows.dtype))
             self._ring = ring = SharedRing(memory, row.rows.dtype)
             about = _about(plant, memory)
-            self._process = process = _begin(module, about | dict(task), (memory, *files))
+            process, answers = _begin(module, about | dict(task), (memory, *files))
+            self._process, self._answers = process, answers
         finally:
             os.close(memory)
         assert process.stdin is not None
-        self.ready = self._answer()
+        self.ready = self._answer(START)
         if isinstance(self.ready, Refusal):
-            process.stdin.close()
-            process.wait()
+            self._end()
             raise self.ready
         self._writer = RingWriter(ring, plant.core, row, process.stdin.fileno(), waits)
         self.take()
@@ -77,6 +84,12 @@ class RowProcess:
     def dropped(self) -> int:
         """Rows that found no room."""
         return self._ring.dropped
+
+    @property
+    def trouble(self) -> str:
+        """End of the process before its time, in words; empty if it runs."""
+        code = self._process.poll()
+        return "" if code is None else f"its process has ended, {_words(code)}"
 
     def take(self) -> None:
         """Take a row of the machine as it is now; no exchange may be under way."""
@@ -88,17 +101,35 @@ class RowProcess:
         assert self._process.stdin is not None
         leave(self._plant, self._writer.struct)
         self._process.stdin.close()
-        answer = self._answer()
-        self._process.wait()
+        answer = self._answer(self._patience)
+        self._end()
         return answer
 
-    def _answer(self) -> Any:
-        assert self._process.stdout is not None
+    def _end(self) -> None:
+        """Wait for the end of the process, which has given its last answer."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._answers.close()
         try:
-            return pickle.load(self._process.stdout)
-        except EOFError:
-            code = self._process.wait()
-            return Refusal(self._where, "its process", "go on", f"exit code {code}")
+            self._process.wait(END)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _answer(self, patience: float) -> Any:
+        """Return the next answer, which comes within a wall time [s]; else kill the process."""
+        if not select.select([self._answers], [], [], patience)[0]:
+            self._process.kill()
+        try:
+            return pickle.load(self._answers)
+        except (EOFError, pickle.UnpicklingError):
+            words = _words(self._process.wait())
+            return Refusal(self._where, "its process", "go on", f"one that has ended, {words}")
+
+
+def _words(code: int) -> str:
+    """Return an exit code in words."""
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
 def _about(plant: Plant, memory: int) -> dict[str, Any]:
@@ -112,20 +143,34 @@ def _about(plant: Plant, memory: int) -> dict[str, Any]:
     }
 
 
-def _begin(module: str, task: dict[str, Any], files: tuple[int, ...]) -> subprocess.Popen[bytes]:
+def _begin(
+    module: str, task: dict[str, Any], files: tuple[int, ...]
+) -> tuple[subprocess.Popen[bytes], BinaryIO]:
+    """Return a process that has its task, and the end of the pipe that its answers come from."""
     path = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH"))))
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", module],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        pass_fds=files,
-        env=os.environ | {"PYTHONPATH": path},
-        start_new_session=True,  # Ctrl-C ends the run, and then this
-    )
-    assert process.stdin is not None
+    near, far = os.pipe()
     try:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", module, str(far), str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=_errors(),
+            pass_fds=(far, *files),
+            env=os.environ | {"PYTHONPATH": path},
+            start_new_session=True,  # Ctrl-C ends the run, and then this
+        )
+    finally:
+        os.close(far)
+    assert process.stdin is not None
+    with contextlib.suppress(BrokenPipeError):  # what it writes, or its code, shows why
         pickle.dump(task, process.stdin)
         process.stdin.flush()
-    except BrokenPipeError:  # what it writes, or its code, shows why
-        pass
-    return process
+    return process, os.fdopen(near, "rb")
+
+
+def _errors() -> int:
+    """Return the descriptor for what a process prints: stderr, if there is one."""
+    try:
+        os.fstat(2)
+    except OSError:
+        return subprocess.DEVNULL
+    return 2

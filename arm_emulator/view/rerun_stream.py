@@ -8,6 +8,8 @@ them, so that it never holds Python's lock for long.
 from __future__ import annotations
 
 import atexit
+import contextlib
+import errno
 import itertools
 import os
 import re
@@ -110,6 +112,7 @@ class RerunStream:
         self._lost = 0
         self._finished = False
         self._open = file is not None or port is not None
+        self._file, self._broken = file, False
         width = len(QUANTITIES) + len(further)
         self._queue = SampleQueue(capacity if self._open else 0, width, len(joint_names))
         self._not_measured = np.full(len(joint_names), np.nan)
@@ -210,7 +213,7 @@ class RerunStream:
 
     def wait_for_room(self) -> None:
         """Wait until the queue has room, before a sample of a run that can wait is offered."""
-        while self.waiting >= MOST_WAITING:
+        while self._open and self.waiting >= MOST_WAITING:
             time.sleep(ROOM_BREATH)
 
     def close_whole(self) -> str:
@@ -243,7 +246,7 @@ class RerunStream:
         After a time-out the file contains the samples written so far and remains readable.
         """
         if not self._open:
-            return True
+            return not self._broken
         self._open = False
         atexit.unregister(self.close)
         self._deadline = time.monotonic() + timeout
@@ -269,6 +272,9 @@ class RerunStream:
             # A flush per batch puts the data into the file, whatever becomes of this process. While
             # the file does not take it nothing more is sent: the queue is what bounds the memory.
             while not self._flush(recording):
+                if self._broken:
+                    self._give_up()
+                    return
                 if time.monotonic() > self._deadline:
                     self._done.set()
                     threading.Event().wait()  # keeps the recording from being torn down
@@ -307,13 +313,28 @@ class RerunStream:
             self.trouble = f"Rerun refused samples: {error}"
 
     def _flush(self, recording: rr.RecordingStream) -> bool:
+        begun = time.monotonic()
         try:
             recording.flush(timeout_sec=FLUSH_WAIT)
         except Exception as error:  # whatever it is, the arm goes on
             self.trouble = f"Rerun cannot write: {error}"
+            # A slow file makes a flush time out. One that fails sooner has no writer any more.
+            self._broken = time.monotonic() - begun < FLUSH_WAIT
             time.sleep(0.1)
             return False
         return True
+
+    def _give_up(self) -> None:
+        """Take no more samples, since Rerun ends its writer at the first error of a file."""
+        import rerun as rr
+
+        with contextlib.suppress(OSError, TypeError):
+            if self._file is not None and os.statvfs(self._file).f_bavail == 0:
+                self.trouble = f"the disk takes no more: {os.strerror(errno.ENOSPC)}"
+        rr.unregister_shutdown()  # which would wait for the writer
+        self._open = False
+        self._lost += len(self._queue)
+        self._done.set()
 
 
 def _check_file(file: Path) -> None:

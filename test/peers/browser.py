@@ -37,6 +37,11 @@ def browser() -> Iterator[Any]:
         yield one
 
 
+def without_token(url: str) -> str:
+    """Return the address of a page without the folder that is its token."""
+    return url.removesuffix("/").rpartition("/")[0] + "/"
+
+
 def opened(browser: Any, url: str, play: str = "Play", **how: Any) -> Any:
     """Open a page in a session of its own, and wait for its controls."""
     page = browser.new_context(**{"viewport": {"width": 640, "height": 480}, **how}).new_page()

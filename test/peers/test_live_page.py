@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import PATIENCE, box, browser, fill, opened, press, shows, tick_of
+from browser import PATIENCE, box, browser, fill, opened, press, shows, tick_of, without_token
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from by_hand import events_of
@@ -156,7 +156,7 @@ def test_the_bag_repeats_all_that_is_done_on_the_page(
     with own_domain(), Bringup(str(scene), emulator=streams, log=log) as network:
         url = served(browser, log / "emulator.log")
         with pytest.raises(urllib.error.HTTPError, match="403"):
-            urllib.request.urlopen(url.partition("?")[0])
+            urllib.request.urlopen(without_token(url))
         page = opened(browser, url, play="Pause")
         tick = pause_and_step(page)
         change_the_machine(page)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import urllib.error
 import urllib.request
@@ -15,7 +16,19 @@ import pinocchio as pin
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from browser import box, browser, choose, fill, go_to, opened, press, shows, tick_of, until
+from browser import (
+    box,
+    browser,
+    choose,
+    fill,
+    go_to,
+    opened,
+    press,
+    shows,
+    tick_of,
+    until,
+    without_token,
+)
 from machines import own_three_axis
 from made_bags import synthetic
 
@@ -75,15 +88,47 @@ def answer(url: str, **headers: str) -> tuple[int, dict[str, str]]:
 
 
 def test_nothing_is_served_without_the_token(shown: Shown) -> None:
-    plain = shown.url.partition("?")[0]
-    status, headers = answer(shown.url)
-    assert status == 200 and "SameSite=Strict" in headers["Set-Cookie"]
-    assert answer(plain, Cookie=headers["Set-Cookie"].partition(";")[0])[0] == 200
+    token = shown.url.split("/")[3]
+    plain = without_token(shown.url)
+    for below in ("", "?look=dark", "index.html"):
+        status, headers = answer(shown.url + below)
+        assert status == 200 and "Set-Cookie" not in headers, "no cookie goes to other ports"
     for url, more in (
-        (plain, {}), (plain + "?token=x", {}), (shown.url, {"Host": "evil.example"}),
-        (shown.url, {"Origin": "http://evil.example"}),
+        (plain, {}), (f"{plain}?token={token}", {}), (plain + "index.html", {}),
+        (f"{plain}x{token}/", {}), (plain, {"Cookie": f"arm_emulator_page={token}"}),
+        (shown.url, {"Host": "evil.example"}), (shown.url, {"Origin": "http://evil.example"}),
     ):  # fmt: skip
         assert answer(url, **more)[0] == 403, (url, more)
+    for file in ("nothing.js", "assets", "assets/"):
+        assert answer(shown.url + file)[0] == 404, file
+
+
+# Requests that are no HTTP, or none for a page.
+MALFORMED = (
+    "GET /{}/../../../../../../etc/passwd HTTP/1.1", "GET /{}/.. HTTP/1.1",
+    "GET {} HTTP/1.1", "GET http://127.0.0.1/{}/ HTTP/1.1", "GET  HTTP/1.1", "GET", "\0\1\2",
+    "POST /{}/ HTTP/1.1", "GET /{}/ HTTP/1.0", "GET /{}/ HTTP/9", "GET /{}/\xff HTTP/1.1",
+    "GET /{}/ HTTP/1.1\r\nHost: other", "GET /{}/ HTTP/1.1\r\nno header",
+    "GET /{}/ HTTP/1.1\r\nOrigin: http://[", "GET /{}/ HTTP/1.1\r\nOrigin: a\r\nOrigin: b",
+    "GET /{}/ HTTP/1.1\r\nUpgrade: websocket", "GET /{}/ HTTP/1.1\r\nUpgrade: x\r\nUpgrade: y",
+    "GET /{}/ HTTP/1.1\r\nX: " + 9000 * "y",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("head", MALFORMED, ids=range(len(MALFORMED)))
+def test_a_malformed_request_is_the_fault_of_the_client(shown: Shown, head: str) -> None:
+    token, host = shown.url.split("/")[3], shown.url.split("/")[2]
+    with socket.create_connection((host.split(":")[0], int(host.split(":")[1])), 10.0) as client:
+        words = head.format(token) + f"\r\nHost: {host}\r\n\r\n"
+        client.sendall(words.encode("latin-1"))
+        client.shutdown(socket.SHUT_WR)
+        got = b""
+        while piece := client.recv(65536):
+            got += piece
+    status = int(got.split()[1]) if got else 0  # 0: closed without an answer
+    assert status == 0 or 400 <= status < 500, got[:200]
+    assert b"root:" not in got
+    assert answer(shown.url)[0] == 200, "the page goes on"
 
 
 def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Shown) -> None:
@@ -98,7 +143,7 @@ def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Shown)
         port, _, token = every.url.split(":")[2].partition("/")
         for url, status in (
             (f"http://127.0.0.2:{port}/{token}", 200), (f"http://127.0.0.2:{port}/", 403),
-            (f"http://127.0.0.2:{port}/?token=x", 403),
+            (f"http://127.0.0.2:{port}/x/", 403),
         ):  # fmt: skip
             assert answer(url)[0] == status, url
         assert answer(f"http://127.0.0.2:{port}/{token}", Host="evil.example")[0] == 403
@@ -110,9 +155,11 @@ def test_no_other_page_gets_a_connection(shown: Shown) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
-    socket = shown.url.replace("http://", "ws://")
+    at = shown.url.replace("http://", "ws://")
+    token = shown.url.split("/")[3]
     for address, origin in (
-        (socket.partition("?")[0], None), (socket + "x", None), (socket, "http://evil.example"),
+        (without_token(at), None), (at[:-1] + "x/", None), (at, "http://evil.example"),
+        (at.replace(f"{token}/", f"?token={token}"), None),
     ):  # fmt: skip
         with pytest.raises(InvalidStatus) as refused:
             connect(address, origin=origin)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browser, opened, press, shows, tick_of, until
+from browser import browser, opened, press, shows, tick_of, until, without_token
 
 __all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
@@ -133,7 +133,7 @@ def serve(
         url = next(one[1] for one in found if one)
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200
-        plain = url.partition("?")[0]
+        plain = without_token(url)
         others = ({"Host": "evil.example"}, {"Origin": "http://evil.example"})
         for one in (plain, *(urllib.request.Request(url, headers=each) for each in others)):
             with pytest.raises(urllib.error.HTTPError, match="403"):

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import platform
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import package_of
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.library_cache import largest_size, writable_caches
 from arm_emulator.cli.command import command
@@ -27,13 +30,34 @@ DISCOVERY = 1.0  # s, wall: for the middleware to find the nodes of the domain
 MOST_FAULTS = 3  # of a network, that are named
 FAST_DDS = ("default middleware", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 NODES = ("emulator_node.node", "servo_node.node", "motion_controller_node.node")
-# Module, its package, and the commands that need it.
-EXTRAS = (
-    ("rerun", "rerun-sdk", "`--rerun`, `demo`"),
-    ("can", "python-can", "`canopen`"),
-    ("unicorn", "unicorn", "`firmware`"),
-    ("elftools", "pyelftools", "`firmware`"),
-)
+# Modules without which nothing works: nodes and `run`.
+NEEDED = (
+    "cffi", "coal", "cyclopts", "daqp", "numpy", "pinocchio", "rich", "ruckig", "scipy", "yaml",
+)  # fmt: skip
+# Modules that some commands need.
+EXTRAS = {
+    "PIL": "`demo`, `film`",
+    "SALib": "sensitivities of campaigns",
+    "av": "`film` of .mp4",
+    "can": "`canopen`",
+    "cma": "`campaign` with the search cma_es",
+    "distributed": "`campaign --dask`",
+    "elftools": "`firmware`",
+    "lz4": "bags that are compressed so",
+    "matplotlib": "pictures of `bode`, `tune`, `identify`, `campaign`",
+    "mcap": "`--record` and bags",
+    "optuna": "`campaign` with the search optuna",
+    "pyarrow": "campaigns, and records as .parquet",
+    "rerun": "`--rerun`, `demo`",
+    "rerun_cli": "`film`",
+    "rosbags": "bags",
+    "trimesh": "the page of `look`, `--page`",
+    "unicorn": "`firmware`",
+    "viser": "the page of `look`, `--page`",
+    "websockets": "the page of `look`, `--page`",
+    "xacro": "`new` from .xacro",
+    "zstandard": "bags that are compressed so",
+}
 
 
 class Finding(NamedTuple):
@@ -72,14 +96,35 @@ def findings() -> Iterator[Finding]:
     yield Finding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
     for look in (_compiler, _cache, _disk, _ros, _domain, _processes, _shared_memory, _priority):
         yield look()
-    for module, package, needed_by in EXTRAS:
-        if importlib.util.find_spec(module) is None:
-            text = f"not installed, needed by {needed_by}"
-            yield Finding(package, "note", text, f"pip install {package}")
-        else:
-            yield Finding(package, "ok", "installed")
+    yield from imports()
     if importlib.util.find_spec("rclpy") is not None:
         yield _network()
+
+
+def imports() -> Iterator[Finding]:
+    """Yield what can be imported; a process of its own tries, as a broken package may end it."""
+    modules = (*NEEDED, *EXTRAS)
+    there = [one for one in modules if importlib.util.find_spec(one) is not None]
+    command = [sys.executable, "-P", "-m", "arm_emulator.base.import_trial", *there]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
+    broken: dict[str, str] = {}
+    if done.returncode:
+        text = f"their imports end with exit code {done.returncode}"
+        yield Finding("packages", "problem", text, "import them one by one")
+    else:
+        broken = json.loads(done.stdout)
+    for module in modules:
+        package, needed_by = package_of(module), EXTRAS.get(module, "nodes and `run`")
+        if module in broken:
+            text = f"module {module}, needed by {needed_by}, cannot be imported: {broken[module]}"
+        elif module not in there:
+            text = f"module {module} is not installed, needed by {needed_by}"
+        else:
+            yield Finding(module, "ok", f"{package} can be imported")
+            continue
+        level = "problem" if module in NEEDED else "note"
+        yield Finding(module, level, text, f"pip install {package}")
 
 
 def _tried(name: str, look: Callable[[], str]) -> Finding:

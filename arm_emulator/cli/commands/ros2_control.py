@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.unit import compile_units
+from arm_emulator.build.unit import compile_units, stem_of
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
@@ -43,7 +43,7 @@ def compile_drives(scene: str, machine: Scene, into: Path) -> list[Path]:
     """
     libraries = compile_ahead(machine, "native", into)
     libraries += compile_units([servo_data_unit(scene)], "native", into)
-    ours = re.compile(re.escape(machine.name) + r"(-servo)?-[0-9a-f]+\.so")
+    ours = re.compile(re.escape(stem_of(machine.name)) + r"(-servo)?-[0-9a-f]+\.so")
     for file in into.iterdir():
         if ours.fullmatch(file.name) and file.name not in {one.name for one in libraries}:
             file.unlink()
@@ -57,7 +57,7 @@ def write_ros2_control(scene: str, into: Path) -> dict[str, Any]:
         Refusal: a scene with couplings, without gains, or a folder that cannot be written.
     """
     machine = load_scene(find_scene(scene))
-    compiled = str(into.resolve() / machine.name)
+    compiled = str(into.resolve() / stem_of(machine.name))
     description, controllers = files.description(machine, compiled), files.controllers(machine)
     libraries = compile_drives(scene, machine, into)
     written = {

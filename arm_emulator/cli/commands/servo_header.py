@@ -9,6 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.escape import c_string
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
@@ -16,7 +17,6 @@ from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.cxx_literals import text
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.servo.c import FOLDER
@@ -91,7 +91,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
     joints = tuple(known[name] for name in joint_names)
     rows = servo_numbers(joints, config.period, config.supply_voltage).tolist()
     fields = SERVO.dtype("servo_joint").names or ()
-    names = ", ".join(_text(name) for name in joint_names)
+    names = ", ".join(c_string(name) for name in joint_names)
     bodies = ",\n".join(
         f"    {{{', '.join(_field(*pair) for pair in zip(fields, row, strict=True))}}}"
         for row in rows
@@ -113,7 +113,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
 
 #include "servo.h"
 
-#define SERVO_SCENE {_text(scene_name)}
+#define SERVO_SCENE {c_string(scene_name)}
 #define SERVO_JOINTS {len(joints)}
 {defined}
 
@@ -125,11 +125,6 @@ static const servo_joint servo_joints[SERVO_JOINTS] = {{
 
 #endif
 """
-
-
-def _text(words: str) -> str:
-    plain = words.isascii() and words.isprintable() and not set(words) & set('"\\?')
-    return f'"{words}"' if plain else text(words)
 
 
 def _field(name: str, value: object) -> str:

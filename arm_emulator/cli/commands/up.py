@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,7 +16,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.page.page_address import PageAddress
-from arm_emulator.page.page_token import page_token
+from arm_emulator.page.page_token import VARIABLE, new_token
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.second_network import refuse_second_network
 
@@ -59,7 +60,8 @@ def up(
     if page is not None:
         address = PageAddress.of(page).free()
         streams |= {"page_host": address.host, "page_port": address.port}
-        output.facts({"page": address.url(page_token())})
+        os.environ[VARIABLE] = token = new_token()
+        output.facts({"page": address.url(token)})
     if record is not None:
         if record.exists():
             raise Refusal("up", f"folder {record}", "be new", "one that exists")

@@ -7,8 +7,8 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.escape import c_string
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.outputs import KNOWN, outputs_of
@@ -66,7 +66,7 @@ def source() -> str:
 
 def _texts(name: str, *units: str) -> str:
     unit = " or ".join(dict.fromkeys(filter(None, units)))
-    return ", ".join(map(cxx_literals.text, (name.replace("_", " ").capitalize(), unit)))
+    return ", ".join(map(c_string, (name.replace("_", " ").capitalize(), unit)))
 
 
 def _input(name: str) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from arm_emulator.doors.fmu.names import convention, identifier, plain_text, written
+from arm_emulator.base.escape import xml_text
+from arm_emulator.doors.fmu.names import convention, identifier, written
 from arm_emulator.doors.fmu.units import BASE, displayed_in, unit_of
 from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.scene import Scene
@@ -61,9 +62,9 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
 
 def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
     """Add the parts that all versions share: origin, units, categories."""
-    joints = plain_text(", ".join(scene.joint_names))
+    joints = xml_text(", ".join(scene.joint_names))
     root.attrib.update(
-        modelName=plain_text(scene.name) or "arm",
+        modelName=xml_text(scene.name) or "arm",
         description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
         generationTool=TOOL,
         variableNamingConvention=convention(one.name for one in variables),
@@ -82,7 +83,7 @@ def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
     attributes = {
         "name": written(one.name, one.element, naming),
         "valueReference": str(reference),
-        "description": plain_text(one.description),
+        "description": xml_text(one.description),
         "causality": _CAUSALITY.get(one.role, one.role),
         "variability": "continuous" if continuous else "discrete",
     }

@@ -42,11 +42,6 @@ def identifier(name: str) -> str:
     return plain if _PLAIN.fullmatch(plain) else f"_{plain}"[:60]
 
 
-def plain_text(text: str) -> str:
-    """Return a text that XML takes, on one line."""
-    return "".join(c if c.isprintable() else "?" for c in text)
-
-
 def _quoted(part: str) -> str:
     return "'" + re.sub(r"(['\"\\])", r"\\\1", part) + "'"
 

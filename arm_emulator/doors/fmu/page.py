@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
-from arm_emulator.doors.fmu.names import convention, plain_text, written
+from arm_emulator.base.escape import html_text
+from arm_emulator.doors.fmu.names import convention, written
 from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.scene import Scene
 
@@ -20,11 +20,11 @@ def page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
     """
     naming = convention(one.name for one in variables)
     rows = "\n".join(
-        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in _cells(one, naming)) + "</tr>"
+        "<tr>" + "".join(f"<td>{html_text(text)}</td>" for text in _cells(one, naming)) + "</tr>"
         for one in variables
     )
-    name = escape(plain_text(scene.name))
-    joints = escape(plain_text(", ".join(scene.joint_names)))
+    name = html_text(scene.name)
+    joints = html_text(", ".join(scene.joint_names))
     return f"""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{name}</title></head><body>
@@ -44,7 +44,7 @@ steps and inputs give equal bits.</p>
 </table>
 <h2>Sources</h2>
 <p>In the folder <code>sources</code>:</p>
-<pre>{escape(command)}</pre>
+<pre>{html_text(command)}</pre>
 <p>Another compiler, other options or another processor may round otherwise.</p>
 <p>The emulator is under the Apache License 2.0, see <a href="licenses/license.txt">license.txt</a>.
 The robot's description and its numbers are their author's.</p>
@@ -60,5 +60,5 @@ def _cells(one: Variable, naming: str) -> tuple[str, ...]:
         f"{one.type}{size}",
         one.unit or "",
         kind.get(one.role, one.role),
-        plain_text(one.description),
+        one.description,
     )

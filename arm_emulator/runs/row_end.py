@@ -1,0 +1,69 @@
+"""The end of a `RowProcess` in its own process: its task, its answers, and when it has to end."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import pickle
+import select
+import signal
+import sys
+from types import FrameType
+from typing import Any
+
+_PR_SET_PDEATHSIG = 1
+_ORPHANED = signal.SIGUSR1  # which the system sends when the run has ended
+
+
+class RowEnd:
+    """Common part of the modules that take rows; each process has one.
+
+    The process ends when its input does: the run is over, however it ended. The system kills it if
+    it has not ended some seconds after SIGTERM, or after the run has died: it may hang in a file
+    that takes nothing. Ctrl-C is for the run, which then ends this process.
+
+    Attributes:
+        task: what the run has handed over.
+        stopped: whether SIGTERM came.
+
+    Args:
+        niceness: that is added to that of the run.
+        grace: time to end in [s].
+    """
+
+    def __init__(self, niceness: int, grace: float) -> None:
+        answers, run = map(int, sys.argv[1:3])
+        self._answers = os.fdopen(answers, "wb", buffering=0)
+        self._run, self._grace = run, grace
+        self.stopped = False
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, self._stop)
+        signal.signal(_ORPHANED, self._on_orphaned)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, _ORPHANED)
+        self._on_orphaned()  # it may have died before that
+        os.nice(niceness)
+        self.task: dict[str, Any] = pickle.load(sys.stdin.buffer)
+
+    def is_over(self, timeout: float) -> bool:
+        """Return whether the process has to end, after a wait of at most `timeout` [s]."""
+        return self.stopped or bool(select.select([sys.stdin], [], [], timeout)[0])
+
+    def answer(self, what: Any) -> None:
+        """Hand the run an answer, see `RowProcess`."""
+        with contextlib.suppress(BrokenPipeError):  # the run was killed
+            self._answers.write(pickle.dumps(what))
+
+    def end_in_time(self) -> None:
+        """Let the system kill this process unless it ends within the time that it has for that."""
+        signal.setitimer(signal.ITIMER_REAL, self._grace)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self.stopped = True
+        self.end_in_time()
+
+    def _on_orphaned(self, number: int = 0, frame: FrameType | None = None) -> None:
+        # The system sends the signal when the thread of the run that began this process ends, too.
+        if os.getppid() != self._run:
+            self.end_in_time()
