@@ -8,7 +8,7 @@ from typing import Any
 
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.bags.targeted_run import targeted_run
+from arm_emulator.bags.targeted_run import LeaveChanges, targeted_run
 from arm_emulator.bags.timeline_bag import ORDERS, TARGETS
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bag import Bag
@@ -58,5 +58,5 @@ def _orders(topics: RecordedTopics) -> list[tuple[int, Order]]:
         least = found[-1][0] if found else 0
         if not isinstance(tick, int) or isinstance(tick, bool) or tick < least:
             raise Refusal(where, "tick of an order", f"be a number from {least} on", tick)
-        found.append((tick, of_data(where, one)))
+        found.append((tick, of_data(where, one, (LeaveChanges,))))
     return found

@@ -7,8 +7,6 @@ from collections.abc import Collection
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.parts.analog_sensor import PROPORTIONAL
-from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.line import line_numbers
 from arm_emulator.machine.varied import Varied
@@ -59,9 +57,8 @@ def possible_faults(
         for joint in joints if joint.motor for one in joint.decorators if one.hides
     }  # fmt: skip
     hidden |= {
-        f"joints.{joint.name}.{CurrentSensor.section}.{key}"
-        for joint in joints if joint.motor and not joint.motor.has_current
-        for key in PROPORTIONAL
+        f"joints.{joint.name}.{place}"
+        for joint in joints if joint.motor for place in joint.motor.hides
     }  # fmt: skip
     numbers = {
         place: value

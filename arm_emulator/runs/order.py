@@ -160,18 +160,27 @@ class Push(Order):
         return WrenchChange(self.link, ExternalWrench(self.force, self.moment, axes="world"))
 
 
+ORDERS: tuple[type[Order], ...] = (MoveTool, SwitchPower, ScaleGains, SetVaried, Push)
+"""All kinds but those of the modules that read them beside these."""
+
+
 def as_data(order: Order) -> dict[str, Any]:
     """Return an order as it stands in a file."""
     return {"kind": order.kind, **dataclasses.asdict(order)}
 
 
-def of_data(where: str, data: Any) -> Order:
+def of_data(where: str, data: Any, further: Sequence[type[Order]] = ()) -> Order:
     """Return the order that stands in a file.
+
+    Args:
+        where: the file, for refusals.
+        data: of the order.
+        further: kinds that the file may have beside `ORDERS`.
 
     Raises:
         Refusal: it is not an order.
     """
-    known: dict[str, type[Order]] = {one.kind: one for one in Order.__subclasses__()}
+    known = {one.kind: one for one in (*ORDERS, *further)}
     kind = known.get(data.get("kind", "")) if isinstance(data, Mapping) else None
     if kind is None:
         raise Refusal(where, "order", "be of a known kind", data, ", ".join(known))

@@ -10,6 +10,7 @@ from arm_emulator.base.bound import POINT
 from arm_emulator.base.number import Number, number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.faults.registry import register_fault
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.machine.change import Change, WrenchChange
 from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
@@ -18,6 +19,7 @@ from arm_emulator.machine.scene import Scene
 _IMPULSE = Number("impulse", "N s", at_least=-1e4, at_most=1e4)
 
 
+@register_fault
 @dataclass(frozen=True, kw_only=True)
 class Impulse(Fault):
     """Something hits a link: a force acts for the time of contact, whole servo periods.

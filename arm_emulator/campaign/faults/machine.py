@@ -9,10 +9,12 @@ from arm_emulator.base.number import number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.faults.registry import register_fault
 from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.scene import Scene
 
 
+@register_fault
 @dataclass(frozen=True, kw_only=True)
 class Machine(Fault):
     """A fault of the machine that the scene lists in `faults`, such as elbow.encoder_slips.

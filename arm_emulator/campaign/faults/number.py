@@ -10,10 +10,12 @@ from arm_emulator.base.number import number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.faults.registry import register_fault
 from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.scene import LARGEST_SEED, Scene
 
 
+@register_fault
 @dataclass(frozen=True, kw_only=True)
 class NumberOfScene(Fault):
     """Another value of any number of the scene that can vary: friction, stiffness, `seed`.

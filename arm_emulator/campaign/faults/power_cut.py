@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.faults.registry import register_fault
 from arm_emulator.machine.change import Change, PowerChange
 from arm_emulator.machine.scene import Scene
 
 
+@register_fault
 @dataclass(frozen=True, kw_only=True)
 class PowerCut(Fault):
     """The drives lose their power; brakes close."""

@@ -10,11 +10,13 @@ from arm_emulator.base.bound import FORCE, MOMENT, POINT
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.faults.registry import register_fault
 from arm_emulator.machine.change import Change, WrenchChange
 from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene import Scene
 
 
+@register_fault
 @dataclass(frozen=True, kw_only=True)
 class Wrench(Fault):
     """A force and a moment act on a link.

@@ -16,7 +16,6 @@ from arm_emulator.machine.parts.resting import AtRest, Share
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
 MOST_JOINTS = 4096  # that draws keep apart
-PROPORTIONAL = ("gain_error", "range")  # numbers that change no reading of 0
 LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 
@@ -88,7 +87,7 @@ class Converter(Part):
 class AnalogSensor(Converter):
     """A sensor of one quantity of a joint, with an offset and a delay.
 
-    A class in this package that inherits it is a section of joints; it needs to be entered nowhere.
+    A class that inherits it and is registered (`register_part`) is a section of joints.
     """
 
     reads: ClassVar[str]  # the values measured, by joint, in C++: see `Glance` in glance.hpp

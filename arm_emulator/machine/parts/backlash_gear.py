@@ -8,11 +8,13 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unknown
 
 NO_TORQUE = 1e-6  # N m, N: rounding
 
 
+@register_part
 class BacklashGear(ElasticGear):
     """An elastic gear whose teeth do not touch within its play."""
 

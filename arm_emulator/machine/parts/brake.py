@@ -12,10 +12,12 @@ from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
+@register_part
 class Brake(Part):
     """Dry friction while the drives have no power."""
 

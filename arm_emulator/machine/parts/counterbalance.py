@@ -9,10 +9,12 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
+@register_part
 class Counterbalance(Extra):
     """A spring between the link and its parent, by its geometry; a negative force pulls."""
 

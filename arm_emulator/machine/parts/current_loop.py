@@ -15,10 +15,12 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.motor import Circuit, CxxMotor, Motor, Rating
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
+@register_part
 class CurrentLoop(Decorator):
     """A PI controller within the drive: the motor's command is a current.
 

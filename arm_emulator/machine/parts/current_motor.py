@@ -8,8 +8,10 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.input import CURRENT
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData, inertia_of_rotor
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class CurrentMotor(Motor):
     """The current follows the command, with a bandwidth if there is one."""
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 
 
+@register_part
 class CurrentSensor(AnalogSensor):
     """Of the current of a joint's motor."""
 

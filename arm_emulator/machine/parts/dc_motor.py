@@ -7,8 +7,10 @@ from typing import Self
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData, inertia_of_rotor
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class DcMotor(Motor):
     """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
 

@@ -20,7 +20,7 @@ class Supply(NamedTuple):
 class Decorator(Part):
     """A part around a motor.
 
-    A class in this package that inherits it is a section of motors; it needs to be entered nowhere.
+    A class that inherits it and is registered (`register_part`) is a section of motors.
     A joint's decorators are folded over its motor, those of lower layers first.
     """
 
@@ -33,9 +33,16 @@ class Decorator(Part):
     needs_circuit: ClassVar[bool] = False  # a winding with an inductance
 
     @classmethod
+    def owned_name(cls) -> str:
+        """Return its section and the motors that it is for."""
+        return " of ".join([super().owned_name(), *[cls.around_kind] * bool(cls.around_kind)])
+
+    @classmethod
     def of(cls, motor: Motor) -> type[Decorator]:
         """Return the kind of it that goes around a motor, which may be for such motors alone."""
-        return next((one for one in cls.__subclasses__() if one.around_kind == motor.kind), cls)
+        from arm_emulator.machine.parts.registry import kinds_of
+
+        return next((one for one in kinds_of(cls) if one.around_kind == motor.kind), cls)
 
     @classmethod
     def sized(cls, motor: Motor, rating: Rating) -> Self | None:

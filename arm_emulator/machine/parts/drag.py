@@ -8,10 +8,12 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
+@register_part
 class Drag(Extra):
     """A torque against the motion of the link that grows with the square of its speed."""
 

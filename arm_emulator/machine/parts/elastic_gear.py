@@ -7,8 +7,10 @@ from typing import ClassVar
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class ElasticGear(Gear):
     """A spring and a damper between the rotor, reduced, and the link."""
 

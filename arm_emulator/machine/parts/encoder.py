@@ -15,6 +15,7 @@ from arm_emulator.machine.parts.fault import HOLDS, STUCK, Fault, rise, sensor_f
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import (
     Around,
     AtRest,
@@ -60,6 +61,7 @@ _RIPPLE_ORDER = Number(
 )
 
 
+@register_part
 class Encoder(Part):
     """Encoder on the motor shaft; with `counts_per_turn` alone floor(theta_m counts / (2 pi)).
 
@@ -302,6 +304,7 @@ def unblurred(noise: float) -> float:
     return min(1.0, 2.0 / math.pi * sum(waves))
 
 
+@register_part
 class LinkEncoder(Encoder):
     """Encoder at the link."""
 

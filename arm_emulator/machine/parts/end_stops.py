@@ -12,6 +12,7 @@ from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -24,6 +25,7 @@ _BEYOND = Number(
 )
 
 
+@register_part
 class EndStops(Extra):
     """A spring and a damper at each end that push the link back and never hold it."""
 

@@ -12,8 +12,8 @@ from arm_emulator.machine.parts.part import Part
 class Extra(Part):
     """A part that exerts a torque on the link or the rotor, beside motor, gear and friction.
 
-    A class in this package that inherits it is a section of joints, unless others inherit it; it
-    needs to be entered nowhere. Torques are added in the order of ranks, then of sections.
+    A class that inherits it and is registered (`register_part`) is a section of joints.
+    Torques are added in the order of ranks, then of sections.
     """
 
     rank: ClassVar[float] = math.inf

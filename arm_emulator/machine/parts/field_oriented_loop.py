@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.input import CURRENT, Input
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class FieldOrientedLoop(CurrentLoop):
     """A PI controller for each axis of the rotor: commands are the currents of both.
 

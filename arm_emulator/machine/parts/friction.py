@@ -11,6 +11,7 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -42,6 +43,11 @@ class Friction(Part):
         default=0.0,
         text="Ds, what a shaft at rest withstands; refused without `coulomb`",
     )
+
+    @classmethod
+    def owned_name(cls) -> str:
+        """Return its section and the keys that distinguish it."""
+        return " with ".join([super().owned_name(), *sorted(cls.named_by)])
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
@@ -79,6 +85,7 @@ def sticking_link(at: AtRest, holds: float, slides: float) -> Share:
     return Share(torque=Around(0.0, torque), stuck=stuck)
 
 
+@register_part
 class LinkFriction(Friction):
     """Friction at the link."""
 
@@ -118,5 +125,6 @@ class OfRotor(Friction):
         return kind, f"{kind}{{{members}}}"
 
 
+@register_part
 class RotorFriction(OfRotor):
     """Friction at the motor's shaft."""

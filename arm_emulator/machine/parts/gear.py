@@ -10,6 +10,7 @@ import numpy as np
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -42,6 +43,11 @@ class Gear(Part):
         return np.zeros_like(motion.t)
 
     @classmethod
+    def owned_name(cls) -> str:
+        """Return its section and the keys that distinguish it."""
+        return " with ".join([super().owned_name(), *sorted(cls.named_by)])
+
+    @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
         return {"ratio": scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
 
@@ -59,6 +65,7 @@ class Gear(Part):
         raise NotImplementedError
 
 
+@register_part
 class RigidGear(Gear):
     """The rotor turns with its link."""
 

@@ -15,6 +15,7 @@ from arm_emulator.machine.parts.encoder import DELAY
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.varied import Varied
 
 _XYZ = Number.within("xyz", "m", 100.0)
@@ -50,6 +51,7 @@ class Axes(Converter):
         return "{" + ", ".join(axes) + "}"
 
 
+@register_part
 class Accelerometer(Axes):
     """Of specific force."""
 
@@ -57,6 +59,7 @@ class Accelerometer(Axes):
     unit = "m/s2"
 
 
+@register_part
 class Gyroscope(Axes):
     """Of angular rate."""
 

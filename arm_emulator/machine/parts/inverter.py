@@ -9,10 +9,12 @@ from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.fault import GROWS, Fault, rise
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
+@register_part
 class Inverter(Decorator):
     """Dead time and transistors take a voltage along the current."""
 

@@ -10,11 +10,13 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.key import Key
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share, waves_at
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
 
 
+@register_part
 class KinematicErrorGear(ElasticGear):
     """An elastic gear whose twist has an error that depends on both angles."""
 

@@ -1,4 +1,4 @@
-"""The parts that a scene may have, found by their files."""
+"""The parts that a scene may have, from their registry."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.extra import Extra
-from arm_emulator.machine.parts.found import kinds_below, kinds_of, last_kinds
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.registry import kinds_of
 
 KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 
@@ -30,22 +30,21 @@ def _by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
 
 
 # A gear is the first of these whose keys it has all.
-GEARS = _by_keys(kinds_below(Gear))
+GEARS = _by_keys(kinds_of(Gear))
 
 # And so is friction.
-LINK_FRICTIONS: tuple[type[LinkFriction], ...] = _by_keys(
-    (LinkFriction, *kinds_below(LinkFriction))
-)
-ROTOR_FRICTIONS = _by_keys(kinds_below(OfRotor))
+LINK_FRICTIONS = _by_keys(kinds_of(LinkFriction))
+ROTOR_FRICTIONS = _by_keys(kinds_of(OfRotor))
 
 # Parts with an optional section of their own.
-EXTRAS = tuple(sorted(last_kinds(Extra), key=lambda one: one.rank))
+EXTRAS = tuple(sorted(kinds_of(Extra), key=lambda one: one.rank))
 
 # Decorators around a motor, innermost first.
-DECORATORS = tuple(sorted(kinds_of(Decorator), key=lambda one: one.layer))
+_DECORATORS = sorted(kinds_of(Decorator), key=lambda one: one.layer)
+DECORATORS = tuple(one for one in _DECORATORS if not one.around_kind)
 
 # Those for motors of one kind, in the place of another.
-_OF_ONE_MOTOR = tuple(one for kind in DECORATORS for one in kind.__subclasses__())
+_OF_ONE_MOTOR = tuple(one for one in _DECORATORS if one.around_kind)
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from arm_emulator.base.number import Number
 from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, share
 from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.registry import register_part
 
 LATEST = 16.0  # servo periods
 COMMANDED = ("command_", "silent")  # numbers that change no joint without a motor begin so
@@ -22,6 +23,7 @@ def _late(symbol: str) -> float | None:
     return found
 
 
+@register_part
 class Line(Part):
     """A perfect line, whose numbers faults change. No scene states it."""
 

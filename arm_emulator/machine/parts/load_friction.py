@@ -8,6 +8,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
@@ -54,9 +55,11 @@ class LoadFriction(Friction):
         return self.coulomb > 0.0 or self.load > 0.0
 
 
+@register_part
 class LinkLoadFriction(LoadFriction, LinkFriction):
     """Friction of a link that grows with the load on its gear."""
 
 
+@register_part
 class RotorLoadFriction(OfRotor, LoadFriction):
     """Friction of a rotor that grows with the load on its gear."""

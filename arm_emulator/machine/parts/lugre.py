@@ -10,6 +10,7 @@ from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.friction import sticking_link
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
@@ -83,6 +84,7 @@ class LuGre(Extra):
         return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
 
 
+@register_part
 class LinkLuGre(LuGre):
     """Friction of a link by bristles that bend before they slip."""
 
@@ -99,6 +101,7 @@ class LinkLuGre(LuGre):
         return sticking_link(at, self.breakaway, self.coulomb)
 
 
+@register_part
 class RotorLuGre(LuGre):
     """Friction of a rotor by bristles that bend before they slip."""
 

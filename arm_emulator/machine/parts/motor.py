@@ -85,13 +85,18 @@ class Motor(Part):
     kind: ClassVar[str]  # `motor.kind` in the scene
     is_default: ClassVar[bool] = False  # whether it is meant where a scene gives no kind
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
-    has_current: ClassVar[bool] = True  # that a sensor of it reads
+    hides: ClassVar[tuple[str, ...]] = ()  # numbers of its joint that change nothing beside it
     regulated: ClassVar[bool] = False  # whether its drive regulates its currents or its torque
     cia_type: ClassVar[int] = 0  # in object 0x6402 of CiA 402; 0: none of the profile's
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
     rules: ClassVar[tuple[str, ...]] = ()
     """Of `sized`, for people who read a scene; none: no drive is sized with it."""
+
+    @classmethod
+    def owned_name(cls) -> str:
+        """Return its section and its kind."""
+        return f"{super().owned_name()} of kind {cls.kind}"
 
     @classmethod
     def sized(cls, rating: Rating) -> Self:

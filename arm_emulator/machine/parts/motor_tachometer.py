@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class MotorTachometer(AnalogSensor):
     """Of the speed of a motor's shaft."""
 

@@ -73,6 +73,11 @@ class Part(Declared):
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
 
+    @classmethod
+    def owned_name(cls) -> str:
+        """Return the name of which a registered part is the only owner: its place in scenes."""
+        return f"{cls.owners}.NAME.{cls.section}"
+
     @property
     def reports(self) -> tuple[Output, ...]:
         """Outputs of this part, among `outputs`."""

@@ -21,11 +21,13 @@ from arm_emulator.machine.parts.motor import (
 )
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 AMPLITUDE = math.sqrt(3.0)  # of the supply to the largest that an inverter makes of it
 POLE_PAIRS = 4  # of servo motors, where none are given
 
 
+@register_part
 class Pmsm(Motor):
     """A permanent-magnet synchronous motor in the frame of its rotor, amplitudes of its phases."""
 

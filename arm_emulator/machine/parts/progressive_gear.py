@@ -7,8 +7,10 @@ import math
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class ProgressiveGear(ElasticGear):
     """An elastic gear whose spring has a cubic part, too."""
 

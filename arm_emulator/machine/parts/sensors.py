@@ -10,13 +10,13 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
-from arm_emulator.machine.parts.found import kinds_of
 from arm_emulator.machine.parts.imu import Accelerometer, Gyroscope, Imu
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.registry import kinds_of
 
 
 def _analog() -> tuple[type[AnalogSensor], ...]:
-    """Return the kinds of analog sensors, which are those in the files beside this one."""
+    """Return the kinds of analog sensors, which are those that are registered."""
     last = math.inf  # behind those that have a channel of their own
     return tuple(sorted(kinds_of(AnalogSensor), key=lambda one: one.channel or last))
 

@@ -7,8 +7,10 @@ from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor, inertia_of_rotor
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class Stepper(Motor):
     """Two phases whose currents follow their commands; the rotor's teeth follow the currents."""
 

@@ -8,6 +8,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -41,9 +42,11 @@ class Stribeck(Friction):
         return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
 
 
+@register_part
 class LinkStribeck(Stribeck, LinkFriction):
     """Friction of a link that falls as it begins to slide."""
 
 
+@register_part
 class RotorStribeck(OfRotor, Stribeck):
     """Friction of a rotor that falls as it begins to turn."""

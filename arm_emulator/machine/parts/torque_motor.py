@@ -8,14 +8,16 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.input import TORQUE
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData, inertia_of_rotor
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 
 
+@register_part
 class TorqueMotor(Motor):
     """The torque follows the command, with a bandwidth if there is one."""
 
     kind = "torque"
     regulated = True
-    has_current = False
+    hides = ("current_sensor.gain_error", "current_sensor.range")  # whose readings are 0
     header = "torque_motor.hpp"
     cxx = "TorqueMotor"
     inputs = (TORQUE,)

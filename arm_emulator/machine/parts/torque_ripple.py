@@ -9,11 +9,13 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
 
+@register_part
 class TorqueRipple(Decorator):
     """A motor's torque per current varies with the angle of its rotor."""
 

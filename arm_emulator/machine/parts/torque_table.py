@@ -15,6 +15,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.key import Key
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -24,6 +25,7 @@ _ANGLES = Number.within("angles", "rad", 1e4)
 _TORQUES = Number.within("torques", "N m", LARGEST)
 
 
+@register_part
 class TorqueTable(Extra):
     """A torque over the angle: points, joined by monotone cubics."""
 

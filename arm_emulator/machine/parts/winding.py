@@ -11,10 +11,12 @@ from arm_emulator.machine.parts.fault import GROWS, Fault, rise, rising
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
+@register_part
 class Winding(Decorator):
     """The copper loss heats the winding, and resistance and constants follow its temperature.
 

@@ -7,10 +7,12 @@ import math
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.registry import register_scheme
 from arm_emulator.machine.schemes.rosenbrock import GAMMA
 from arm_emulator.machine.schemes.scheme import Scheme
 
 
+@register_scheme
 class Extrapolated(Scheme):
     """The first stage alone evaluates the links."""
 

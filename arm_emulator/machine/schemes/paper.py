@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.registry import register_scheme
 from arm_emulator.machine.schemes.scheme import Scheme
 
 
+@register_scheme
 class Paper(Scheme):
     """The motors step with the links held."""
 

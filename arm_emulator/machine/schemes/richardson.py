@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.registry import register_scheme
 from arm_emulator.machine.schemes.rosenbrock import Rosenbrock
 from arm_emulator.machine.schemes.scheme import Scheme
 
 
+@register_scheme
 class Richardson(Scheme):
     """A step of ROS2 and two of half its length; the first of these shares its evaluation."""
 

@@ -7,11 +7,13 @@ import math
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.schemes.registry import register_scheme
 from arm_emulator.machine.schemes.scheme import Scheme
 
 GAMMA = 1.0 - math.sqrt(0.5)
 
 
+@register_scheme
 class Rosenbrock(Scheme):
     """Both stages evaluate the links."""
 

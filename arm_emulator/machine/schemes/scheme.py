@@ -1,7 +1,7 @@
 """Base of all schemes: each declares what the others need to know of it.
 
 A scheme is a class in a file of this package, called as the scheme, beside a header of that name in
-`core/schemes/`; nothing else lists it.
+`core/schemes/`, and registered there (`register_scheme`).
 """
 
 from __future__ import annotations

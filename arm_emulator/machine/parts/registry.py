@@ -1,0 +1,19 @@
+"""The registry of parts: each is registered in its file, and owns its section of the scene."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from arm_emulator.base.registry import Registry
+from arm_emulator.machine.parts.part import Part
+
+Kind = TypeVar("Kind", bound=Part)
+
+_PARTS = Registry[Part]("part", __package__ or "", lambda kind: str(kind.owned_name()))
+register_part = _PARTS.register
+
+
+def kinds_of(base: type[Kind]) -> list[type[Kind]]:
+    """Return the registered parts that inherit a class or are it, by their sections."""
+    found = [kind for kind in _PARTS.kinds().values() if issubclass(kind, base)]
+    return sorted(found, key=lambda kind: kind.section)
