@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL
+from draws import FULL, some
 from machines import one_link_urdf, write_scene
 from scipy.linalg import expm
 
@@ -88,6 +88,36 @@ def test_at_a_limit_it_is_rosenbrock_with_half_the_step() -> None:
         half.advance([40.0, -40.0, 40.0], 2), both.advance([40.0, -40.0, 40.0], 1)
         assert np.abs(both.state.current).max() == 0.5
         np.testing.assert_allclose(both.state.q, half.state.q, rtol=0.0, atol=1e-14)
+
+
+LUGRE = {"coulomb": 2.0, "breakaway": 2.6, "stribeck": 0.2, "bristle_stiffness": 200.0}
+NEVER_USUAL: dict[str, dict[str, Any]] = {
+    "lugre": {"lugre": LUGRE | {"bristle_damping": 5.0}},
+    "dry rotor": {"motor.friction": {"coulomb": 5e-3, "breakaway": 6e-3}},
+    "play": {"gear.backlash": 1e-3},
+}
+
+
+@pytest.mark.parametrize("parts", some(NEVER_USUAL, 1))
+def test_beside_parts_without_usual_modes_it_is_rosenbrock_with_half_the_step(
+    parts: str, tmp_path: Path
+) -> None:
+    """As its page states; LuGre friction, which has no events, shows the order 2 of that."""
+    file = linear_joint(tmp_path)
+
+    def end(scheme: str, steps: int) -> float:
+        changes = {f"joints.joint.{key}": value for key, value in NEVER_USUAL[parts].items()}
+        integrator = {"integrator.scheme": scheme, "integrator.dt": PERIOD / steps}
+        plant = Plant(load_scene(file, {"servo_period": PERIOD} | integrator | changes))
+        for volts in (VOLTS, -VOLTS):
+            plant.advance([volts], 10 * steps)
+        return float(plant.state.q[0])
+
+    assert end("richardson", 50) == pytest.approx(end("rosenbrock", 100), rel=0.0, abs=1e-14)
+    if parts == "lugre":
+        apart = np.abs(np.diff([end("richardson", steps) for steps in (25, 50, 100, 200)]))
+        # The corner at the reversal lies elsewhere in each step.
+        assert np.log2(apart[:-1] / apart[1:]) == pytest.approx(2.0, abs=0.3), apart
 
 
 @pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")

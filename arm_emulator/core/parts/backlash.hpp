@@ -4,8 +4,8 @@
 // Its mode is `held` while a tooth pushes, and the mode's number is the twist where it began to
 // touch: then T = Kg (w - offset) + Dg dw/dt.
 //
-// A play of 0 is the elastic gear, whose damper pulls, too: always `held`, with offset 0. Teeth that
-// push and never pull would meet an event at each change of the torque's sign.
+// A play of 0 is the elastic gear, whose damper pulls, too: always `held`, with offset 0. Teeth
+// that push and never pull would meet an event at each change of the torque's sign.
 #pragma once
 
 #include "parts/gear.hpp"

@@ -5,9 +5,11 @@
 //   V*q = Pq (u - iq) + xq + F p wm (Ld id + psi)     dxq/dt = I (u - iq)      Pq = Lq / Ld Pd
 //   V*d = Pd (ud - id) + xd - F p wm Lq iq            dxd/dt = I (ud - id)
 //
-// The inverter reaches the amplitude U. V*d has priority, and V*q the rest of that circle; beyond,
-// each x is drawn to where V* = V, as in current_loop.hpp. Rates are continuous at the circle, so
-// stages evaluate it (a part without modes), and order 2 holds.
+// The inverter reaches the amplitude U. V*d has priority up to 0.95 U, as drives limit it to keep
+// some voltage across the flux, and V*q the rest of the circle; beyond, each x is drawn to where
+// V* = V, as in current_loop.hpp. Rates are continuous at the circle, and their slope is bounded:
+// that of the rest is 3 at 0.95 U and infinite at U. So stages evaluate it (a part without modes),
+// and order 2 holds.
 //
 // With a bandwidth f, P = 2 pi f L and I = 2 pi f R: within the circle both axes are of first order
 // at any speed, 1 / (2 pi f) di/dt = u - i.
@@ -82,6 +84,7 @@ struct FieldOrientedLoop : Motor {
   }
 
  private:
+  static constexpr double kAlongFlux = 0.95;  // of the amplitude, at most
   template <class X>
   struct Voltages {
     X d, q;
@@ -103,9 +106,8 @@ struct FieldOrientedLoop : Motor {
   ARM_INLINE constexpr Voltages<X> within(const Voltages<X>& asked) const {
     if constexpr (!whole) return asked;
     const Real U = nominal.amplitude;
-    const X d = clamp(asked.d, U), left = (U - d) * (U + d);
-    const X most = square_root(select(left > 0.0, left, X{}));
-    return {d, clamp(asked.q, most)};
+    const X d = clamp(asked.d, kAlongFlux * U);
+    return {d, clamp(asked.q, square_root((U - d) * (U + d)))};
   }
 };
 
