@@ -49,6 +49,7 @@ from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
 from emulator_node.intake import Intake
+from emulator_node.others import subscribe_to_others
 from emulator_node.outbox import Outbox, own_record
 from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
 from emulator_node.real_time_ticks import READERS, HeldCommands
@@ -194,9 +195,10 @@ class EmulatorNode(ManagedNode):
         return session
 
     def _begin_record(self, outbox: Outbox, publishers: list[Publisher], commands: str) -> None:
-        """Record what is published, and the commands of a topic, until the node ends."""
+        """Record what is published, commands, and messages between others, until the node ends."""
         folder, diagnostics = Path(self._config.record), self._diagnostics
-        outbox.record = own_record(self, folder, publishers, commands, self._session.lockstep)
+        taken = [commands, *subscribe_to_others(self, outbox.record_other)]
+        outbox.record = own_record(self, folder, publishers, taken, self._session.lockstep)
         diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
 

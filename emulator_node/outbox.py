@@ -36,6 +36,12 @@ class Outbox:
         self.record.put(publisher.topic_name, data)
         publisher.publish(data)
 
+    def record_other(self, topic: str, data: bytes) -> None:
+        """Write a message of another node into the record, if there is one."""
+        if self.record is not None:
+            self.before_record()
+            self.record.put(topic, data)
+
     def close(self) -> None:
         """Finish the record."""
         if self.record is not None:
@@ -43,9 +49,9 @@ class Outbox:
 
 
 def own_record(
-    node: Node, folder: Path, publishers: list[Publisher], commands: str, lockstep: bool
+    node: Node, folder: Path, publishers: list[Publisher], taken: list[str], lockstep: bool
 ) -> RunRecord:
-    """Return a new record of a node's messages, and of the topic of its commands.
+    """Return a new record of a node's messages, and of topics to which it has subscribed.
 
     Raises:
         Refusal: the folder cannot be written.
@@ -58,7 +64,7 @@ def own_record(
     ends = [
         (one.topic_name, node.get_publishers_info_by_topic(one.topic_name)) for one in publishers
     ]
-    ends.append((commands, node.get_subscriptions_info_by_topic(commands)))
+    ends += [(name, node.get_subscriptions_info_by_topic(name)) for name in taken]
     topics = []
     for name, known in ends:
         kind, offered = known[0].topic_type, tuple(one.qos_profile for one in known)

@@ -8,10 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from network import network
+from network import assert_same_bits, network, offline_states
 from test_command_line import run
 
+from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.runs.offline import load_offline_run
 
 
 def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path) -> None:
@@ -67,6 +69,7 @@ def test_without_a_network_one_line_names_the_remedy() -> None:
         (("move", "--joints", "a"), "--joints must be NAME=ANGLE"),
         (("move", "--joints", "a=nan"), "--joints must be NAME=ANGLE"),
         (("move", "--joints", "a=1", "--seconds", "0"), "--seconds must be > 0"),
+        (("move", "--by", "0", "0", "0", "--at", "0"), "--at must be > 0 s"),
         (("move", "--by", "0", "0", "0", "--namespace", "a b"), "--namespace must be a name"),
     ],
 )
@@ -75,3 +78,27 @@ def test_malformed_targets_are_refused(
 ) -> None:
     code, out, errors = run(*words)
     assert code == 2 and not out and errors.count("\n") == 1 and reason in errors, errors
+
+
+def test_a_target_with_a_time_gives_the_bits_of_every_other_run(tmp_path: Path) -> None:
+    """The truth is a run in one process with the same target at the same time."""
+    offline = load_offline_run("three_axis")
+    x, y, z = offline.controller.kinematics.forward(offline.session.scene.start)[1].tolist()
+    there = (x, y + 0.03, z)
+    with network(tmp_path / "log", start="paused") as (user, _):
+        user.await_start()
+        code, _, errors = run("move", "--by", "0", "0", "0.1", "--at", "0.2")
+        assert code == 2 and "position of an arm that stands must be known" in errors
+        words = ["move", "--to", *map(str, there), "--quaternion", "0", "0", "0", "1"]
+        with subprocess.Popen(
+            [sys.executable, "-m", "arm_emulator", *words, "--at", "0.2"]
+        ) as move:
+            taken = "the target's acceptance"
+            user.wait(taken, lambda: user.value("motion_controller", "tool targets") == "1")
+            assert user.call("emulator/pause", False).success
+            assert move.wait(120.0) == 0
+        user.wait("the motion", lambda: user.tick > 1500)
+        code, _, errors = run("move", "--to", *map(str, there), "--at", "0.2")
+        assert code == 2 and "--at must be later than logical time" in errors
+        offline.instructor.add(200_000_000, Pose.from_quaternion(there, (0.0, 0.0, 0.0, 1.0)))
+        assert_same_bits(user.motor_states(), offline_states(offline, 1500), 1500)

@@ -13,6 +13,7 @@ from cyclopts import Parameter
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import GetParameters
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -37,6 +38,7 @@ from arm_emulator_msgs.msg import MotionStatus
 
 PATIENCE = 5.0  # s, wall, to discover a running network
 AHEAD = NANOSECONDS // 4  # of logical time: the target arrives before its stamp
+LATEST = 1e9  # s
 UNDER_WAY = ("accepted", "moving")
 
 
@@ -50,6 +52,7 @@ def move(
     ] = None,
     joints: Annotated[list[str] | None, Parameter(metavar="NAME=ANGLE ...")] = None,
     seconds: Annotated[float, Parameter(metavar="S")] = 2.0,
+    at: Annotated[float | None, Parameter(metavar="S")] = None,
     timeout: Annotated[float, Parameter(metavar="S")] = 60.0,
     namespace: str = "",
 ) -> int:
@@ -65,6 +68,8 @@ def move(
         quaternion: orientation of the tool (default: unchanged).
         joints: angles of joints (rad or m); the others hold.
         seconds: logical time of a motion of joints.
+        at: logical time at which the target takes effect, so that runs can be repeated (default:
+            soon).
         timeout: wall time to wait for the end.
         namespace: of the network, such as /cell1.
     """
@@ -75,12 +80,20 @@ def move(
         raise Refusal("move", "the target", "be one", got, valid)
     if not (math.isfinite(seconds) and seconds > 0.0):
         raise Refusal("move", "--seconds", "be > 0 and finite", seconds)
+    if at is not None and not 0.0 < at < LATEST:
+        raise Refusal("move", "--at", f"be > 0 s and below {LATEST:g} s", at)
     angles = _angles(joints or ())
     with guest("move", namespace) as node:
         node.listen("joint_states", JointState, STATE_SUB_QOS)
         node.listen("robot_description", String, DESCRIPTION_QOS)
-        if not node.spin_until(lambda: "joint_states" in node.newest, PATIENCE):
-            raise _no_network("joint_states be published")
+        node.listen("clock", Clock, STATE_SUB_QOS)
+        # A machine that stands repeats its time, but its servo repeats nothing.
+        needed = "clock" if to and quaternion else "joint_states"
+        if not node.spin_until(lambda: needed in node.newest, PATIENCE):
+            if "clock" in node.newest:
+                rule, valid = "be known", "--to with --quaternion; or let the machine go on"
+                raise Refusal("move", "position of an arm that stands", rule, "none", valid)
+            raise _no_network(f"{needed} be published")
         if joints:
             kind, topic = MotionStatus.KIND_JOINT_TRAJECTORY, "joint_trajectory"
             publisher = node.create_publisher(JointTrajectory, topic, COMMAND_QOS)
@@ -89,7 +102,8 @@ def move(
             kind, topic = MotionStatus.KIND_TOOL_TARGET, "tool_target"
             publisher = node.create_publisher(PoseStamped, topic, COMMAND_QOS)
             message = _tool_target(node, to, by, quaternion)
-        return _watch(node, publisher, message, kind, timeout)
+        at_ns = None if at is None else round(at * NANOSECONDS)
+        return _watch(node, publisher, message, kind, at_ns, timeout)
 
 
 def _watch(
@@ -97,15 +111,19 @@ def _watch(
     publisher: Publisher,
     message: PoseStamped | JointTrajectory,
     kind: int,
+    at_ns: int | None,
     timeout: float,
 ) -> int:
     heard: list[MotionStatus] = []
     node.create_subscription(MotionStatus, "motion/status", heard.append, EVENT_QOS)
     if not node.spin_until(lambda: node.is_heard(publisher, "motion/status"), PATIENCE):
         raise _no_network(f"a motion controller take {publisher.topic_name}")
-    now = nanoseconds_of(node.newest["joint_states"].header.stamp)
+    now = _logical_ns(node)
+    if at_ns is not None and at_ns <= now:
+        rule, got = f"be later than logical time, {now / NANOSECONDS:g} s", at_ns / NANOSECONDS
+        raise Refusal("move", "--at", rule, f"{got:g} s", "a network started with --start paused")
     # The stamp distinguishes it from the targets of others.
-    ours = now + AHEAD + random.randrange(1, 1000)
+    ours = at_ns or now + AHEAD + random.randrange(1, 1000)
     message.header.stamp = stamp(ours)
     publisher.publish(message)
     states: list[str] = []
@@ -136,6 +154,14 @@ def _watch(
         }
     )
     return 0 if outcome == "reached" else 1
+
+
+def _logical_ns(node: NetworkGuest) -> int:
+    """Return logical time by the newest messages [ns]."""
+    known = node.newest
+    stamps = [known["joint_states"].header.stamp] if "joint_states" in known else []
+    stamps += [known["clock"].clock] if "clock" in known else []
+    return max(map(nanoseconds_of, stamps))
 
 
 def _left(status: MotionStatus) -> str:

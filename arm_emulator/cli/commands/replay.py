@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Collection
 from pathlib import Path
+from typing import Literal
 
 import rclpy
 from rclpy.duration import Duration
@@ -21,8 +22,10 @@ from arm_emulator.cli.options import Topics
 from arm_emulator.cli.output import output
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import NANOSECONDS
+from arm_emulator.ros.causal_replay import CausalReplay
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.message_types import message_class
+from arm_emulator.ros.network_guest import guest
 
 DEPTH = (
     1000  # messages kept for a listener that is slow; discovery does not report the recorded depth
@@ -31,15 +34,38 @@ ACKNOWLEDGE = Duration(seconds=5)  # patience with listeners at the end
 NAP = 0.05  # s, wall: Ctrl-C and new listeners are noticed this often
 
 
-@command(until_stopped=True, of_ros=True, keys="`bag`, `messages`, `topics`, `seconds`, `whole`")
-def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool = False) -> int:
-    """Publish the messages of a bag at the recorded times.
+@command(
+    until_stopped=True,
+    of_ros=True,
+    keys=(
+        "`bag`, `messages`, `topics`, `seconds`, `whole`; with into `answers`, `alike` (to the "
+        "recorded ones), `first_other`, `digest` and `missed` in the place of `topics`"
+    ),
+)
+def replay(
+    bag: Path,
+    /,
+    *,
+    into: Literal["servo", "motion_controller"] | None = None,
+    topics: Topics = None,
+    rate: float = 1.0,
+    wait: bool = False,
+) -> int:
+    """Publish the messages of a bag at the recorded times, or answer by answer into a node.
+
+    With --into the exit code is 1 where an answer is missing.
 
     Args:
         bag: folder of the bag.
+        into: node under test: each message follows its answer to the last one.
         rate: recorded seconds per second.
         wait: begin when every topic has a subscriber.
     """
+    if into is not None:
+        for option, value in (("--topics", topics), ("--rate", None if rate == 1.0 else rate)):
+            if value is not None:
+                raise Refusal("replay", option, "stand without --into", "both")
+        return _replay_into(Bag(bag), into, wait)
     if not (math.isfinite(rate) and rate > 0.0):
         raise Refusal("replay", "rate", "be > 0 and finite", rate)
     recorded = Bag(bag)
@@ -72,6 +98,29 @@ def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool
         "bag": bag, "messages": count, "topics": names, "seconds": wall, "whole": recorded.complete,
     })  # fmt: skip
     return 0
+
+
+def _replay_into(bag: Bag, name: str, wait: bool) -> int:
+    """Play a bag into a node, and print what it has answered."""
+    started = time.monotonic()
+    with guest("replayer", "") as node:
+        answers = CausalReplay(bag, name, node).run(wait, output.line)
+    wall = time.monotonic() - started
+    lost = answers.asked - answers.answered
+    output.line(
+        f"{bag.path} into {name}: {answers.answered} answers to {answers.asked} messages in "
+        f"{wall:.1f} s"
+    )
+    other = f", the first other one at {answers.first_other}" if answers.first_other else ""
+    output.line(f"as recorded to the last bit: {answers.alike}{other}")
+    output.line(f"digest of the answers: {answers.digest}")
+    output.facts({
+        "bag": bag.path, "messages": answers.asked, "answers": answers.answered,
+        "alike": answers.alike, "first_other": answers.first_other or None,
+        "digest": answers.digest, "seconds": wall, "whole": bag.complete,
+    })  # fmt: skip
+    at = ", ".join(answers.missing)
+    return output.judge("replay", f"{lost} answers are missing, from {at} on" if lost else "")
 
 
 def offer(recorded: Collection[QoSProfile]) -> QoSProfile:

@@ -1,0 +1,108 @@
+"""Bags of a network replayed into one of its nodes: an answer to each message, the same bits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from draws import some
+from geometry_msgs.msg import PoseStamped
+from network import network, node
+from test_command_line import run
+
+from arm_emulator.base.config_files import config_folder
+from arm_emulator.ros import causal_replay
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.node_shell import stamp
+from arm_emulator.ros.ros_domain import own_domain
+
+TICKS = 600  # 12 motion periods
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The emulator's own record of a network that was given a target."""
+    folder = tmp_path_factory.mktemp("recorded")
+    bag = folder / "bag"
+    with network(folder / "log", start="paused", record=bag) as (user, _):
+        user.await_start()
+        target = PoseStamped()
+        target.header.stamp = stamp(100_000_000)
+        p, o = target.pose.position, target.pose.orientation
+        (p.x, p.y, p.z), o.w = (0.6, 0.1, 0.3), 1.0  # reached or not, the arm moves
+        user.tool_targets.publish(target)
+        taken = "the target's acceptance"
+        user.wait(taken, lambda: user.value("motion_controller", "tool targets") == "1")
+        assert user.call("emulator/pause", False).success
+        user.wait("some motion", lambda: user.tick > TICKS)
+    return bag
+
+
+def replayed(bag: Path, into: str) -> tuple[int, dict[str, Any], str]:
+    code, out, errors = run("replay", str(bag), "--into", into, "--json")
+    return code, json.loads(out), errors
+
+
+def gains(name: str) -> str:
+    return str(config_folder() / f"{name}/three_axis.yaml")
+
+
+def test_the_record_has_what_replays_into_the_nodes_need(bag: Path) -> None:
+    counts = {name: topic.count for name, topic in Bag(bag).topics.items()}
+    for name in ("joint_targets", "joint_states", "servo_states"):
+        assert counts[f"/{name}"] >= TICKS // 50, counts
+    assert counts["/tool_target"] == 1 and counts["/motion/status"] >= 2
+
+
+def test_the_recorded_nodes_give_the_recorded_bits(bag: Path) -> None:
+    """The truth is the network: each answer in the bag was made beside the other two nodes."""
+    for into, module, kind in (
+        ("servo", "servo_node.node", "servo"),
+        ("motion_controller", "motion_controller_node.node", "motion"),
+    ):
+        with own_domain(), node(module, "--params-file", gains(kind)):
+            code, facts, errors = replayed(bag, into)
+        assert code == 0 and facts["missed"] is None, errors
+        assert facts["answers"] == facts["messages"] == facts["alike"], facts
+        assert facts["messages"] >= (TICKS if into == "servo" else TICKS // 50), facts
+
+
+def test_a_servo_with_another_gain_answers_each_state_with_the_same_bits(bag: Path) -> None:
+    other = [f"joints.{name}.position_gain:=21.0" for name in ("waist", "shoulder", "elbow")]
+    words = [word for gain in other for word in ("-p", gain)]
+    digests = set()
+    with own_domain(), node("servo_node.node", "--params-file", gains("servo"), *words):
+        for _ in some(range(10), 3):
+            code, facts, errors = replayed(bag, "servo")
+            assert code == 0 and facts["answers"] == facts["messages"], errors
+            assert facts["alike"] < facts["messages"] and facts["first_other"], facts
+            digests.add(facts["digest"])
+    assert len(digests) == 1, "the same bits"
+
+
+def test_answers_that_are_missing_are_reported(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(causal_replay, "PATIENCE", 0.5)
+    renamed = config_folder() / "servo/three_axis.yaml"
+    text = renamed.read_text().replace("elbow", "knee")
+    other = bag.parent / "knee.yaml"
+    other.write_text(text)
+    with own_domain(), node("servo_node.node", "--params-file", str(other)):
+        code, facts, errors = replayed(bag, "servo")
+    assert code == 1 and facts["answers"] == 0 and facts["messages"] >= TICKS
+    assert f"{facts['messages']} answers are missing, from t = 0 s" in str(facts["missed"])
+    assert "replay: goal not reached: " in errors
+
+
+def test_a_replay_without_its_node_or_beside_an_emulator_is_refused(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with network(tmp_path / "log", start="paused") as (user, _):
+        user.await_start()
+        code, _, errors = run("replay", str(bag), "--into", "servo")
+        assert code == 2 and "must be published by the replay alone" in errors
+    monkeypatch.setattr(causal_replay, "DISCOVERY", 0.5)
+    with own_domain():
+        code, _, errors = run("replay", str(bag), "--into", "servo")
+    assert code == 2 and "must be taken by a servo" in errors and "start it" in errors
