@@ -57,7 +57,8 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
                 coupling=(),
                 gravity_torque=(weight := most * 10.0 ** draw.uniform(-2, 1.5) * (k % 5 > 0)),
                 bare_torque=weight * draw.choice([1.0, 0.3]),
-                tool_torque=most * 10.0 ** draw.uniform(-2, 0.5),
+                tool_weight=weight * draw.uniform(1.0, 2.0),
+                tool_inertia=most * draw.uniform(1.0, 3.0),
                 effort=10.0 ** draw.uniform(-6, 9) if given else None,
                 velocity=10.0 ** draw.uniform(-3, 5) if given else None,
             )
@@ -72,6 +73,7 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
     supply, drives = size(demands)
     a = np.array([drive.acceleration for drive in drives])
     needs = [needed(one, [drive.speed for drive in drives]) for one in demands]
+    alone = [links_alone(one, [drive.speed for drive in drives]) for one in demands]
     for j, (demand, drive) in enumerate(zip(demands, drives, strict=True)):
         if trusted := drive.notes["torque"] == "URDF":
             assert drive.peak_torque == demand.effort >= demand.bare_torque
@@ -99,7 +101,7 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
         assert counts == 2**15 or swings < 0.0505 * drive.acceleration
         assert counts == 2**13 or swings > 0.0245 * drive.acceleration
         holds = demand.effort is not None and demand.effort >= demand.bare_torque
-        moves = demand.effort is not None and demand.effort >= needs[j] / UNDERSIZED
+        moves = demand.effort is not None and demand.effort >= alone[j] / UNDERSIZED
         sane = demand.effort is not None and demand.effort <= PLACEHOLDER * needs[j]
         sane = sane and any(
             one.effort <= OVERSIZED * need
@@ -110,9 +112,16 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
 
 
 def needed(demand: Demand, speeds: list[float]) -> float:
-    """Torque for its weight with a margin, for full speed of all joints in 0.25 s, and a tool."""
+    """Torque for its weight with a margin, and for full speed in 0.25 s: alone, or with a tool."""
+    speed = speeds[int(demand.name[1:])]
+    loaded = 1.3 * demand.tool_weight + demand.tool_inertia * speed / 0.25
+    return max(links_alone(demand, speeds), loaded)
+
+
+def links_alone(demand: Demand, speeds: list[float]) -> float:
+    """Torque without a tool, where all joints reach full speed at a time."""
     ramp = math.hypot(*(M * v for M, v in zip(demand.coupling, speeds, strict=True)))
-    return 1.3 * demand.gravity_torque + ramp / 0.25 + demand.tool_torque
+    return 1.3 * demand.gravity_torque + ramp / 0.25
 
 
 def arm(efforts: list[float | None], first_axis: str = "0 1 0") -> str:
@@ -142,7 +151,7 @@ def test_a_makers_torque_is_kept_and_a_placeholder_is_found_joint_by_joint(
     written, how = made(tmp_path / "weak", arm([70.0, 20.0, 1000.0]))
     assert how == ["URDF", "URDF", "guess"]
     assert [drive.peak_torque for drive in written.drives[:2]] == [70.0, 20.0]
-    assert written.drives[2].peak_torque < 5.0, "a wrist that needs 1 N m"
+    assert 10.0 < written.drives[2].peak_torque < 30.0, "a wrist that holds a tool of 7 kg"
     strong, how = made(tmp_path / "strong", arm([400.0, 100.0, None]))
     assert how == ["URDF", "URDF", "guess"]
     weak, able = ([one.acceleration for one in arm.drives] for arm in (written, strong))
@@ -234,7 +243,7 @@ def test_the_survey_bounds_what_poses_ask_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
-@pytest.mark.parametrize("share", [0.02, 0.1])
+@pytest.mark.parametrize("share", [0.005, 0.1])
 def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
     tmp_path: Path, share: float
 ) -> None:

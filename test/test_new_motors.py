@@ -35,7 +35,7 @@ def test_every_kind_gives_the_torque_that_was_asked_for(kind: type[Motor]) -> No
     for _ in range(50):
         demand = Demand(
             name="j", kind="revolute", start=0.0, inertia=(0.5, 2.0), coupling=(2.0,),
-            gravity_torque=10.0, bare_torque=5.0, tool_torque=1.0,
+            gravity_torque=10.0, bare_torque=5.0, tool_weight=11.0, tool_inertia=2.1,
             effort=float(rng.uniform(30.0, 200.0)), velocity=float(rng.uniform(1.0, 6.0)),
         )  # fmt: skip
         supply, (drive,) = size([demand], kind)

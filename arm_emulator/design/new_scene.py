@@ -17,14 +17,15 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED, parse_urdf
 from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
 from arm_emulator.design.choose_joints import Choice, choose_joints
-from arm_emulator.design.data_sheets import published
+from arm_emulator.design.data_sheets import JointSheet, published
 from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.mesh_file import move_meshes
 from arm_emulator.design.own_collisions import own_collisions, own_shapes
+from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
 from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import forget_impossible, read_limits, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
-from arm_emulator.design.sizing import Demand, Sized, size
+from arm_emulator.design.sizing import Demand, Sized, full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
 from arm_emulator.machine.chain import Array
@@ -37,10 +38,7 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s
-WEIGHT = 9.81  # N/kg
 MOST_DENSITY = 3e4  # kg/m3: denser than any material
-# A tool of unknown shape: a share of the moving mass, and its distance from an axis by the reach.
-TOOL_PART, TOOL_AT = 0.25, 0.1
 PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
 HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
 MOTION_PERIOD = 0.01  # s
@@ -65,6 +63,8 @@ class NewScene:
     drives: list[Sized]
     overloads: list[Overload]
     assumed: list[Assumed]
+    tools: list[RatedTool]
+    """For which torques that are guessed are sized; the first is at the arm's tool."""
 
 
 def write_new(
@@ -88,7 +88,8 @@ def write_new(
         tool: link of the tool; None: chosen.
         joints: moving joints; None: chosen.
         arguments: of the xacro source.
-        payload: mass at the tool [kg].
+        payload: mass at the tool, for which the drives are sized [kg]; None: none at the tool,
+            and drives for a tool by the arm's mass.
         density: density of bodies without inertia in the description [kg/m3].
         motor: kind of all motors; None: that of a scene that gives none.
         tree: whether the joints beside the arm move, too.
@@ -121,7 +122,7 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed, kind)
+    drives, tools, texts = _texts(robot, text, description, choice, payload, assumed, kind)
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})
@@ -129,7 +130,7 @@ def write_new(
         servo = tuned_servo(made, _servo_of(scene, drives))
     texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
     _write(folder, {place.format(name): one for place, one in texts.items()})
-    return NewScene(file, choice, drives, overloads(scene), assumed)
+    return NewScene(file, choice, drives, overloads(scene), assumed, tools)
 
 
 def _assume(description: ET.Element, robot: Path, choice: Choice, density: float) -> list[Assumed]:
@@ -193,11 +194,13 @@ def _texts(
     text: str,
     description: ET.Element,
     choice: Choice,
-    payload: float,
+    payload: float | None,
     assumed: list[Assumed],
     kind: type[Motor],
-) -> tuple[list[Sized], dict[str, str]]:
-    """Return the drives, and the files to write by their places; `description` gets limits.
+) -> tuple[list[Sized], list[RatedTool], dict[str, str]]:
+    """Return the drives, the tools that they are sized for, and the files to write by their places.
+
+    The `description` gets limits.
 
     The servo is not among them: its gains are those of the scene as it is written.
     """
@@ -210,7 +213,19 @@ def _texts(
     seen = bare
     if payload:
         seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
-    demands = _demands(description, links, kinematics, bare, seen)
+    limits = read_limits(description)
+    count = len(links.joints)
+    sheets = published(description.get("name", ""), count) or (None,) * count
+    speeds = {
+        joint.name: full_speed(joint.kind, limits[joint.name]["velocity"], sheet)[0]
+        for joint, sheet in zip(links.chain.joints, sheets, strict=True)
+    }
+    tools = rated_tools(links.chain, choice.tool, speeds, payload)
+    loaded = with_tools(parse_urdf(text, robot.name), tools)
+    rated = survey(
+        _links_alone(ET.tostring(loaded, encoding="unicode"), robot.name, choice), kinematics
+    )
+    demands = _demands(limits, sheets, links, kinematics, (bare, seen, rated))
     supply, drives = size(demands, kind)
     motion = {
         "tool": choice.tool,
@@ -223,7 +238,7 @@ def _texts(
     write_limits(description, {drive.joint.name: drive for drive in drives})
     motion["collisions"], why = own_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
-    given = Given(robot.name, choice, payload, assumed)
+    given = Given(robot.name, choice, payload or 0.0, assumed, tools)
     scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
     displacement = bare.displacement.tolist()
     contents = (
@@ -233,25 +248,26 @@ def _texts(
         demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
         ET.tostring(description, encoding="unicode") + "\n",
     )
-    return drives, dict(zip(PLACES, contents, strict=True))
+    return drives, tools, dict(zip(PLACES, contents, strict=True))
 
 
 def _demands(
-    description: ET.Element, links: Scene, kinematics: Kinematics, bare: Survey, seen: Survey
+    limits: dict[str, dict[str, float | None]],
+    sheets: Sequence[JointSheet | None],
+    links: Scene,
+    kinematics: Kinematics,
+    surveys: tuple[Survey, Survey, Survey],
 ) -> list[Demand]:
     """Return what each joint's drive must do.
 
     Args:
-        description: of the robot, with its limits.
+        limits: of the joints in the description, by name.
+        sheets: of the joints' drives.
         links: the robot without motors.
         kinematics: of the same.
-        bare: what a survey saw without a payload.
-        seen: the same with one.
+        surveys: of the links alone, with the payload, and with the tools they are rated for.
     """
-    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.links) * WEIGHT
-    limits = read_limits(description)
-    count = len(links.joints)
-    sheets = published(description.get("name", ""), count) or (None,) * count
+    bare, seen, rated = surveys
     return [
         Demand(
             name=joint.name,
@@ -261,7 +277,8 @@ def _demands(
             coupling=tuple(seen.coupling[j].tolist()),
             gravity_torque=float(seen.gravity_torque[j]),
             bare_torque=float(bare.gravity_torque[j]),
-            tool_torque=tool * (1.0 if joint.kind == "prismatic" else TOOL_AT * kinematics.reach),
+            tool_weight=float(rated.gravity_torque[j]),
+            tool_inertia=float(rated.inertia[j, 1]),
             effort=limits[joint.name]["effort"],
             velocity=limits[joint.name]["velocity"],
             sheet=sheets[j],

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from arm_emulator.base.escape import one_line
 from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
+from arm_emulator.design.rated_tool import RatedTool
 from arm_emulator.design.sizing import Demand, Sized, rounded
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
@@ -57,6 +58,7 @@ class Given:
     choice: Choice
     payload: float  # kg
     assumed: list[Assumed]
+    tools: list[RatedTool]
 
 
 def scene_text(
@@ -82,6 +84,10 @@ def scene_text(
     ]
     if given.payload:
         lines.append(f"payload: {{mass: {given.payload!r}}}  # kg, at the tool")
+    if any(drive.notes["torque"].startswith("guess") for drive in drives):
+        for tool in given.tools:
+            lines.append(f"# Torques that are guessed are for a tool of {tool.mass:.3g} kg at")
+            lines.append(f"# {tool.link}, whose centre is half an edge off: a cube as dense as water.")
     if given.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
         lines += [f"  - {_text(one.link)}  # {one_line(one.how)}" for one in given.assumed]

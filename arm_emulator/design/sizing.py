@@ -38,6 +38,9 @@ SUPPLIES = ((50.0, 24.0), (2000.0, 48.0), (math.inf, 560.0))  # W of the stronge
 MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of most servo motors
 BACK_EMF_PART = 0.6  # of the supply at full speed
 RESISTANCE_PART = 0.25  # of the supply at peak torque; 0.15 are left for control
+# Windings of servo motors above some watts have less, in catalogues for 24 to 560 V: a motor whose
+# torque asks for more is larger than needed, and its current limit keeps the torque.
+MOST_RESISTANCE = 100.0  # ohm
 ELECTRICAL_TIME = 1e-3  # s, L/R of frameless and small servo motors
 CURRENT_BANDWIDTH = 1000.0  # Hz, of drives that sample at 16 kHz
 ROTOR_ACCELERATION = 1.4e4  # rad/s2 at peak torque, with the gear's primary side
@@ -67,7 +70,8 @@ class Demand:
     """Inertia felt from each joint's acceleration, its own included, largest over poses [kg m2]."""
     gravity_torque: float  # N m, most over poses, with the payload
     bare_torque: float  # N m, the same without the payload
-    tool_torque: float  # N m, what a tool may ask for that the description does not know
+    tool_weight: float  # N m, most over poses, of the links with the tool they are rated for
+    tool_inertia: float  # kg m2, likewise, that the joint feels with all others held
     effort: float | None  # N m
     velocity: float | None  # rad/s
     sheet: JointSheet | None = None  # of its drive, where one is published
@@ -90,27 +94,32 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
     """Return the supply voltage [V] and a drive for every joint, with motors of a kind.
 
     In short: peak torque and speed as published, else those of the description, else what holds and
-    moves the links. Torques of makers stay what they are: accelerations follow from them.
+    moves the links, and the tool that they are rated for. Torques of makers stay what they are: accelerations follow from them.
     Ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
     rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
     """
-    rated = [_speed(demand) for demand in demands]
+    rated = [full_speed(demand.kind, demand.velocity, demand.sheet) for demand in demands]
     speeds = np.array([speed for speed, _ in rated])
     weight = np.array([demand.gravity_torque for demand in demands])
     # Not all joints accelerate at the worst at a time: the root of the sum of squares.
     coupling = np.array([demand.coupling for demand in demands])
     ramp = np.linalg.norm(coupling * speeds, axis=1)  # of a second
     torques, notes = [], []
-    needs = GRAVITY_MARGIN * weight + ramp / SPEED_UP
+    links_alone = GRAVITY_MARGIN * weight + ramp / SPEED_UP
+    # With its tool a joint is rated for its own acceleration, not for that of all at a time.
+    tool_weight = np.array([demand.tool_weight for demand in demands])
+    tool_inertia = np.array([demand.tool_inertia for demand in demands])
+    loaded = GRAVITY_MARGIN * tool_weight + tool_inertia * speeds / SPEED_UP
+    needs = np.maximum(links_alone, loaded)
     shares = [
-        demand.effort / (need + demand.tool_torque)
+        demand.effort / need
         for demand, need in zip(demands, needs, strict=True)
         if demand.effort is not None
     ]
     most = PLACEHOLDER if min(shares, default=0.0) <= OVERSIZED else 0.0
     bounds = [
-        (max(demand.bare_torque, need / UNDERSIZED), most * (need + demand.tool_torque))
-        for demand, need in zip(demands, needs.tolist(), strict=True)
+        (max(demand.bare_torque, alone / UNDERSIZED), most * need)
+        for demand, alone, need in zip(demands, links_alone.tolist(), needs.tolist(), strict=True)
     ]
     alike = {kind: _impossible_for_all(kind, demands, bounds) for kind in MOST_SPEED}
     for j, (demand, (_, of_speed), needed) in enumerate(
@@ -141,15 +150,20 @@ def _supply(demands: list[Demand], power: float) -> float:
     return max(known) if known else next(volts for watts, volts in SUPPLIES if power <= watts)
 
 
-def _speed(demand: Demand) -> tuple[float, str]:
-    """Return a joint's full speed, and where it comes from."""
-    if demand.sheet is not None:
-        return demand.sheet.speed, f"published, {demand.sheet.source}"
-    given = demand.velocity
-    if given is not None and 0.0 < given <= MOST_SPEED[demand.kind]:
+def full_speed(kind: str, given: float | None, sheet: JointSheet | None) -> tuple[float, str]:
+    """Return a joint's full speed [rad/s or m/s], and where it comes from.
+
+    Args:
+        kind: revolute or prismatic.
+        given: by the description; None: it gives none.
+        sheet: of the joint's drive, where one is published.
+    """
+    if sheet is not None:
+        return sheet.speed, f"published, {sheet.source}"
+    if given is not None and 0.0 < given <= MOST_SPEED[kind]:
         return given, "URDF"
     why = "none in the URDF" if given is None else f"the URDF's {given:g} is a placeholder"
-    return DEFAULT_SPEED[demand.kind], f"guess, {why}"
+    return DEFAULT_SPEED[kind], f"guess, {why}"
 
 
 def _impossible_for_all(kind: str, demands: list[Demand], bounds: list[tuple[float, float]]) -> str:
@@ -197,7 +211,7 @@ def _peak_torque(
         why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} of what it needs"
     else:
         why = f"the URDF's {given:g} does not hold its own links, {demand.bare_torque:.3g}"
-    rule = f"{GRAVITY_MARGIN:g} times the weight and full speed in {SPEED_UP:g} s"
+    rule = f"{GRAVITY_MARGIN:g} times the weight and full speed in {SPEED_UP:g} s, with a tool"
     return needed, f"guess, {why}: {rule}"
 
 
@@ -215,7 +229,7 @@ def _drive(
         ratio = speed / MOTOR_SPEED
         back_emf_constant = torque_constant = BACK_EMF_PART * supply / MOTOR_SPEED
         current = torque * ratio / torque_constant
-        resistance = RESISTANCE_PART * supply / current
+        resistance = min(RESISTANCE_PART * supply / current, MOST_RESISTANCE)
     else:
         ratio, resistance = 1.0 / servo.turns, servo.resistance
         torque_constant, back_emf_constant = servo.torque_constant, servo.back_emf_constant

@@ -18,8 +18,8 @@ from arm_emulator.design.robot_file import robot_text
 
 @command(
     keys=(
-        "`scene`, `joints`, `chosen`, `held`, `guessed`, `sources`, `assumed`, `weak`; with the"
-        " option ros2-control `ros2_control` (as that command)"
+        "`scene`, `joints`, `chosen`, `held`, `guessed`, `rated` (tools that guessed torques are"
+        " for), `sources`, `assumed`, `weak`; with the option ros2-control `ros2_control` (as that command)"
     ),
 )
 def new(
@@ -44,7 +44,8 @@ def new(
         tool: link of the tool (default: chosen).
         joints: moving joints; the others are held (default: chosen).
         tree: move all joints: a second arm, a gripper.
-        payload: mass at the tool (default: none).
+        payload: mass at the tool, for which the drives are sized (default: none, and drives for a
+            tool by the arm's mass).
         density: density of bodies without inertia in the description.
         motor: kind of all motors, as `motor.kind` in scenes (default: that of scenes).
         out: folder of the scene's files (default: the robot's name, here).
@@ -87,6 +88,9 @@ def _report(written: NewScene) -> dict[str, Any]:
                 report(f"guessed  {drive.joint.name}: {what} {value:.3g}: {source}")
             elif how == "published":
                 sources[source] = None
+    rated = written.tools if any("torque" in of_joint for of_joint in guesses.values()) else []
+    for tool in rated:
+        report(f"rated    torques that are guessed: for a tool of {tool.mass:.3g} kg at {tool.link}")
     for source in sources:
         report(f"taken    torques and speeds that are published: {source}")
     report("guessed  all motors, gears, friction, encoders: rules are in the scene's heading")
@@ -98,7 +102,7 @@ def _report(written: NewScene) -> dict[str, Any]:
     report(f"next     arm_emulator demo {written.file}")
     return {
         "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
-        "held": choice.held, "guessed": guesses, "sources": list(sources),
+        "held": choice.held, "guessed": guesses, "rated": rated, "sources": list(sources),
         "assumed": written.assumed, "weak": [str(one) for one in written.overloads],
     }  # fmt: skip
 
