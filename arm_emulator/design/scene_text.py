@@ -36,6 +36,7 @@ _RULES = """\
 # Motors, gears, friction and encoders are not in it: all numbers under `motor`, `gear`, `friction`
 # and `encoder` are guesses of the right size, by these rules (docs/tutorials/your_robot.md), from
 # the peak torque and the speed beside each joint (motor and ratio of a published servo: its own):
+#   torque       where none is given: 1.3 times the weight and full speed in 0.25 s, with a tool
 #   ratio        the joint's full speed at 3000 rpm of the motor
 #   motor        rotor accelerates with 14 000 rad/s2, at least 1/20 of the heaviest link's inertia;
 {motor}
@@ -87,7 +88,9 @@ def scene_text(
     if any(drive.notes["torque"].startswith("guess") for drive in drives):
         for tool in given.tools:
             lines.append(f"# Torques that are guessed are for a tool of {tool.mass:.3g} kg at")
-            lines.append(f"# {tool.link}, whose centre is half an edge off: a cube as dense as water.")
+            lines.append(
+                f"# {tool.link}, whose centre is half an edge off: a cube as dense as water."
+            )
     if given.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
         lines += [f"  - {_text(one.link)}  # {one_line(one.how)}" for one in given.assumed]

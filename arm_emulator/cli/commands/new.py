@@ -90,7 +90,9 @@ def _report(written: NewScene) -> dict[str, Any]:
                 sources[source] = None
     rated = written.tools if any("torque" in of_joint for of_joint in guesses.values()) else []
     for tool in rated:
-        report(f"rated    torques that are guessed: for a tool of {tool.mass:.3g} kg at {tool.link}")
+        report(
+            f"rated    torques that are guessed: for a tool of {tool.mass:.3g} kg at {tool.link}"
+        )
     for source in sources:
         report(f"taken    torques and speeds that are published: {source}")
     report("guessed  all motors, gears, friction, encoders: rules are in the scene's heading")
