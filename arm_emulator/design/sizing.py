@@ -94,9 +94,10 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
     """Return the supply voltage [V] and a drive for every joint, with motors of a kind.
 
     In short: peak torque and speed as published, else those of the description, else what holds and
-    moves the links, and the tool that they are rated for. Torques of makers stay what they are: accelerations follow from them.
-    Ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
-    rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
+    moves the links, and the tool that they are rated for. Torques of makers stay what they are:
+    accelerations follow from them. Ratio and back EMF by the motor's rated speed, winding by what
+    the supply leaves at peak torque, rotor by a servo motor's acceleration, stiffness as strain
+    wave gears of that torque have.
     """
     rated = [full_speed(demand.kind, demand.velocity, demand.sheet) for demand in demands]
     speeds = np.array([speed for speed, _ in rated])

@@ -19,7 +19,8 @@ from arm_emulator.design.robot_file import robot_text
 @command(
     keys=(
         "`scene`, `joints`, `chosen`, `held`, `guessed`, `rated` (tools that guessed torques are"
-        " for), `sources`, `assumed`, `weak`; with the option ros2-control `ros2_control` (as that command)"
+        " for), `sources`, `assumed`, `weak`; with the option ros2-control"
+        " `ros2_control` (as that command)"
     ),
 )
 def new(
