@@ -21,7 +21,7 @@ from arm_emulator.page.subject import Subject
 from arm_emulator.runs.offline import load_offline_run
 from bench.rewind import new_target
 
-SIZE: Any = {"width": 1100, "height": 700}
+SIZE: Any = {"width": 1280, "height": 720}
 LAST, AT = 2500, 1080  # ticks
 PATIENCE = 200_000  # ms, of software rendering
 # WebGL without a GPU.

@@ -10,6 +10,7 @@ every port of a host (RFC 6265, 8.5).
 from __future__ import annotations
 
 import dataclasses
+import gzip
 import hmac
 import importlib
 from collections.abc import Callable, Iterator
@@ -79,6 +80,17 @@ class Guard:
         return Verdict(HTTPStatus.OK, path=below if below[:1] == "/" else f"/{below}")
 
 
+def _put_title(response: Any) -> None:
+    """Put our title in the place of that of the library, which it has no setting for."""
+    packed = response.headers.get("Content-Encoding") == "gzip"
+    text = gzip.decompress(response.body) if packed else response.body
+    titled = text.replace(b"<title>Viser</title>", b"<title>arm_emulator</title>", 1)
+    if titled != text:
+        response.body = gzip.compress(titled) if packed else titled
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+
+
 @contextmanager
 def guarded(guard: Guard) -> Iterator[None]:
     """Let the server that is started in this block ask a guard about every request.
@@ -112,6 +124,7 @@ def guarded(guard: Guard) -> Iterator[None]:
                 return answer(HTTPStatus.BAD_REQUEST, "plain", "arm_emulator: malformed request\n")
             if response is not None:
                 response.headers["Referrer-Policy"] = "no-referrer"  # the path has the token
+                _put_title(response)
             return response
 
         return plain(*given, process_request=checked, **named)

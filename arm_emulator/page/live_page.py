@@ -22,7 +22,7 @@ from arm_emulator.page.event_list import EventList
 from arm_emulator.page.hands import Hands
 from arm_emulator.page.live_history import LiveHistory
 from arm_emulator.page.machine_tab import machine_tab
-from arm_emulator.page.number_table import UNITS, number_table
+from arm_emulator.page.number_table import machine_table
 from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.push_tab import PushTab
 from arm_emulator.page.signal_plot import SignalPlot
@@ -201,15 +201,15 @@ class LivePage:
             words.append(f"{self._dropped} ticks not shown: the page is too slow for them")
         if self._at is not None:
             self._arm.show(row["q"][0])
-        columns = {
-            "q": row["q"][0],
-            "v": row["v"][0],
-            "gear": row["gear_torque"][0],
-            "current": row["current"][0],
-            "command": values_of(row, "measured.applied", scene)[0],
-            "counts": values_of(row, "measured.encoder_counts", scene)[0],
-        }
-        self._numbers.content = f"{UNITS}\n\n" + number_table(scene.joint_names, columns)
+        self._numbers.content = machine_table(
+            scene.joint_names,
+            q=row["q"][0],
+            v=row["v"][0],
+            gear=row["gear_torque"][0],
+            current=row["current"][0],
+            command=values_of(row, "measured.applied", scene)[0],
+            counts=values_of(row, "measured.encoder_counts", scene)[0],
+        )
         if self._at is None:
             self._plot()
         self._moment.content = ", ".join(words)  # last: all of this moment is shown

@@ -9,8 +9,9 @@ import numpy as np
 
 from arm_emulator.base.escape import markdown_text
 
-# In a line above, as units as headings would make it too wide for a narrow window.
-UNITS = "rad, rad/s, N m (slides: m, m/s, N), A, and what the motor got"
+# Headings with units, for joints that turn; those of slides are in the line above the table.
+SLIDES = "slides: q in m, v in m/s, gear in N; command: as the motor takes it"
+DECIMALS = 4
 
 
 def number_table(names: Sequence[str], columns: dict[str, Any]) -> str:
@@ -22,7 +23,26 @@ def number_table(names: Sequence[str], columns: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def machine_table(
+    names: Sequence[str], q: Any, v: Any, gear: Any, current: Any, command: Any, counts: Any
+) -> str:
+    """Return the state and the measurement of all joints (N,) as a table with its units."""
+    columns = {
+        "q [rad]": q,
+        "v [rad/s]": v,
+        "gear [N m]": gear,
+        "current [A]": current,
+        "command": command,
+        "counts": counts,
+    }
+    return f"{SLIDES}\n\n" + number_table(names, columns)
+
+
 def _cell(value: Any) -> str:
     if isinstance(value, np.integer):
         return str(int(value))
-    return "-" if np.isnan(value) else f"{float(value) + 0.0:.5g}"
+    if np.isnan(value):
+        return "-"
+    # Equal decimals let the eye compare the lines; what is too large or small for them is rare.
+    fits = value == 0.0 or 0.5 * 10.0**-DECIMALS <= abs(value) < 1e5
+    return f"{float(value) + 0.0:.{DECIMALS}f}" if fits else f"{float(value):.1e}"

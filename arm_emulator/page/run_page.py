@@ -15,7 +15,7 @@ from arm_emulator.machine.session import Session
 from arm_emulator.page.arm_scene import ArmScene
 from arm_emulator.page.choice import chosen
 from arm_emulator.page.event_list import EventList
-from arm_emulator.page.number_table import UNITS, number_table
+from arm_emulator.page.number_table import machine_table, number_table
 from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.signal_plot import FIRST, HEIGHT, SCALES, lines_of
 from arm_emulator.page.subject import Subject
@@ -309,16 +309,14 @@ class RunPage:
             self.changing = False
         power = "" if session.powered else ", **no power**"
         measured = session.measured
-        self._numbers.content = f"{UNITS}\n\n" + number_table(
+        self._numbers.content = machine_table(
             names,
-            {
-                "q": state.q,
-                "v": state.v,
-                "gear": state.gear_torque,
-                "current": state.current,
-                "command": measured.applied,
-                "counts": measured.encoder_counts,
-            },
+            q=state.q,
+            v=state.v,
+            gear=state.gear_torque,
+            current=state.current,
+            command=measured.applied,
+            counts=measured.encoder_counts,
         )
         self._moment.content = (  # last: all of this moment is shown
             f"tick {tick}, {tick * session.scene.servo_period:.4f} s{apart}{power}"

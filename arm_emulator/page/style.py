@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-WIDTH = 480  # px: of the controls, with the numbers of the joints
+WIDTH = 600  # px: of the controls, with the numbers of the joints
 # The library knows no table wider than its panel, and its panel on a phone is narrower than that.
 # There the arm has the upper part of the screen, and the controls the lower one.
 STYLE = """<style>

@@ -174,6 +174,7 @@ def test_a_port_that_is_taken_is_refused(shown: Shown) -> None:
 
 def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page, scene = opened(browser, shown.url), shown.machine.scene
+    assert page.title() == "arm_emulator"
     for button, tick in (("to end", LAST), ("-1", LAST - 1), ("to start", 0), ("+1", 1)):
         press(page, button)
         shows(page, f"tick {tick},")
@@ -182,7 +183,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     other = RecordedMachine.of(shown.machine.path, scene)
     other.advance(77)
     assert shown.machine.session.plant.save() == other.session.plant.save(), "to the last bit"
-    shows(page, f"{other.session.state.q[1]:.5g}")
+    shows(page, f"{other.session.state.q[1]:.4f}")
     page.get_by_role("tab", name="Events").click()
     page.get_by_role("button", name="120: power").click()
     shows(page, "tick 120,")
