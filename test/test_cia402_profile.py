@@ -608,6 +608,15 @@ def test_a_period_of_sync_that_0x1006_does_not_hold_is_refused(seconds: float) -
         CanSegment(Drives(Plant(PLAIN), SERVO, CANOPEN), 1, sync_period=seconds)
 
 
+def test_a_first_period_of_sync_that_is_rounded_is_noted() -> None:
+    segment = CanSegment(Drives(Plant(PLAIN), SERVO, CANOPEN), 1, sync_period=0.0025)
+    segment.boot()
+    segment.receive(SYNC)
+    rule = "0x1006 is 2.5 servo periods: SYNC stands for 3"
+    assert segment.notices == [f"node {number}: {rule}" for number in (1, 2, 3)]
+    assert segment.tick == 3
+
+
 def test_scenes_keep_the_choice_of_the_home_offset() -> None:
     scene: Scene = load_scene("three_axis", overrides={"home_offset": "zero_to_home"})
     assert scene != PLAIN and scene.home_offset == "zero_to_home"

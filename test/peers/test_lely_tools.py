@@ -32,9 +32,13 @@ NEW = ("planar", "scara", "gantry", "telescopic", "five_joints")
 NEW += ("spherical_wrist", "tilted", "seven_joints", "on_a_rail", "nine_joints")
 # The drive of a joint as a configuration of ros2_canopen has it: interpolation over 50 ms at a
 # SYNC of 10 ms, statusword and mode, position and speed out, controlword and mode, targets in.
+# Beside it the period of SYNC, which our nodes need in lock-step, and guarding.
 NODE: dict[str, Any] = {
     "revision_number": 0x10000,
+    "guard_time": 100,
+    "life_time_factor": 3,
     "sdo": [
+        {"index": 0x1006, "sub_index": 0, "value": 10000},
         {"index": 0x60C2, "sub_index": 1, "value": 50},
         {"index": 0x60C2, "sub_index": 2, "value": -3},
         {"index": 0x6081, "sub_index": 0, "value": 1000},
@@ -107,6 +111,8 @@ def test_dcfchk_and_dcfgen_accept_every_data_sheet(name: str, tmp_path: Path) ->
     run("dcfgen", "--remote-pdo", "--directory", tmp_path, bus(sheets, tmp_path))
     for node in segment.nodes:
         wanted = list(downloads((tmp_path / f"joint_{node.number}.bin").read_bytes()))
-        assert {index for index, *_ in wanted} >= {0x60C2, 0x6081, 0x6083, 0x1401, 0x1801, 0x1A01}
+        indices = {index for index, *_ in wanted}
+        assert indices >= {0x100C, 0x100D, 0x1006, 0x60C2, 0x6081, 0x6083, 0x1401, 0x1801, 0x1A01}
         for index, sub, value in wanted:
             put(segment, node.number, index, sub, int.from_bytes(value, "little"), len(value))
+    assert segment.periods_per_sync == round(0.01 / segment.scene.servo_period)

@@ -56,7 +56,8 @@ class Segment:
         ]
         self.fault: Diverged | None = None
         self.notices: list[str] = []
-        self._written: set[int] = set()  # nodes whose times were written since the last SYNC
+        # Nodes whose times were written since the last SYNC.
+        self._written = {node.number for node in self.nodes} if us else set[int]()
         self._noticed: dict[int, str] = {}  # the last notice on each node
 
     @property
