@@ -88,7 +88,7 @@ class MotionControllerNode(ManagedNode):
             self._diagnostics,
             "motion controller",
             "joint_targets",
-            "the servo takes the first targets that come",
+            "the servo takes the targets of the first one",
         )
         for kind in Kind:
             self._diagnostics.values[_plural(kind)] = 0

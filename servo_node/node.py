@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -109,7 +110,7 @@ class ServoNode(ManagedNode):
             self._diagnostics,
             "servo",
             "motor_commands",
-            "the emulator takes the first answer to each tick",
+            "the emulator takes the commands of the first one",
         )
         self.start()
 
@@ -137,6 +138,7 @@ class ServoNode(ManagedNode):
         )
         self._at = self._hot.at
         self._heard_at = time.monotonic()
+        self._at.tick = -1
         self._start_over()
 
         zeros = array("d", bytes(8 * len(names)))
@@ -232,6 +234,8 @@ class ServoNode(ManagedNode):
 
     def _start_over(self) -> None:
         self._drives.reset()
+        # Stamp of targets that may be under way, to a question of before [ns]; None: of none.
+        self._asked_before = self._at.cycle if self._at.tick >= 0 else None
         self._at.tick = -1  # no state has come
         self._at.waiting = 0  # for the joint targets of this motion period
         self._at.cycle = 0  # start of this motion period
@@ -317,6 +321,8 @@ class ServoNode(ManagedNode):
         except Refusal as reason:
             self._diagnostics.refuse("joint_targets", reason)
             return
+        if target is None:
+            return
         if self._lockstep and self._motion_ticks and not self._at.waiting:
             return  # this motion period's targets, published again
         self._drives.aim(target)
@@ -324,7 +330,12 @@ class ServoNode(ManagedNode):
             self._at.waiting = 0
             self._answer()
 
-    def _read_target(self, message: Any) -> Target:
+    def _read_target(self, message: Any) -> Target | None:
+        """Return the targets of a message; None of those that are late, which are counted.
+
+        Raises:
+            Refusal: they are not valid, or answer no joint states.
+        """
         arrange, names = self._targets_order.arrange, message.name
         time_ns = time_of("joint_targets", message.header.stamp)
         target = Target(
@@ -333,6 +344,9 @@ class ServoNode(ManagedNode):
             arrange(names, message.effort, EFFORT) if len(message.effort) else None,
         )
         if self._lockstep and self._motion_ticks and time_ns != self._at.cycle:
+            if late := self._late(time_ns, target):
+                self._diagnostics.count(f"joint_targets {late}")
+                return None
             raise Refusal(
                 "joint_targets",
                 "header.stamp",
@@ -340,6 +354,16 @@ class ServoNode(ManagedNode):
                 f"{time_ns / NANOSECONDS:g} s",
             )
         return target
+
+    def _late(self, time_ns: int, target: Target) -> str:
+        """Return why targets for another time come late; "": they do not.
+
+        A motion controller answers joint states once more that are repeated to it.
+        """
+        before = self._at.cycle - self._motion_ticks * self._period_ns
+        if time_ns == before and np.array_equal(target.q, self._drives.servo.targeted):
+            return "repeated"
+        return "before the reset" if time_ns == self._asked_before else ""
 
     # Control law
 

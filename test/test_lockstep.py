@@ -162,6 +162,46 @@ def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
         assert second.poll() is None
 
 
+def test_answers_that_come_late_are_counted_and_no_fault() -> None:
+    """A question that was repeated is answered twice; one reset comes before an answer."""
+    with in_process() as one:
+        health, targets = one.nodes["servo"]._diagnostics, []
+        one.run_to(120)
+
+        def sent_again(changed: float = 0.0) -> None:
+            targets[:] = [one.newest("joint_targets")]
+            targets[0].position[0] += changed
+
+        period = 50  # ticks
+        for _ in range(3):
+            begin = -(-one.tick // period) * period
+            sent_again()
+            while one.newest("joint_states").header.stamp == targets[0].header.stamp or (
+                one.tick < begin
+            ):
+                assert one.deliver()
+            one.send("joint_targets", targets[0])  # the servo waits for the answer to the next ones
+            one.run_to(one.tick + 60)
+        assert health.values["joint_targets repeated"] == 3 and health.refused == 0
+        # Others with that stamp answer nothing.
+        begin = -(-one.tick // period) * period
+        sent_again(changed=0.1)
+        while one.tick < begin:
+            assert one.deliver()
+        one.send("joint_targets", targets[0])
+        assert health.refused == 1 and "that of the joint states it answers" in str(
+            health._newest_refusal
+        )
+        before = health.refused
+        one.run_to(one.tick + 60)
+        sent_again()
+        assert one.call("emulator/reset").success
+        while one.newest("joint_states").header.stamp.nanosec:
+            assert one.deliver()
+        one.send("joint_targets", targets[0])
+        assert health.values["joint_targets before the reset"] == 1 and health.refused == before
+
+
 def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: SharedNetwork) -> None:
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))

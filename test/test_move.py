@@ -33,6 +33,10 @@ def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path
         assert code == 0 and facts["target"]["state"] == "reached", out
         assert abs(facts["joints"]["waist"] - 0.2) < 2e-3, "the joint is where it was sent"
         assert {one["level"] for one in facts["nodes"].values()} == {"ok"}
+        assert not facts["target"]["before_reset"]
+        assert user.call("emulator/reset").success
+        target = json.loads(run("status", "--json")[1])["target"]
+        assert target["before_reset"] and target["state"] == "reached", "it is no more the newest"
 
         code, out, _ = run("move", "--to", "50", "0", "0")
         assert code == 1 and out.splitlines()[-1].startswith("unreachable"), out
@@ -42,6 +46,23 @@ def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path
         assert code == 2 and "must name joints, got knee; valid: waist" in errors, errors
         code, out, errors = run("move", "--by", "0", "0", "1e-3", "--timeout", "1e-3")
         assert code == 1 and "no end within 0.001 s" in out, out
+
+
+def test_a_node_of_another_maker_is_not_missing(tmp_path: Path) -> None:
+    """The example of a servo takes the place of ours."""
+    file = Path(__file__).resolve().parents[1] / "examples/my_servo.py"
+    only = ("emulator", "motion_controller")
+    with network(tmp_path / "log", start="first_answer", only=only) as (user, _):
+        servo = subprocess.Popen([sys.executable, str(file)])
+        try:
+            user.wait("the run", lambda: user.tick > 200)
+            code, out, errors = run("status", "--json")
+        finally:
+            servo.kill()
+            servo.wait()
+        nodes = json.loads(out)["nodes"]
+        assert nodes["servo"] == {"level": "other", "message": "node /my_servo"}, out
+        assert code == 0 and nodes["emulator"]["level"] == "ok", out + errors
 
 
 def test_without_a_network_one_line_names_the_remedy() -> None:

@@ -247,6 +247,12 @@ class Servo(Turns):
         return row
 
     @property
+    def targeted(self) -> FloatArray:
+        """The newest target angles (N,), as the memory where the law finds them."""
+        row: FloatArray = self._rows[2]
+        return row
+
+    @property
     @in_turn
     def command(self) -> FloatArray:
         """The newest commands, (N,) [V, N m, A], as a copy."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from cyclopts import Parameter
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -10,11 +10,16 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
-from arm_emulator.ros.network_guest import STATES, guest
+from arm_emulator.ros.network_guest import STATES, NetworkGuest, guest
 from arm_emulator.ros.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QOS
-from arm_emulator_msgs.msg import EmulatorStatus, MotionStatus
+from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 
-NODES = ("emulator", "servo", "motion_controller")
+# Our nodes, and the topic on which a node of another maker publishes in the place of each.
+NODES = {
+    "emulator": "motor_states",
+    "servo": "motor_commands",
+    "motion_controller": "joint_targets",
+}
 OTHERS_WITHIN = 0.3  # s, for the arrival of all kept statuses
 TARGET_WITHIN = 1.0  # s, for the arrival of the newest status of a target
 PHASES = {
@@ -34,6 +39,8 @@ def status(
 ) -> int:
     """Print the state of a running network; the exit code is 1 if a node is missing or not healthy.
 
+    A node of another maker in the place of ours is `other`: its health is not known.
+
     Args:
         timeout: wall time to wait for missing nodes.
         namespace: of the network, such as /cell1.
@@ -44,11 +51,24 @@ def status(
     def take(array: DiagnosticArray) -> None:
         health.update({one.name.removeprefix(prefix): one for one in array.status})
 
+    sent_at = {"reset": 0, "target": 0}  # of the newest messages, wall time [ns]
+
+    def take_event(event: MachineEvent, info: dict[str, int]) -> None:
+        if event.kind == MachineEvent.KIND_RESET:
+            sent_at["reset"] = max(sent_at["reset"], info["source_timestamp"])
+
+    def take_target(target: MotionStatus, info: dict[str, int]) -> None:
+        node.newest["motion/status"] = target
+        sent_at["target"] = info["source_timestamp"]
+
     with guest("status", namespace) as node:
         node.create_subscription(DiagnosticArray, "diagnostics", take, DIAGNOSTICS_QOS)
+        # rclpy's type hint lacks callbacks that take the times of a message, too.
+        events, statuses = cast("Any", take_event), cast("Any", take_target)
+        node.create_subscription(MachineEvent, "emulator/events", events, EVENT_QOS)
+        node.create_subscription(MotionStatus, "motion/status", statuses, EVENT_QOS)
         node.listen("emulator/status", EmulatorStatus, STATE_SUB_QOS)
         node.listen("joint_states", JointState, STATE_SUB_QOS)
-        node.listen("motion/status", MotionStatus, EVENT_QOS)
         wanted = {"emulator/status", "joint_states"}
         node.spin_until(lambda: wanted <= set(node.newest) and set(NODES) <= set(health), timeout)
         # A network without a target publishes no status.
@@ -56,6 +76,7 @@ def status(
         if node.spin_until(lambda: "motion/status" in node.newest, min(timeout, TARGET_WITHIN)):
             node.spin_until(lambda: False, OTHERS_WITHIN)
         newest = node.newest
+        others = {name: _others(node, topic) for name, topic in NODES.items()}
     facts: dict[str, Any] = {"nodes": {}}
     if "emulator/status" in newest:
         clock = newest["emulator/status"]
@@ -78,20 +99,42 @@ def status(
         output.line(f"joints             {words} (rad or m)")
     if "motion/status" in newest:
         target = newest["motion/status"]
+        before = sent_at["target"] < sent_at["reset"]
         facts["target"] = {"state": STATES.get(target.state, ""), "reason": target.reason}
+        facts["target"]["before_reset"] = before
         reason = f": {target.reason}" if target.reason else ""
-        output.line(f"newest target      {facts['target']['state']}{reason}")
+        when = " (before the newest reset)" if before else ""
+        output.line(f"newest target      {facts['target']['state']}{reason}{when}")
     bad = 0
     for name in NODES:
         one = health.get(name)
-        level = "missing" if one is None else _level(one)
-        facts["nodes"][name] = {"level": level, "message": one.message if one else ""}
-        bad += level != "ok"
-        output.line(f"{name:<18} {level}{f': {one.message}' if one and one.message else ''}")
-    if len(health.keys() & set(NODES)) == 0:
+        level = _level(one) if one else "other" if others[name] else "missing"
+        words = _words(one) if one else ", ".join(others[name])
+        facts["nodes"][name] = {"level": level, "message": words}
+        bad += level not in ("ok", "other")
+        output.line(f"{name:<18} {level}{f': {words}' if words else ''}")
+    if len(health.keys() & set(NODES)) == 0 and not any(others.values()):
         output.line("no network: start one (`arm_emulator up`) in this ROS_DOMAIN_ID and namespace")
     output.facts(facts)
     return int(bad > 0)
+
+
+def _others(node: NetworkGuest, topic: str) -> list[str]:
+    """Return the nodes that publish a topic."""
+    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    names = {f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found}
+    return sorted(f"node {name}" for name in names)
+
+
+def _words(one: DiagnosticStatus) -> str:
+    """Return the health of a node in words, with the newest input that it has refused."""
+    values = {pair.key: pair.value for pair in one.values}
+    refused = sum(int(v) for k, v in values.items() if k.startswith("refused ") and v.isdecimal())
+    if not refused:
+        return str(one.message)
+    return (
+        f"{one.message}; refused so far: {refused}, the newest {values.get('newest refusal', '')}"
+    )
 
 
 def _level(one: DiagnosticStatus) -> str:
