@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.node import Node
 from rclpy.task import Future
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.follow_goal import result_of
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.motion_report import Kind, MotionReport
+from arm_emulator.ros.barrier import guard
+from arm_emulator.ros.managed_node import ManagedNode
 
 try:
     from control_msgs.action import FollowJointTrajectory
@@ -36,7 +37,7 @@ class FollowAction:
     """
 
     def __init__(
-        self, node: Node, take: Callable[[Any], int], cancel: Callable[[int], None]
+        self, node: ManagedNode, take: Callable[[Any], int], cancel: Callable[[int], None]
     ) -> None:
         self._take, self._cancel = take, cancel
         self._number = 0  # of the newest goal
@@ -46,9 +47,9 @@ class FollowAction:
             FollowJointTrajectory,
             NAME,
             execute_callback=self._execute,
-            goal_callback=self._on_goal,
+            goal_callback=guard(node, NAME, self._on_goal, lambda *_: GoalResponse.REJECT),
             handle_accepted_callback=self._on_accepted,
-            cancel_callback=self._on_cancel,
+            cancel_callback=guard(node, NAME, self._on_cancel, lambda *_: CancelResponse.REJECT),
         )
 
     def hear(self, report: MotionReport) -> None:

@@ -1,0 +1,229 @@
+"""Random values in all fields of all services, topics and parameters of a network that runs.
+
+No node ends, each refusal has its answer, and the network works afterwards. Where no order asks
+for it and no service changes the machine, no joint exceeds its limits.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from draws import some
+from network import ALL_THREE, JOINTS, User, logs, network
+from random_fields import class_of, fill
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.node_shell import EVENT_QOS
+from arm_emulator_msgs.msg import MotionStatus, ServoState
+
+WORDS = (
+    *JOINTS, "world", "tool", "base", "abs(v.elbow) > 1", "q.waist > 0.1", "clock", "period",
+    "max_speed", "joints.waist.kp", "use_sim_time", "real_time_factor", "nobody", "",
+)  # fmt: skip
+# A shutdown for good ends the work of a node, which a client may ask for.
+LASTING = ("change_state",)
+PUSHES = ("external_wrench", "external_wrench_in_world")  # move the arm by force
+OUTSTANDING = 20  # calls
+IGNORED = ("/parameter_events", "/rosout", "/diagnostics")
+COUNT = some(range(10_000), 400)  # of each of the two tests
+SEED = os.environ.get("SEED", "19")
+
+
+class Strangers:
+    """A node that publishes and calls everything.
+
+    Args:
+        user: of the network.
+        rng: draws.
+    """
+
+    def __init__(self, user: User, rng: random.Random) -> None:
+        self._user, self._rng = user, rng
+        self.node = Node("stranger", context=user.node.context)
+        user.add(self.node)
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self._futures: list[Any] = []
+        self.answered = 0
+        user.wait("all services", lambda: len(self._found()[1]) > 20)
+        self.topics, self.services = self._found()
+        self.parameters = {
+            name: self._call_now(f"/{name}/list_parameters", "ListParameters").result.names
+            for name in ALL_THREE
+        }
+
+    def _found(self) -> tuple[dict[str, str], dict[str, str]]:
+        topics: dict[str, str] = {}
+        services: dict[str, str] = {}
+        for name in ALL_THREE:
+            if name in self.node.get_node_names():
+                topics |= {
+                    topic: kinds[0]
+                    for topic, kinds in self.node.get_subscriber_names_and_types_by_node(name, "/")
+                }
+                services |= {
+                    service: kinds[0]
+                    for service, kinds in self.node.get_service_names_and_types_by_node(name, "/")
+                }
+        return {t: k for t, k in topics.items() if t not in IGNORED}, services
+
+    def _call_now(self, service: str, kind: str) -> Any:
+        client = self.node.create_client(class_of(f"rcl_interfaces/srv/{kind}"), service)
+        self._user.wait(service, client.service_is_ready)
+        future = client.call_async(class_of(f"rcl_interfaces/srv/{kind}").Request())
+        self._user.wait(service, future.done)
+        return future.result()
+
+    def publish(self, topic: str, message: Any = None) -> None:
+        """Publish a message, a random one if it is None."""
+        kind = class_of(self.topics[topic])
+        if topic not in self._publishers:
+            kept = topic in ("/robot_description", "/emulator/events")
+            qos = QoSProfile(depth=10)
+            if kept:
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+            self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
+        self._publishers[topic].publish(
+            fill(self._rng, kind(), WORDS) if message is None else message
+        )
+
+    def call(self, service: str) -> None:
+        """Call a service with a random request; parameters are those of its node, most often."""
+        kind = class_of(self.services[service])
+        request = fill(self._rng, kind.Request(), WORDS)
+        if kind is SetParameters:
+            names = self.parameters[service.split("/")[1]]
+            request.parameters = [
+                Parameter(
+                    name=self._rng.choice(names), value=fill(self._rng, ParameterValue(), WORDS)
+                )
+                for _ in range(3)
+            ]
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+            self._user.wait(service, self._clients[service].service_is_ready)
+        future = self._clients[service].call_async(request)
+        future.service = service
+        self._futures.append(future)
+        self._user.wait("answers", lambda: len(self.waiting()) < OUTSTANDING)
+
+    def waiting(self) -> list[str]:
+        """Return services that have not answered yet."""
+        self.answered += sum(one.done() for one in self._futures)
+        self._futures = [one for one in self._futures if not one.done()]
+        return [one.service for one in self._futures]
+
+
+def assert_alive(nodes: Bringup, log: Path) -> None:
+    ended = nodes.ended()
+    assert ended is None, f"{ended} ended by itself: {logs(log)}"
+
+
+def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path: Path) -> None:
+    rng = random.Random(f"values {SEED}")
+    with network(tmp_path, start="first_answer", forked=False) as (user, nodes):
+        user.wait("the run", lambda: user.tick > 100)
+        strangers = Strangers(user, rng)
+        services = [one for one in strangers.services if not one.endswith(LASTING)]
+        assert len(services) > 30 and len(strangers.topics) > 9, strangers.topics
+        for number, _ in enumerate(COUNT):
+            if rng.random() < 0.5:
+                strangers.publish(rng.choice([*strangers.topics]))
+                user.spin(0.001)
+            else:
+                strangers.call(rng.choice(services))
+            if number % 50 == 0:
+                assert_alive(nodes, tmp_path)
+        user.wait("all answers", lambda: not strangers.waiting())
+        assert_alive(nodes, tmp_path)
+        assert strangers.answered > len(COUNT) / 3
+        # The machine may be paused, without power, with other gains; its nodes serve.
+        for name in ALL_THREE:
+            strangers._call_now(f"/{name}/list_parameters", "ListParameters")
+        strangers.node.destroy_node()
+
+
+def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_path: Path) -> None:
+    """Joints move to and fro, and every topic gets messages of strangers, of any time and content.
+
+    Measured are the true speeds of links; their gears are elastic, so 5 % are allowed beside
+    the limits of the description.
+    """
+    rng = random.Random(f"orders {SEED}")
+    scene = load_scene("ur5")
+    names = list(scene.joint_names)
+    found = ElementTree.fromstring(scene.urdf).findall("joint")
+    limits = {one.get("name", ""): one.find("limit") for one in found}
+    with network(tmp_path, scene="ur5", start="first_answer", forked=False) as (user, nodes):
+        user.wait("the run", lambda: user.tick > 100)
+        strangers = Strangers(user, rng)
+        topics = [one for one in strangers.topics if one.strip("/") not in PUSHES]
+        user.wait("true states", lambda: user.truth is not None)
+        fastest = 0.0
+        for number, _ in enumerate(COUNT):
+            topic = rng.choice(topics)
+            message = fill(rng, class_of(strangers.topics[topic])(), WORDS)
+            if hasattr(message, "header") and rng.random() < 0.7:
+                at = user.truth.header.stamp
+                message.header.stamp.sec = rng.choice((0, at.sec, at.sec + 1, at.sec // 2))
+                message.header.stamp.nanosec = rng.choice((0, at.nanosec, 50_000_000))
+            if isinstance(message, JointState | ServoState) and rng.random() < 0.7:
+                sound(rng, message, names)
+            strangers.publish(topic, message)
+            if number % 20 == 0:
+                swing(rng, strangers, names)
+                assert_alive(nodes, tmp_path)
+            user.spin(0.002)
+            assert_within(user, limits)
+            fastest = max([fastest, *map(abs, user.truth.velocity)])
+        assert_alive(nodes, tmp_path)
+        assert fastest > 0.3, "rad/s: the arm has moved"
+        # What is reported is true: of the last trajectory that it has ended, and where.
+        assert user.call("motion_controller/reset").success
+        reports: list[MotionStatus] = []
+        user.node.create_subscription(MotionStatus, "motion/status", reports.append, EVENT_QOS)
+        goal = swing(rng, strangers, names)
+        reached = MotionStatus.STATE_REACHED
+        user.wait("its end", lambda: reports and reports[-1].state == reached)
+        at = dict(zip(user.truth.name, user.truth.position, strict=True))
+        assert np.allclose([at[name] for name in names], goal, atol=0.02), "rad: wind-up of gears"
+        strangers.node.destroy_node()
+
+
+def sound(rng: random.Random, message: Any, names: list[str]) -> None:
+    """Make a message one that a receiver could take."""
+    if isinstance(message, JointState):
+        message.name, message.velocity, message.effort = names, [], []
+        message.position = [rng.uniform(-1.0, 1.0) for _ in names]
+    else:
+        message.joint_names, message.movable = names, [rng.randrange(2) for _ in names]
+
+
+def swing(rng: random.Random, strangers: Strangers, names: list[str]) -> list[float]:
+    """Send all joints somewhere, as quickly as they may; return where [rad]."""
+    point = JointTrajectoryPoint(positions=[rng.uniform(-1.5, 1.5) for _ in names])
+    point.time_from_start.sec = 1
+    message = JointTrajectory(joint_names=names, points=[point])
+    strangers.publish("/joint_trajectory", message)
+    return list(point.positions)
+
+
+def assert_within(user: User, limits: dict[str, Any]) -> None:
+    for name, q, v in zip(user.truth.name, user.truth.position, user.truth.velocity, strict=True):
+        lower, upper, most = (
+            float(limits[name].get(one)) for one in ("lower", "upper", "velocity")
+        )
+        assert abs(v) <= 1.05 * most, f"{name} moves at {v:.3g} rad/s, of {most:g}"
+        assert 1.05 * lower <= q <= 1.05 * upper, f"{name} is at {q:.3g} rad"
