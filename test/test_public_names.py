@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import copy
 import dataclasses
 import inspect
@@ -11,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pytest
@@ -39,6 +40,8 @@ from arm_emulator import (
     testing,
 )
 from arm_emulator.base.config_files import find_config, find_scene
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.known import PARTS
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -388,3 +391,65 @@ def test_a_closed_session_can_be_read_and_not_moved() -> None:
         with pytest.raises(Refusal, match="session must be open, got a closed one"):
             change()
     assert session.plant.save() == saved and session.tick == 1 and session.state.t > 0.0
+
+
+class Logged(abc.ABC):
+    """A base of a user, with a constructor of its own."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.lines: list[str] = []
+
+    @abc.abstractmethod
+    def log(self) -> None: ...
+
+
+class HasTime(Protocol):
+    @property
+    def t(self) -> float: ...
+
+
+@pytest.mark.parametrize("kind", [Plant, Session, Fleet, Servo, Timeline, OfflineRun, Kinematics])
+def test_public_classes_go_with_abstract_bases_and_protocols(kind: type) -> None:
+    for bases in ((kind, Logged), (kind, HasTime), (Logged, kind), (HasTime, kind)):
+        mine = type("Mine", bases, {"log": lambda self: None})
+        if kind is Plant:
+            plant = mine("three_axis")
+            assert (plant.state.q == Plant("three_axis").state.q).all()
+            if bases[0] is not Logged:  # whose constructor ends it
+                with pytest.raises(AttributeError, match="powered"):
+                    plant.powerd = False
+
+
+def test_a_missing_attribute_searches_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nearest names are found when the error is read, not when it is raised."""
+    plant = Plant("three_axis")
+    owners = (plant, plant.state, plant.scene, plant.measured, Servo("three_axis"))
+
+    def searched(*_: Any) -> list[str]:
+        raise AssertionError("a search")
+
+    for one in owners:
+        with pytest.raises(AttributeError) as error:
+            one.tolist  # type: ignore[union-attr]  # noqa: B018
+        assert (error.value.name, error.value.obj) == ("tolist", one)
+        assert "got tolist; valid: " in str(error.value)
+        with pytest.raises(AttributeError, match="got tolist"):
+            raise pickle.loads(pickle.dumps(error.value))
+        with monkeypatch.context() as patched:
+            patched.setattr("difflib.get_close_matches", searched)
+            assert not hasattr(one, "tolist") and getattr(one, "tolist", None) is None
+
+
+def test_the_keywords_of_a_part_are_its_signature() -> None:
+    for kind in PARTS:
+        fields = {one.name: one for one in dataclasses.fields(kind)}
+        signature = inspect.signature(kind)
+        assert signature.parameters.keys() == fields.keys(), kind
+        for name, one in signature.parameters.items():
+            assert one.kind is one.KEYWORD_ONLY
+            required = fields[name].default is fields[name].default_factory is dataclasses.MISSING
+            assert (one.default is one.empty) == required, name
+    needed = {one.name for one in inspect.signature(DcMotor).parameters.values()
+              if one.default is one.empty}  # fmt: skip
+    assert needed == {"resistance", "torque_constant", "back_emf_constant", "rotor_inertia"}

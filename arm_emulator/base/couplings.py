@@ -31,6 +31,15 @@ class Follows:
     shares: Mapping[str, float]  # by the shaft's name
     offset: float  # rad or m
 
+    def position(self, shafts: Mapping[str, float]) -> float:
+        """Return the joint's position [rad or m] at positions of the shafts; 0 of those left out.
+
+        A joint that is fixed in the URDF is left out: it stands at 0.
+        """
+        return self.offset + sum(
+            share * shafts.get(name, 0.0) for name, share in self.shares.items()
+        )
+
 
 def followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[str, Follows]:
     """Return the joints that follow shafts other than one of their own, by name.
@@ -131,8 +140,29 @@ def own_shafts(joints: Sequence[str], followers: Mapping[str, Follows]) -> list[
     return [name for name in joints if name not in followers or name in followed]
 
 
-def coupling_of(joints: Sequence[str], followers: Mapping[str, Follows], where: str) -> Coupling:
+def _remedy(
+    name: str, follows: Follows, shafts: Sequence[str], locked: Mapping[str, float] | None
+) -> str:
+    """Return how a joint may be held that follows a joint which does not move."""
+    moving = [shaft for shaft in follows.shares if shaft in shafts]
+    if moving:
+        return f"lock it in the scene, at a position of {', '.join(moving)} that you choose"
+    return f"lock it in the scene: locked: {{{name}: {follows.position(locked or {})!r}}}"
+
+
+def coupling_of(
+    joints: Sequence[str],
+    followers: Mapping[str, Follows],
+    where: str,
+    locked: Mapping[str, float] | None = None,
+) -> Coupling:
     """Return the coupling of joints in a row.
+
+    Args:
+        joints: that move, base to tool.
+        followers: joints that follow shafts other than one of their own, by name.
+        where: name of the URDF in refusals.
+        locked: positions of joints that are held [rad or m].
 
     Raises:
         Refusal: a joint follows one that is not in the row, or a shaft moves no joint of its
@@ -143,8 +173,9 @@ def coupling_of(joints: Sequence[str], followers: Mapping[str, Follows], where: 
         for shaft in one.shares:
             if name in joints and shaft not in shafts:
                 rule = "follow joints on the way from base to tool"
-                held = f"lock it in the scene: locked: {{{name}: 0.0}}"
-                raise Refusal(where, f"joint {name}", rule, shaft, held)
+                raise Refusal(
+                    where, f"joint {name}", rule, shaft, _remedy(name, one, shafts, locked)
+                )
     rows = [followers.get(name, Follows({name: 1.0}, 0.0)) for name in joints]
     C = np.array([[row.shares.get(shaft, 0.0) for shaft in shafts] for row in rows])
     values = np.linalg.svd(C, compute_uv=False) if shafts else np.zeros(1)

@@ -3,8 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from dataclasses import MISSING
 from typing import Any, ClassVar, NoReturn, dataclass_transform
+
+
+class _SignatureOfFields:
+    """The keywords that a class takes, for `inspect.signature` and `help`; found when read."""
+
+    def __get__(self, one: object, owner: type[Any]) -> inspect.Signature:
+        if not dataclasses.is_dataclass(owner):
+            raise AttributeError("__signature__")
+        parameters = []
+        for field in dataclasses.fields(owner):
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            if field.default_factory is not MISSING:
+                default = field.default_factory()
+            kind = inspect.Parameter.KEYWORD_ONLY
+            parameters.append(
+                inspect.Parameter(field.name, kind, default=default, annotation=field.type)
+            )
+        return inspect.Signature(parameters)
 
 
 @dataclass_transform(
@@ -13,6 +32,7 @@ from typing import Any, ClassVar, NoReturn, dataclass_transform
 class Declared:
     """Base of classes that are frozen dataclasses with keywords, by what they inherit."""
 
+    __signature__ = _SignatureOfFields()
     _fields: ClassVar[list[tuple[str, Any, Any]]]  # name, default and factory of each
 
     def __init_subclass__(cls) -> None:

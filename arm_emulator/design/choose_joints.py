@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from arm_emulator.base.couplings import followers, own_shafts
+from arm_emulator.base.couplings import Follows, followers, own_shafts
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.urdf_tree import FREE_KINDS, MOVING_KINDS
 
@@ -64,7 +64,8 @@ class _Tree:
     def __init__(self, robot: ET.Element, where: str) -> None:
         self.where = where
         self.links = [link.get("name", "") for link in robot.findall("link")]
-        follows = _follows(robot, where)
+        self.followers = _followers(robot, where)
+        follows = _follows(robot, self.followers)
         self.joints = [
             _read(element, follows.get(element.get("name", ""), ()), where)
             for element in robot.findall("joint")
@@ -167,8 +168,9 @@ def choose_joints(
     along = _along(way if joints is None and not tree else limbs.joints, chosen)
     guesses[:0] = [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
     names = tuple(joint.name for joint in chosen)
+    positions = _positions(limbs)
     held = {
-        joint.name: _held(joint, chosen)
+        joint.name: _held(joint, chosen, positions[joint.name])
         for joint in limbs.joints
         if joint.kind != "fixed" and joint.name not in names and joint not in along
     }
@@ -181,17 +183,32 @@ def choose_joints(
     return Choice(tool, names, held, tuple(guesses))
 
 
-def _follows(robot: ET.Element, where: str) -> dict[str, tuple[str, ...]]:
-    """Return with which joints those move that have no shaft of their own, by name."""
+def _named_by(robot: ET.Element) -> dict[str, tuple[str, ...]]:
+    """Return the joints that each joint names as those which it follows."""
     rows = {
         joint.get("name", ""): [*joint.findall("mimic"), *joint.findall("coupling")]
         for joint in robot.findall("joint")
     }
-    named = {name: tuple(row.get("joint", "") for row in of) for name, of in rows.items()}
-    lost = {name: others for name, others in named.items() if not {*others} <= {*rows}}
-    found = followers(robot, where, list(lost))
-    alone = own_shafts(list(rows), found)
-    return {name: tuple(one.shares) for name, one in found.items() if name not in alone} | lost
+    return {name: tuple(row.get("joint", "") for row in of) for name, of in rows.items()}
+
+
+def _lost(robot: ET.Element) -> dict[str, tuple[str, ...]]:
+    """Return the joints that follow one which the robot has not, with all that they follow."""
+    named = _named_by(robot)
+    return {name: others for name, others in named.items() if not {*others} <= {*named}}
+
+
+def _followers(robot: ET.Element, where: str) -> dict[str, Follows]:
+    """Return the laws of the joints that follow joints of the robot, by name."""
+    return followers(robot, where, list(_lost(robot)))
+
+
+def _follows(robot: ET.Element, laws: Mapping[str, Follows]) -> dict[str, tuple[str, ...]]:
+    """Return with which joints those move that have no shaft of their own, by name."""
+    alone = own_shafts(list(_named_by(robot)), laws)
+    return {name: tuple(one.shares) for name, one in laws.items() if name not in alone} | _lost(
+        robot
+    )
 
 
 def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
@@ -291,9 +308,25 @@ def _tool_behind(tree: _Tree, link: str) -> str:
     return fixed[0]
 
 
-def _held(joint: _Joint, chosen: Sequence[_Joint]) -> Held:
-    low, high = joint.limits
-    position = 0.0 if joint.kind not in MOVING else min(max(0.0, low), high)
+def _positions(tree: _Tree) -> dict[str, float]:
+    """Return where joints stand that are held [rad or m], by name.
+
+    A joint that moves by itself stands next to 0 within its limits, and those that follow it as it
+    takes them along: a law of the description goes before their limits.
+    """
+    positions = {
+        joint.name: min(max(0.0, joint.limits[0]), joint.limits[1]) if joint.kind in MOVING else 0.0
+        for joint in tree.joints
+    }
+    laws = {
+        joint.name: tree.followers[joint.name]
+        for joint in tree.joints
+        if joint.follows and joint.kind in MOVING and joint.name in tree.followers
+    }
+    return positions | {name: law.position(positions) for name, law in laws.items()}
+
+
+def _held(joint: _Joint, chosen: Sequence[_Joint], position: float) -> Held:
     if joint.follows:
         moved = {one.name for one in chosen}.issuperset(joint.follows)
         off = ", which moves, but not on the way to the tool" if moved else ""

@@ -69,7 +69,7 @@ def read_chain(
     """
     moving = _with_bodies(robot, where, asks, locked, tool, payload)
     of_joints = followers(robot, where, list(locked))
-    coupling = coupling_of([one.joint.name for one in moving], of_joints, where)
+    coupling = coupling_of([one.joint.name for one in moving], of_joints, where, locked)
     faults = [fault for one in moving if (fault := _fault_of_body(one, where)) is not None]
     if faults:
         raise _all_of(faults, where)
