@@ -17,11 +17,13 @@ from rcl_interfaces.srv import (
     ListParameters,
     SetParametersAtomically,
 )
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.hands import Hands, News, Vector
+from arm_emulator.ros.barrier import guard
 from arm_emulator.ros.node_parameters import SETTABLE
 from arm_emulator.ros.node_shell import EVENT_QOS, STATE_SUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
@@ -74,15 +76,30 @@ class RosHands(Hands):
         self._clients: dict[str, Any] = {}
         self._targets = node.create_publisher(PoseStamped, "tool_target", 1)
         self._pushes = node.create_publisher(WrenchStamped, "external_wrench_in_world", 1)
-        subscribe = node.create_subscription
-        subscribe(EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS)
-        subscribe(MachineEvent, "emulator/events", self._on_event, EVENT_QOS)
-        subscribe(MotionStatus, "motion/status", self._on_motion, EVENT_QOS)
-        subscribe(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        for kind, topic, callback, qos in (
+            (EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS),
+            (MachineEvent, "emulator/events", self._on_event, EVENT_QOS),
+            (MotionStatus, "motion/status", self._on_motion, EVENT_QOS),
+            (DiagnosticArray, "diagnostics", self._on_diagnostics, 10),
+        ):
+            node.create_subscription(kind, topic, guard(self, topic, callback), qos)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._executor.spin, name="hands", daemon=True)
         self._thread.start()
+
+    @property
+    def context(self) -> Context:
+        """See `Guarded`."""
+        return self._node.context
+
+    def get_logger(self) -> Any:
+        """See `Guarded`."""
+        return self._node.get_logger()
+
+    def refuse(self, where: str, reason: Refusal, times: int = 1) -> None:
+        """Log a message that cannot be shown; anyone can publish on these topics."""
+        self._node.get_logger().warning(f"{where}: refused: {reason}", throttle_duration_sec=5.0)
 
     def can(self) -> frozenset[str]:
         """Return all, without the rate in real time, which passes by the clock."""

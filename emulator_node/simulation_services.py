@@ -11,6 +11,7 @@ from rclpy.task import Future
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.phase import Phase
+from arm_emulator.ros.barrier import guard_later
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import wall_timer
 from arm_emulator_msgs.msg import MachineEvent
@@ -93,7 +94,7 @@ class SimulationServices:
             node,
             action.SimulateSteps,
             "~/simulate_steps",
-            execute_callback=self._execute,
+            execute_callback=guard_later(node, "simulate_steps", self._execute, _not_done),
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         node.cleanup.callback(server.destroy)
@@ -275,6 +276,12 @@ def _refuse(response: Any, reason: str, result: int | None = None) -> Any:
     wrong = msg.Result.RESULT_INCORRECT_STATE if result is None else result
     response.result.result, response.result.error_message = wrong, reason
     return response
+
+
+def _not_done(reason: Refusal, goal: Any) -> Any:
+    result = action.SimulateSteps.Result()
+    goal.abort()
+    return _refuse(result, str(reason), msg.Result.RESULT_OPERATION_FAILED)
 
 
 def _quit() -> None:

@@ -13,6 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from draws import some
 from network import ALL_THREE, JOINTS, User, logs, network
 from random_fields import class_of, fill
@@ -26,7 +27,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.node_shell import EVENT_QOS
-from arm_emulator_msgs.msg import MotionStatus, ServoState
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus, ServoState
+from emulator_node.page_hands import RosHands
 
 WORDS = (
     *JOINTS, "world", "tool", "base", "abs(v.elbow) > 1", "q.waist > 0.1", "clock", "period",
@@ -209,6 +212,36 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
         at = dict(zip(user.truth.name, user.truth.position, strict=True))
         assert np.allclose([at[name] for name in names], goal, atol=0.02), "rad: wind-up of gears"
         strangers.node.destroy_node()
+
+
+def test_the_page_outlives_what_others_publish() -> None:
+    """Diagnostics with a breakpoint of another form, phases that do not exist, any field."""
+    rng = random.Random(f"page {SEED}")
+    with own_domain() as domain:
+        user = User(domain)
+        hands = RosHands("/", 1e-3, lockstep=True)
+        try:
+            kinds = (EmulatorStatus, MachineEvent, MotionStatus, DiagnosticArray)
+            topics = ("emulator/status", "emulator/events", "motion/status", "diagnostics")
+            publishers = [
+                user.node.create_publisher(kind, topic, EVENT_QOS)
+                for kind, topic in zip(kinds, topics, strict=True)
+            ]
+            user.wait("the page", lambda: all(p.get_subscription_count() for p in publishers))
+            pairs = [KeyValue(key="newest breakpoint", value="stopped at tick x: why")]
+            publishers[3].publish(DiagnosticArray(status=[DiagnosticStatus(values=pairs)]))
+            publishers[0].publish(EmulatorStatus(phase=200))
+            for _ in range(300):
+                kind, publisher = rng.choice([*zip(kinds, publishers, strict=True)])
+                publisher.publish(fill(rng, kind(), WORDS))
+                user.spin(0.001)
+            end = EmulatorStatus(phase=EmulatorStatus.PHASE_RUNNING, powered=True)
+            publishers[0].publish(end)
+            user.wait("the newest state", lambda: hands.news().state == "running")
+            hands.news()
+        finally:
+            hands.close()
+            user.close()
 
 
 def sound(rng: random.Random, message: Any, names: list[str]) -> None:

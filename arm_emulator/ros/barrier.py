@@ -29,7 +29,9 @@ class StartAnew(Exception):
 class Guarded(Protocol):
     """A node behind the barrier."""
 
-    refuse: Callable[..., None]
+    @property
+    def refuse(self) -> Callable[..., None]:
+        """Take a topic or a service, and the reason for which an input of it is refused."""
 
     @property
     def context(self) -> Context:
