@@ -11,6 +11,16 @@ namespace arm {
 template <int width>
 struct LanesOf {
   typedef double type __attribute__((vector_size(width * sizeof(double))));
+  // The same in memory that has only the alignment of its numbers.
+  typedef double Loose
+      __attribute__((vector_size(width * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+  ARM_INLINE static type load(const double* numbers) {
+    return *reinterpret_cast<const Loose*>(numbers);
+  }
+  ARM_INLINE static void store(double* numbers, const type& vector) {
+    *reinterpret_cast<Loose*>(numbers) = vector;
+  }
 };
 template <int width>
 using Lanes = typename LanesOf<width>::type;

@@ -14,7 +14,8 @@ inline constexpr int kGroup = !std::is_same_v<X, double> ? 1
 template <int N, class X>
 inline constexpr int kRow = (N + kGroup<N, X> - 1) / kGroup<N, X> * kGroup<N, X>;
 
-// The joints' numbers in vectors.
+// The joints' numbers in vectors. Arrays of them need no more alignment than their type states: a
+// caller whose array is on the stack need not promise any.
 template <int N, class X>
 struct Row {
   static constexpr int group = kGroup<N, X>, groups = kRow<N, X> / group;
@@ -24,15 +25,25 @@ struct Row {
 
   ARM_INLINE static Row load(const X* numbers) {
     Row row;
-    for_each<groups>([&](auto g) __attribute__((always_inline)) {
-      row.at[g] = *reinterpret_cast<const Vector*>(numbers + g * group);
-    });
+    for_each<groups>([&](auto g)
+                         __attribute__((always_inline)) { row.at[g] = load_group(numbers, g); });
     return row;
   }
   ARM_INLINE void store(X* numbers) const {
-    for_each<groups>([&](auto g) __attribute__((always_inline)) {
-      *reinterpret_cast<Vector*>(numbers + g * group) = at[g];
-    });
+    for_each<groups>([&](auto g)
+                         __attribute__((always_inline)) { store_group(numbers, g, at[g]); });
+  }
+  ARM_INLINE static Vector load_group(const X* numbers, int g) {
+    if constexpr (group == 1)
+      return numbers[g];
+    else
+      return LanesOf<group>::load(numbers + g * group);
+  }
+  ARM_INLINE static void store_group(X* numbers, int g, const Vector& vector) {
+    if constexpr (group == 1)
+      numbers[g] = vector;
+    else
+      LanesOf<group>::store(numbers + g * group, vector);
   }
   // From numbers computed one by one, without a round trip through memory.
   ARM_INLINE static Row gather(const X* numbers) {

@@ -192,7 +192,7 @@ class DriveTables : public ServedDrives<S, X> {
     if constexpr (std::is_same_v<Number, typename Row::Vector> || kWidth<X> > 1)
       return numbers[g];
     else
-      return *reinterpret_cast<const typename Row::Vector*>(numbers + g * Row::group);
+      return Row::load_group(numbers, g);
   }
 
   template <class TheDrive>

@@ -90,7 +90,7 @@ class TrialDrives : public ServedDrives<S, Real> {
   ARM_INLINE void retime_group(int g) {
     Group& one = of_[g];
     one.eliminate.put(one.drive, gamma_of(2) * h_);
-    *reinterpret_cast<Vector*>(diagonal + g * Row::group) = one.eliminate.s * one.eliminate.b;
+    Row::store_group(diagonal, g, one.eliminate.s * one.eliminate.b);
   }
   // For the joints side by side, from the inputs in[...].at[g].
   ARM_INLINE static Vector first_of(Group& one, const auto& in, int g) {
