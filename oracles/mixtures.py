@@ -77,8 +77,8 @@ def drawn_motor(rng: Rng, kind: type[Motor]) -> Numbers:
     """Return the scene's section of a motor without its rotor, half of them in a loop."""
     motor = {"kind": kind.kind, **kind.drawn(rng)}
     for one in DECORATORS:
-        if one.inputs and _fits(one, motor | {"rotor_inertia": 1e-4}) and rng.random() < 0.5:
-            motor[_key(one)] = one.drawn(rng)
+        if one.inputs and fits(one, motor | {"rotor_inertia": 1e-4}) and rng.random() < 0.5:
+            motor[key_of(one)] = one.drawn(rng)
     return motor
 
 
@@ -91,16 +91,17 @@ def drawn_joint(rng: Rng) -> Numbers:
         joint["motor"] = {**drawn_motor(rng, any_of(rng, MOTORS)), **_rotor(rng)}
         joint["gear"] = any_of(rng, GEARS).drawn(rng)
     for extra in EXTRAS:
-        if rng.random() < 0.3 and (place := _place(joint, extra)) is not None:
-            place[_key(extra)] = extra.drawn(rng)
+        if rng.random() < 0.3 and (place := place_of(joint, extra)) is not None:
+            place[key_of(extra)] = extra.drawn(rng)
     return joint
 
 
-def _key(part: type[Part]) -> str:
+def key_of(part: type[Part]) -> str:
+    """Return the key of a part's section in the one above."""
     return part.section.rpartition(".")[2]
 
 
-def _place(joint: Numbers, part: type[Part]) -> Numbers | None:
+def place_of(joint: Numbers, part: type[Part]) -> Numbers | None:
     """Return the section of a joint in which a part stands, None if it is not there."""
     above = part.section.rpartition(".")[0]
     return joint.get(above) if above else joint
@@ -113,14 +114,14 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
         if motor is None:
             continue
         for kind in DECORATORS[::-1]:
-            if _fits(kind, motor) and rng.random() < 0.3:
-                motor[_key(kind)] = kind.drawn(rng)
+            if fits(kind, motor) and rng.random() < 0.3:
+                motor[key_of(kind)] = kind.drawn(rng)
         if rng.random() < 0.2:
             joint[Brake.section] = Brake.drawn(rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
 
 
-def _fits(kind: type[Decorator], motor: Numbers) -> bool:
+def fits(kind: type[Decorator], motor: Numbers) -> bool:
     """Return whether a decorator goes around a motor."""
     joint = Section({"motor": motor}, "mixture")
     drawn = kind.drawn(np.random.default_rng(0))
@@ -160,9 +161,9 @@ def drawn_alone(part: type[Part], seed: int) -> Numbers:
     elif issubclass(part, Gear):
         joint["gear"] = part.drawn(rng)
     else:
-        drawn, place = part.drawn(rng), _place(joint, part)
+        drawn, place = part.drawn(rng), place_of(joint, part)
         assert place is not None, "it has a motor and a gear"
-        place[_key(part)] = drawn
+        place[key_of(part)] = drawn
     return joint
 
 

@@ -59,23 +59,23 @@ class ControlledGroup {
       alignas(64) double angle[N * lanes], speed[N * lanes];
       group.report(rows_.current, angle, speed);
       group.applied(rows_.applied);
-      using X = arm::Lanes<lanes>;
-      for (int j = 0; j < N; ++j)
-        *reinterpret_cast<arm::Mask<X>*>(rows_.encoder + j * lanes) =
-            arm_machine::counts(j, *reinterpret_cast<const X*>(angle + j * lanes));
+      using OfLanes = arm::LanesOf<lanes>;
+      for (int j = 0; j < N; ++j) {
+        const auto counts = arm_machine::counts(j, OfLanes::load(angle + j * lanes));
+        __builtin_memcpy(rows_.encoder + j * lanes, &counts, sizeof counts);
+      }
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();
-      if (!all_finite<X>()) return false;
+      if (!all_finite<OfLanes>()) return false;
       glides = fleet_.glide(g_, rows_.value, 1, links ? links + first_ * N : nullptr);
       if (!glides) fleet_.note(g_, rows_.value, -1);
     }
     return true;
   }
-  template <class X>
+  template <class OfLanes>
   bool all_finite() const {
-    arm::Mask<X> finite = X{} == X{};
-    for (int j = 0; j < N; ++j)
-      finite &= arm::is_finite(*reinterpret_cast<const X*>(rows_.value + j * lanes));
+    auto finite = typename OfLanes::type{} == typename OfLanes::type{};
+    for (int j = 0; j < N; ++j) finite &= arm::is_finite(OfLanes::load(rows_.value + j * lanes));
     if (arm::all(finite)) return true;
     for (int k = first_; k < end_; ++k) {
       double given[N];
