@@ -29,7 +29,7 @@ from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.build_facts import build_facts
 from arm_emulator.machine.loop_clock import real_time_session
-from arm_emulator.machine.pace import Pace
+from arm_emulator.machine.pace import LARGEST, Pace
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
 from arm_emulator.page.watched import Watched
@@ -84,9 +84,9 @@ class EmulatorParameters:
         settable=True,
     )
     real_time_factor: float = parameter(
-        0.0,
+        1.0,
         "in lock-step: logical time per wall time, at most; 0: as fast as possible",
-        ends=(0.0, 1000.0),
+        ends=(0.0, LARGEST),
         settable=True,
     )
     alone: bool = parameter(

@@ -16,6 +16,7 @@ from launch_ros.actions import Node
 
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.pace import factor_of
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.ros.end_with_parent import parent_environment
 from arm_emulator.ros.second_network import refuse_second_network
@@ -29,6 +30,11 @@ ARGUMENTS = [
         default_value="lockstep",
         choices=["lockstep", "realtime"],
         description="lockstep: logical time waits for the servo; realtime: paced by the wall clock",
+    ),
+    DeclareLaunchArgument(
+        "pace",
+        default_value="1",
+        description="Logical time per wall time in lock-step, or max: as fast as the nodes compute",
     ),
     DeclareLaunchArgument(
         "start",
@@ -69,20 +75,22 @@ ARGUMENTS = [
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the three nodes, with the parameter files of the chosen scene."""
-    scene, clock, start, rerun, record, namespace, use_sim_time, params_file, allow_second = (
+    scene, clock, pace, start, rerun, record, namespace, use_sim_time, params_file, allow_second = (
         LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
     )
-    if allow_second == "false":
-        try:
+    try:
+        factor = factor_of("bringup", pace)
+        if allow_second == "false":
             refuse_second_network(namespace, "allow_second:=true")
-        except Refusal as refusal:
-            print(refusal, file=sys.stderr)
-            sys.exit(2)  # not as an exception, of which `ros2 launch` makes exit code 1
+    except Refusal as refusal:
+        print(refusal, file=sys.stderr)
+        sys.exit(2)  # not as an exception, of which `ros2 launch` makes exit code 1
     file = find_scene(scene)
     gains = {kind: str(find_beside(file, kind)) for kind in ("servo", "motion")}
 
     emulator = {"scene": str(file), "clock": clock, "start": start}
     emulator["alone"] = allow_second == "false"
+    emulator["real_time_factor"] = factor
     if rerun.isdecimal():
         emulator["rerun_port"] = int(rerun)
     elif rerun:

@@ -311,6 +311,7 @@ def in_process(
         ("emulator", "scene", file or scene),
         ("emulator", "start", "first_answer"),
         ("emulator", "clock", clock),
+        ("emulator", "real_time_factor", 0.0),
         ("servo", "clock", clock),
     ):
         arguments += ["-p", f"{node}:{name}:={value}"]

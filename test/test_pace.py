@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_command_line import run
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.pace import BEHIND, UNLIMITED, Pace
+from arm_emulator.machine.pace import BEHIND, GRAIN, UNLIMITED, Pace, factor_of
 from emulator_node.node import EmulatorParameters, check_pace
 
 PERIOD = 1e-3
@@ -40,7 +41,8 @@ def test_ticks_pass_at_the_factor_whatever_a_tick_takes(seed: int) -> None:
             continue
         tick += int(rng.integers(1, room + 1))
         assert tick * wall_period <= wall.now - begun + 1e-9, "never faster"
-    assert wall.now - begun <= tick * wall_period + BEHIND, "lost time was made up for"
+    # Periods below the grain are left together at its end.
+    assert wall.now - begun <= tick * wall_period + BEHIND + GRAIN, "lost time was made up for"
 
 
 def test_longer_stops_are_not_made_up_for() -> None:
@@ -49,10 +51,10 @@ def test_longer_stops_are_not_made_up_for() -> None:
     pace.factor = 1.0
     pace.due(0)
     wall.now += 60.0  # paused
-    assert pace.room(0) <= 1 and pace.due(0) == pytest.approx(PERIOD)
+    assert pace.room(0) <= 1 and pace.due(0) == pytest.approx(GRAIN)
     wall.now += 0.02
     assert 18 <= pace.room(0) <= 20
-    assert pace.due(-100) <= PERIOD + BEHIND, "reset: tick 0 does not wait for the former one"
+    assert pace.due(-100) <= GRAIN + BEHIND, "reset: tick 0 does not wait for the former one"
 
 
 def test_a_new_factor_holds_from_now_on() -> None:
@@ -62,7 +64,30 @@ def test_a_new_factor_holds_from_now_on() -> None:
     pace.factor = 0.01
     assert pace.due(5) == pytest.approx(0.1)
     pace.factor = 2.0
-    assert pace.due(5) == pytest.approx(PERIOD / 2)
+    assert pace.due(5) == pytest.approx(GRAIN)
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.3, 1.0, 7.3])
+def test_an_idle_network_wakes_once_a_grain_at_the_mean_rate_of_its_pace(factor: float) -> None:
+    wall = Wall()
+    pace = Pace(PERIOD, wall)
+    pace.factor = factor
+    pace.due(0)
+    begun, tick, wakes = wall.now, 0, 0
+    while wall.now - begun < 10.0:
+        wall.now += max(0.0, pace.due(tick))
+        tick += pace.room(tick)
+        wakes += 1
+    assert abs(tick * PERIOD / (wall.now - begun) - factor) <= 1e-3 * factor
+    assert wakes <= 2 + 10.0 / max(GRAIN, PERIOD / factor)
+
+
+def test_a_pace_is_a_factor_or_max() -> None:
+    assert factor_of("up", "max") == 0.0 and factor_of("up", "2.5") == 2.5
+    assert EmulatorParameters().real_time_factor == 1.0, "real pace, for people"
+    for text in ("0", "-1", "nan", "inf", "fast", "", "1001"):
+        with pytest.raises(Refusal, match="up: pace must be max, or times real time, above 0"):
+            factor_of("up", text)
 
 
 def test_real_time_has_the_pace_of_the_wall_clock() -> None:
@@ -71,3 +96,12 @@ def test_real_time_has_the_pace_of_the_wall_clock() -> None:
     check_pace(EmulatorParameters(clock="lockstep", real_time_factor=3.0))
     with pytest.raises(Refusal, match="real_time_factor must be 0 or 1 with clock realtime"):
         check_pace(EmulatorParameters(clock="realtime", real_time_factor=3.0))
+
+
+@pytest.mark.parametrize(("words", "reason"), [
+    (("--pace", "0"), "up: pace must be max, or times real time"),
+    (("--pace", "max", "--clock", "realtime"), "up: --pace must be 1 with --clock realtime"),
+])  # fmt: skip
+def test_up_refuses_a_pace_that_cannot_be(words: tuple[str, ...], reason: str) -> None:
+    code, out, errors = run("up", *words)
+    assert code == 2 and not out and errors.startswith(reason), errors

@@ -92,6 +92,7 @@ def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
     """It is named, whether the second finds it before its nodes start or its emulator does."""
     with up() as (launcher, children):
         emulator = next(child for child in children if node_of(child) == "emulator")
+        assert "real_time_factor:=1.0" in emulator.cmdline(), "real pace, unless another is given"
         late = start(
             "emulator_node.node", "--ros-args", "-p", "alone:=true", "-r", "__node:=emulator_2"
         )

@@ -2,11 +2,38 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
+from arm_emulator.base.refusal import Refusal
+
 BEHIND = 0.1  # s, wall: time that was lost beyond this is not made up for
 UNLIMITED = 2**62  # ticks
+# s, wall: shorter servo periods are left together, so that an idle network wakes 200 times a second
+# at most, and not for each of them. Their mean rate is that of the pace.
+GRAIN = 5e-3
+ROUNDING = 1e-6  # of a grain or a period
+
+
+FASTEST = "max"
+LARGEST = 1000.0  # times real time
+
+
+def factor_of(where: str, text: str) -> float:
+    """Return the factor of a pace as people write it: a number above 0, or `FASTEST` (0).
+
+    Raises:
+        Refusal: something else.
+    """
+    try:
+        factor = 0.0 if text == FASTEST else float(text)
+    except ValueError:
+        factor = math.nan
+    if not (text == FASTEST or 0.0 < factor <= LARGEST):
+        rule = f"be {FASTEST}, or times real time, above 0 and at most {LARGEST:g}"
+        raise Refusal(where, "pace", rule, text)
+    return factor
 
 
 class Pace:
@@ -37,15 +64,27 @@ class Pace:
         if not self._factor:
             return 0.0
         now, wall_period = self._now(), self._period / self._factor
-        wait = self._begun + (tick + 1 - self._first) * wall_period - now
+        wait = self._begun + self._rounded((tick + 1 - self._first) * wall_period) - now
         # Time was changed, stood still, or began anew.
-        if self._first < 0 or not -BEHIND - wall_period < wait <= wall_period + BEHIND:
-            self._begun, self._first, wait = now, tick, wall_period
+        longest = max(wall_period, GRAIN) + BEHIND
+        if self._first < 0 or not -BEHIND - wall_period < wait <= longest:
+            self._begun, self._first = now, tick
+            wait = self._rounded(wall_period)
         return wait
 
     def room(self, tick: int) -> int:
         """Return how many ticks may be left now, from a tick on."""
         if not self._factor:
             return UNLIMITED
-        wait = self.due(tick)
-        return 0 if wait > 0.0 else 1 + int(-wait * self._factor / self._period)
+        if self.due(tick) > 0.0:
+            return 0
+        elapsed, wall_period = self._now() - self._begun, self._period / self._factor
+        if wall_period < GRAIN:
+            elapsed = math.floor(elapsed / GRAIN + ROUNDING) * GRAIN
+        return max(1, math.floor(elapsed / wall_period + ROUNDING) - (tick - self._first))
+
+    def _rounded(self, wall: float) -> float:
+        """Return a wall time since the begin, rounded up to the grain of short periods [s]."""
+        if self._period / self._factor >= GRAIN:
+            return wall
+        return math.ceil(wall / GRAIN - ROUNDING) * GRAIN

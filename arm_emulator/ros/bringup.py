@@ -45,7 +45,8 @@ class Bringup:
             to it, see `find_beside`.
         clock: "lockstep" or "realtime".
         start: see the emulator's parameter.
-        emulator: more parameters of the emulator, by name.
+        emulator: more parameters of the emulator, by name. Without a `real_time_factor` the network
+            is as fast as the nodes compute.
         log: folder for one log file per node; None: their output goes to this process's terminal.
         only: names of the nodes to start, for users with nodes of their own.
         namespace: of all nodes and topics, such as "/cell1".
@@ -78,7 +79,8 @@ class Bringup:
         forked &= hasattr(os, "pidfd_open")  # Linux
         self._forks = forks([module for module, _ in MODULES.values()]) if forked else None
         self._words: dict[str, list[str]] = {}
-        emulator_parameters = {"scene": file, "clock": clock, "start": start, **(emulator or {})}
+        own = {"scene": file, "clock": clock, "start": start, "real_time_factor": 0.0}
+        emulator_parameters = {**own, **(emulator or {})}
         parameters: dict[str, dict[str, object]] = {
             "emulator": emulator_parameters,
             "servo": {"clock": clock},

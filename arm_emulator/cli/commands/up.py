@@ -15,6 +15,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.machine.pace import factor_of
 from arm_emulator.page.page_address import PageAddress
 from arm_emulator.page.page_token import VARIABLE, new_token
 from arm_emulator.ros.bringup import Bringup
@@ -31,6 +32,7 @@ def up(
     /,
     *,
     clock: Clock = "lockstep",
+    pace: Annotated[str, Parameter(metavar="FACTOR")] = "1",
     start: Literal["free_run", "first_answer", "paused"] = "first_answer",
     rerun_port: Annotated[int, Parameter(metavar="PORT")] = 0,
     rerun_file: Annotated[str, Parameter(metavar="FILE")] = "",
@@ -44,6 +46,8 @@ def up(
     """Start the three nodes until Ctrl-C, or until one of them ends.
 
     Args:
+        pace: logical time per wall time, or max: as fast as the nodes compute. Bits do not depend
+            on it.
         start: behaviour until the servo's first answer.
         rerun_port: port at which a Rerun viewer may connect.
         rerun_file: Rerun recording to write.
@@ -54,7 +58,13 @@ def up(
         params_file: ROS parameter file that overrides all other parameters.
     """
     output.facts({"scene": scene, "clock": clock, "record": record, "page": None, "ended": None})
-    streams: dict[str, object] = {"rerun_port": rerun_port, "alone": not allow_second}
+    factor = factor_of("up", pace)
+    if clock == "realtime" and factor != 1.0:
+        rule = "be 1 with --clock realtime, which is never faster or slower"
+        raise Refusal("up", "--pace", rule, pace)
+    streams: dict[str, object] = {
+        "rerun_port": rerun_port, "alone": not allow_second, "real_time_factor": factor,
+    }  # fmt: skip
     if rerun_file:
         streams["rerun_file"] = rerun_file
     if page is not None:
