@@ -13,6 +13,7 @@ import pytest
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli import arguments, command_line
+from arm_emulator.cli.arguments import page_of, run_with
 from arm_emulator.cli.command import Command, command_names, load_command
 from arm_emulator.ros.ctrl_c import CtrlC
 
@@ -229,3 +230,44 @@ def test_help_and_version_end_quietly_where_nobody_reads_them() -> None:
 def no_signal() -> None:
     """Of another test."""
     CtrlC.signal = 0
+
+
+@pytest.mark.parametrize(
+    ("annotation", "default"), [("int", "COUNT"), ("Level", "'low'"), ("int", "len(sys.argv[:0])")]
+)
+def test_a_head_may_have_names_of_its_module(
+    annotation: str, default: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in any module of Python: a constant as a default, a type of its own, an import."""
+    (tmp_path / "new_command.py").write_text(f"""\
+\"\"\"Count.\"\"\"
+
+from __future__ import annotations
+
+import sys
+from typing import Literal
+
+from arm_emulator.cli.command import command
+
+COUNT = 3
+Level = Literal["low", "high"]
+
+
+@command(keys="")
+def new_command(count: {annotation} = {default}) -> int:
+    \"\"\"Count.
+
+    Args:
+        count: how far.
+    \"\"\"
+    return {{3: 3, "low": 4, "high": 5, 0: 6, 1: 7}}[count]
+""")
+    monkeypatch.setattr("arm_emulator.cli.command.FOLDER", str(tmp_path))
+    monkeypatch.setattr("arm_emulator.cli.commands.__path__", [str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "arm_emulator.cli.commands.new_command", raising=False)
+    one = load_command("new-command")
+    assert one is not None and "how far" in page_of(one)
+    expected = {"COUNT": 3, "'low'": 4, "len(sys.argv[:0])": 6}[default]
+    assert run_with(one, []) == expected
+    assert run_with(one, ["high" if annotation == "Level" else "1"]) in (5, 7)
+    monkeypatch.delitem(sys.modules, "arm_emulator.cli.commands.new_command", raising=False)

@@ -7,7 +7,7 @@ import functools
 import importlib
 import os
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, get_type_hints
 
 FOLDER = os.path.join(os.path.dirname(__file__), "commands")
 # A declaration is a command's function without its body; these modules suffice for it.
@@ -64,7 +64,11 @@ def summary_of(name: str) -> str:
 
 
 def load_command(name: str) -> Command | None:
-    """Return a command, whose module is imported when it is called; None: it does not exist."""
+    """Return a command, None if it does not exist.
+
+    Its module is imported when it is called; at once if its head has a constant or a type of its
+    own, which makes its help as slow as the command itself.
+    """
     if name not in command_names():
         return None
     module = f"{__package__}.commands.{name.replace('-', '_')}"
@@ -82,7 +86,11 @@ def load_command(name: str) -> Command | None:
     with open(_file_of(name), encoding="utf-8") as file:
         tree = ast.parse(file.read())
     tree.body = [one for one in tree.body if declares(one)]
-    exec(compile(tree, _file_of(name), "exec"), {"__name__": module})
+    try:
+        exec(compile(tree, _file_of(name), "exec"), {"__name__": module})
+        get_type_hints(_registered[name].function)
+    except NameError:  # the head needs a name that the module defines or imports
+        importlib.import_module(module)
     declared = _registered[name]
 
     @functools.wraps(declared.function)
