@@ -6,6 +6,9 @@ import sys
 
 def main() -> None:
     """Run one command, see `arm_emulator.cli.command_line`."""
+    from arm_emulator.base.standard_files import open_standard_files
+
+    open_standard_files()
     # Ctrl-C is kept back until it is known how this command ends: `end_at_once` lets it in.
     from arm_emulator.ros.ctrl_c import keep_back
 

@@ -99,3 +99,53 @@ def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
 def test_a_scene_has_the_hands_that_it_can_bear() -> None:
     can = MachineHands(Plant("three_axis")).can()
     assert {"pause", "power"} <= can and not {"push", "set_varied", "step", "aim"} & can
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_machine_goes_on_when_its_page_has_ended(
+    paused: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A page that was killed can let no time go on."""
+    near, far = Pipe()
+    hands = MachineHands(Plant("three_axis"))
+    desk = Desk(hands, near)
+    far.send((1, "pause", (paused,)))
+    worker = threading.Thread(target=lambda: (far.recv(), far.close()))
+    worker.start()
+    assert desk.attends(), "it would stay here while time stands still"
+    worker.join()
+    done: list[int] = []
+    desk.drive(done.append, 2500)
+    assert sum(done) == 2500 and not hands.paused
+    assert capfd.readouterr().err.count("its process has ended") == 1
+    assert desk.attends() and not capfd.readouterr().err
+
+
+def test_a_desk_answers_anything_that_a_browser_sends() -> None:
+    plant = Plant("three_axis")
+    hands = MachineHands(plant)
+
+    def ask(there: _PipedHands) -> None:
+        for what, given in (
+            ("save", ("x",)), ("tick", ()), ("_machine", ()), ("__init__", (plant,)), ("can", (1,)),
+            ("set_varied", ()), ("push", ("tool", "force", None)), ("set_varied", (None, "x")),
+        ):  # fmt: skip
+            with pytest.raises(Refusal):
+                there.ask(what, *given)
+        assert there.power(False) == "power off"
+
+    with asked(hands, ask) as desk:
+        while plant.powered:
+            desk.attends()
+
+
+def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("arm_emulator.page.desk.PATIENCE", 0.05)
+    near, far = Pipe()
+    there = _PipedHands(far, frozenset())
+    with pytest.raises(Refusal, match="answer within"):
+        there.ask("pause", True)
+    first, *_ = near.recv()
+    near.send((first, 1, "late"))
+    near.send((first + 1, 2, "now"))
+    assert there.ask("pause", False) == "now"

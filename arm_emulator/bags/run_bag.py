@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.build_facts import build_facts
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.measured_fields import MeasuredFields
@@ -50,7 +51,7 @@ class RunBag:
         about: further facts for its metadata.
 
     Raises:
-        Refusal: the folder exists, or cannot be made.
+        Refusal: the folder exists, or cannot be made; at its end: the disk does not take it all.
     """
 
     def __init__(self, folder: Path, session: Session, about: Mapping[str, str]) -> None:
@@ -84,7 +85,14 @@ class RunBag:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._writer.__exit__(kind, error, trace)
+        try:
+            self._writer.__exit__(kind, error, trace)
+        except OSError as at_end:
+            error = at_end
+        if isinstance(error, OSError):  # the bag is whole up to there
+            reason = f"the disk takes no more: {error.strerror or error}"
+            where = f"folder {self._writer.folder}"
+            raise Refusal("record", where, "accept every message", reason) from None
 
     def report(self) -> None:
         """Write the machine at a new tick, before it is changed there."""

@@ -103,7 +103,8 @@ def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[st
         values = columns[name][np.isfinite(columns[name])]
         axis.set_title(wrapped(title, 24), loc="left")
         if len(values):
-            edges = np.histogram_bin_edges(values, bins=60)
+            alike = np.ptp(values) <= 1e-9 * np.abs(values).max()  # no 60 bars are between them
+            edges = np.histogram_bin_edges(values, bins=1 if alike else 60)
             low, high = edges[0], edges[-1]
             if low < 0.0 < high:  # no bar has both kinds
                 edges = np.unique(np.append(edges, 0.0))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
-import os
 import select
 import signal
 import sys
@@ -12,6 +12,7 @@ from functools import partial
 
 from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.standard_files import check_stdout, drop, trouble_of_stdout
 from arm_emulator.base.wheel import missing_module
 from arm_emulator.cli.command import Command, command_names, load_command, near_names, summary_of
 from arm_emulator.cli.output import output
@@ -19,6 +20,8 @@ from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
 
 HELP = ("-h", "--help")
 JSON = "--json"
+# Errors of disks, not of programs.
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 ROS_MODULES = ("rclpy", "ament_index_python", "rosidl_runtime_py")
 ROS_REMEDY = (
     "commands without a network (`run`, `tune`, field buses) do without it; for this one use a "
@@ -47,6 +50,7 @@ def main() -> None:
 def _printed(work: Callable[[], int], as_json: bool) -> int:
     """Do work and return its exit code; end as by SIGPIPE if the reader of our output has."""
     try:
+        check_stdout()
         with output.printed(as_json=as_json):
             code = work()
         sys.stdout.flush()
@@ -54,8 +58,17 @@ def _printed(work: Callable[[], int], as_json: bool) -> int:
     except BrokenPipeError:
         if not _reader_is_gone():
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for output not flushed yet
+        drop(1)  # for output not flushed yet
         return exit_code(signal.SIGPIPE, None)
+    except Refusal as closed:
+        return _refused(closed)
+    except OSError as error:
+        of_stdout = trouble_of_stdout()
+        if of_stdout is None and error.errno not in DISK_ERRORS:
+            raise
+        what = "stdout" if of_stdout else f"file {error.filename}" if error.filename else "disk"
+        got = error.strerror or error
+        return _refused(Refusal("arm_emulator", what, "accept all that is written", got))
 
 
 def _run(one: Command, words: Sequence[str]) -> int:
@@ -85,7 +98,10 @@ def _run(one: Command, words: Sequence[str]) -> int:
 
 def _refused(reason: Refusal | str) -> int:
     """Print a refusal, for people and for programs, and return the exit code."""
-    print(reason, file=sys.stderr)
+    try:
+        print(reason, file=sys.stderr, flush=True)
+    except OSError:
+        drop(2)
     output.facts({"refused": str(reason)})
     return 2
 

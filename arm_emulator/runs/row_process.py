@@ -86,6 +86,11 @@ class RowProcess:
         return self._ring.dropped
 
     @property
+    def process_id(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
     def trouble(self) -> str:
         """End of the process before its time, in words; empty if it runs."""
         code = self._process.poll()

@@ -136,7 +136,13 @@ class RerunStream:
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")
         sinks = self._sinks(file, port, server_memory)
-        recording.set_sinks(*sinks, default_blueprint=self._batches.blueprint(q_start, targets))
+        blueprint = self._batches.blueprint(q_start, targets)
+        try:
+            recording.set_sinks(*sinks, default_blueprint=blueprint)
+        except Exception as error:  # Rerun has no class for what a disk refuses
+            rule = "be one that can be written"
+            got = f"{file} ({error})" if file is not None else error
+            raise Refusal("Rerun", "file", rule, got) from None
         self._batches.send_static(recording)
 
         self._stop = threading.Event()

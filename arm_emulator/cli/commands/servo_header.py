@@ -47,7 +47,7 @@ def servo_header(
         output.line(header.removesuffix("\n"))
         return 0
     try:
-        if not out.exists() or out.read_bytes() != header.encode():
+        if not out.is_file() or out.read_bytes() != header.encode():
             out.write_text(header, encoding="utf-8")
     except OSError as error:
         raise Refusal("servo-header", f"file {out}", "be writable", error.strerror) from None

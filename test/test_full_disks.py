@@ -1,0 +1,114 @@
+"""Full disks and closed outputs end a command with one line and a true exit code.
+
+A small file system of its own stands for a full disk, where the system lets us mount one;
+`/dev/full` takes nothing anywhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from machines import own_three_axis
+
+ROOM = 400_000  # bytes of the full disk
+RUN = ["run", "three_axis", "--seconds", "0.05"]
+
+
+def ended(
+    words: list[str], shell: str = "", folder: Path | None = None, **more: str
+) -> tuple[int, str, str]:
+    """Run a command with what a shell does to its files; return code, output and errors."""
+    line = f'exec "$@" {shell}'
+    command = ["sh", "-c", line, "sh", sys.executable, "-m", "arm_emulator", *words]
+    done = subprocess.run(
+        command, cwd=folder, env=os.environ | more, capture_output=True, timeout=120, check=False
+    )
+    return done.returncode, done.stdout.decode(), done.stderr.decode()
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of `ROOM` bytes."""
+    if os.geteuid() or shutil.which("mount") is None:
+        pytest.skip("a file system can be mounted by root alone")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(folder)]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("this system lets us mount nothing")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "shell", "code", "line"),
+    [
+        (RUN, "> /dev/full", 2, "stdout must accept all that is written, got No space left"),
+        ([*RUN, "--json"], "> /dev/full", 2, "stdout must accept all that is written"),
+        (["--help"], "> /dev/full", 2, "stdout must accept all that is written"),
+        (["udp", "--header"], "> /dev/full", 2, "stdout must accept all that is written"),
+        (RUN, ">&-", 2, "stdout must be open"),
+        ([*RUN, "--json"], ">&-", 2, "stdout must be open"),
+        (RUN, "2>&-", 0, ""),
+        (["run", "nowhere"], "2>&-", 2, ""),
+        (["run", "nowhere"], "2> /dev/full", 2, ""),
+        (["run", "nowhere"], ">&- 2>&-", 2, ""),
+        (RUN, "<&-", 0, ""),
+        (["servo-header", "--out", "/dev/full"], "", 2, "file /dev/full must be writable"),
+    ],
+)
+def test_outputs_that_take_nothing(words: list[str], shell: str, code: int, line: str) -> None:
+    found, _, errors = ended(words, shell)
+    assert found == code, errors
+    assert errors.count("\n") == bool(line) and line in errors, errors
+
+
+def test_names_are_printed_where_the_terminal_has_ascii_alone(tmp_path: Path) -> None:
+    file = own_three_axis(tmp_path, "")
+    file.write_text(file.read_text().replace("name: three_axis", "name: Gelenkarm é 関節"))
+    for more in ([], ["--json"]):
+        words = ["run", file.name, "--seconds", "0.05", *more]
+        code, printed, errors = ended(words, "", tmp_path, PYTHONIOENCODING="ascii")
+        assert code == 0 and "Traceback" not in errors, errors
+        assert "Gelenkarm \\xe9 \\u95a2\\u7bc0" in printed or "Gelenkarm \\u00e9" in printed
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--record", "disk/a.mcap", "--seconds", "20"],
+        ["--record", "disk/a.parquet", "--seconds", "20"],
+        ["--rerun", "disk/a.rrd", "--seconds", "60"],
+        ["--bag", "disk/bag", "--seconds", "3"],
+    ],
+)
+@pytest.mark.parametrize("left", [0, ROOM // 2])
+def test_a_record_on_a_full_disk(words: list[str], left: int, disk: Path) -> None:
+    """The run ends, whether the disk is full before or on the way, and no process stays."""
+    with contextlib.suppress(OSError):
+        (disk / "fill").write_bytes(bytes(2 * ROOM if not left else ROOM - left))
+    code, _, errors = ended(["run", "three_axis", *words], "", disk.parent)
+    assert code == 2 and errors.count("\n") == 1, errors
+    assert " must " in errors and "No space left on device" in errors, errors
+
+
+def test_a_campaign_on_a_full_disk(disk: Path, tmp_path: Path) -> None:
+    (tmp_path / "drop.yaml").write_text(
+        "scene: three_axis\nset: {payload: 1.0}\nscenario: {seconds: 0.01}\ncount: 20000\n"
+        "vary:\n  payload.mass: normal(1, 0.1)\n"
+        "  joints.*.friction.viscous: nominal * lognormal(1, 0.3)\n"
+        "requirements:\n  calm: always abs(v.elbow) <= 0.5\n"
+    )
+    (disk / "fill").write_bytes(bytes(ROOM - 20_000))
+    code, _, errors = ended(["campaign", "drop.yaml", "--into", "disk/out"], "", tmp_path)
+    assert code == 2, errors
+    assert "Traceback" not in errors and "No space left on device" in errors, errors
