@@ -194,7 +194,7 @@ class MotionControllerNode(ManagedNode):
             self._controller.retune(config)
 
     def _start_over(self, reason: str) -> None:
-        self._answer = self._early = None
+        self._answer = self._early = self._unanswered = None
         self._began_anew = False
         self._instructor.start_over(reason)
         self._report_status()
