@@ -1,0 +1,262 @@
+"""Pairs of parts, at one joint and at two: the order that the pages promise.
+
+A machine is a random chain of two links whose joints have many parts each. `machines` continues
+until each part has stood beside every part that a joint can have with it, and opposite every part
+at the other joint.
+
+All numbers are data of a machine, so that many draws share one library. A draw replaces all of
+them. Some parts get the numbers that switch them off, and others 0 where 0 is allowed: the
+schemes must keep their order there, too. Commands go to all inputs of all motors. Some are beyond
+what a motor can follow, and the power is off on the way. Claims:
+
+- located events: halving the step twice shows order 2 in the positions;
+- events at steps: the error falls with the step, against a located motion in small steps.
+
+The order is that of differences between runs, as in oracles/mixtures.py. Each part by itself is
+compared with a closed form in test/.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arm_emulator import Diverged, Plant, Scene, load_scene
+from arm_emulator.base.section import Section
+from arm_emulator.machine.inputs import further_inputs, input_at
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.known import (
+    DECORATORS,
+    EXTRAS,
+    GEARS,
+    LINK_FRICTIONS,
+    MOTORS,
+    ROTOR_FRICTIONS,
+    read_motor,
+)
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
+from oracles.mixtures import LARGEST, ORDER, RESOLVED, any_of, fits, key_of, place_of, write_scene
+from oracles.random_chain import moving_joints, random_chain_urdf
+
+Rng = np.random.Generator
+Kind = type[Part]
+Pair = tuple[bool, frozenset[str]]  # whether at one joint, and the names of the parts
+
+PERIOD = 0.01  # s, that each command is held
+ROWS, UNPOWERED = 12, slice(5, 8)  # commands; those without power, in half of the draws
+STEPS, HALVINGS = (20, 80, 320), 3  # in PERIOD, of the first run; one of these shows the order
+SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
+# Of events at steps: steps of the coarse run, how many times as many the fine one has, and by how
+# much the error falls then, at least. An event may lie well in coarse steps and badly in fine ones.
+COARSE, FINER, FALLS = 80, 32, 4.0
+CANDIDATES = 40  # machines, of which the one with the most new pairs is taken
+
+# Numbers that switch a part off, by the end of their names. Other numbers are 0, where they may.
+OFF = {
+    "current_limit": 1e6,
+    "torque_limit": 1e6,
+    "end_stops.lower": -1e3,
+    "end_stops.upper": 1e3,
+    "lugre.coulomb": 1e-9,
+    "lugre.bristle_stiffness": 1e-7,
+}
+SHARE_OFF, SHARE_ZERO = 0.4, 0.2  # of the parts
+# These stay as drawn: the first needs a motor without decorators, others are no sizes.
+NEVER_ZERO = {"inductance", "ambient", "reference", "lower", "upper"}
+
+
+@dataclass(frozen=True)
+class DrawnJoint:
+    """A joint's section of the scene, and the kinds of its parts."""
+
+    section: dict[str, Any] = field(default_factory=dict)
+    kinds: list[Kind] = field(default_factory=list)
+
+    def put(self, kind: Kind, rng: Rng) -> None:
+        """Add a part where the section has its place."""
+        if issubclass(kind, Decorator):
+            kind = kind.of(read_motor(Section(self.section["motor"], "pair")))
+        place = place_of(self.section, kind)
+        if place is not None:
+            place[key_of(kind)] = {**kind.drawn(rng), **place.get(key_of(kind), {})}
+            self.kinds.append(kind)
+
+
+def drawn_joint(rng: Rng) -> DrawnJoint:
+    """Return a joint with a motor, a gear, friction of both shafts, and half of all else."""
+    joint = DrawnJoint()
+    motor = any_of(rng, MOTORS)
+    joint.section["motor"] = {"kind": motor.kind, "rotor_inertia": float(rng.uniform(5e-5, 3e-4))}
+    joint.put(motor, rng)
+    for decorator in DECORATORS:
+        if rng.random() < 0.5 and fits(decorator, joint.section["motor"]):
+            joint.put(decorator, rng)
+    always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
+    for kinds in always:
+        joint.put(any_of(rng, kinds), rng)
+    for kind in (Brake, *EXTRAS):
+        if rng.random() < 0.5:
+            joint.put(kind, rng)
+    return joint
+
+
+def pairs_of(joints: tuple[DrawnJoint, DrawnJoint]) -> set[Pair]:
+    """Return the pairs of parts that stand beside or opposite each other."""
+    names = [[kind.__name__ for kind in joint.kinds] for joint in joints]
+    beside = (itertools.combinations(of_one, 2) for of_one in names)
+    return {(True, frozenset(pair)) for pair in itertools.chain(*beside)} | {
+        (False, frozenset(pair)) for pair in itertools.product(*names)
+    }
+
+
+@cache
+def all_pairs() -> frozenset[Pair]:
+    """Return the pairs that machines can have."""
+    rng = np.random.default_rng(0)
+    found = (pairs_of((drawn_joint(rng), drawn_joint(rng))) for _ in range(1500))
+    return frozenset(set().union(*found))
+
+
+def machines() -> Iterator[tuple[DrawnJoint, DrawnJoint]]:
+    """Yield the joints of machines until they have had all pairs."""
+    rng, left = np.random.default_rng(1), set(all_pairs())
+    while left:
+        some = [(drawn_joint(rng), drawn_joint(rng)) for _ in range(CANDIDATES)]
+        best = max(some, key=lambda one: len(left & pairs_of(one)))
+        left -= pairs_of(best)
+        yield best
+
+
+def write_machine(folder: Path, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Path:
+    """Write the scene of a machine, all of whose numbers may differ, and return its path."""
+    urdf = random_chain_urdf(np.random.default_rng([seed, 51]), 2)
+    sections = dict(zip(moving_joints(urdf), (one.section for one in joints), strict=True))
+    return write_scene(folder, urdf, sections, varied=["joints.*"], energy_flow=False)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Numbers and commands of one run of a machine."""
+
+    numbers: dict[str, float]
+    off: tuple[str, ...]  # names of the parts that are switched off, by joint
+    rows: np.ndarray  # (ROWS, N)
+    further: dict[str, np.ndarray]  # (ROWS, N) of each further input
+    powered: np.ndarray  # (ROWS,)
+
+
+def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw:
+    """Draw numbers and commands for a machine."""
+    rng = np.random.default_rng([seed, 52])
+    varied = {one.name: one for one in scene.varied}
+    numbers: dict[str, float] = {}
+    off: list[str] = []
+    for name, joint in zip(scene.joint_names, joints, strict=True):
+        for kind in joint.kinds:
+            drawn, is_off = kind.drawn(rng), rng.random() < SHARE_OFF
+            zero = rng.random() < SHARE_ZERO
+            if is_off:
+                off.append(f"{name}.{kind.__name__}")
+            for key in kind.numbers():
+                full = f"joints.{name}.{kind.section}.{key}"
+                if full not in varied:
+                    continue
+                one = varied[full]
+                value = drawn.get(key, one.value * float(rng.uniform(0.8, 1.25)))
+                ends = one.number.ends
+                end = next((end for end in OFF if full.endswith(end)), None)
+                may_be_zero = ends[0] <= 0.0 <= ends[1] and key not in NEVER_ZERO
+                if is_off and end is not None:
+                    value = OFF[end]
+                elif may_be_zero and (is_off or (zero and rng.random() < 0.5)):
+                    value = 0.0
+                numbers[full] = float(np.clip(value, *ends))
+    size = rng.choice(SIZES, 2) * [LARGEST.get(joint.unit, 0.0) for joint in scene.joints]
+    rows = rng.uniform(-1.0, 1.0, (ROWS, 2)) * size
+    further = {}
+    for name in further_inputs(scene):
+        at = [input_at(joint, name) for joint in scene.joints]
+        largest = np.array([LARGEST[one.unit] if one else 0.0 for one in at])
+        further[name] = rng.uniform(-1.0, 1.0, (ROWS, 2)) * largest * rng.choice(SIZES)
+    powered = np.ones(ROWS, bool)
+    if rng.random() < 0.5:
+        powered[UNPOWERED] = False
+    return Draw(numbers, tuple(off), rows, further, powered)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Result of one draw of one machine."""
+
+    machine: int
+    seed: int
+    scheme: str
+    located: bool
+    parts: list[str]
+    off: tuple[str, ...]
+    differences: tuple[float, ...]  # rad or m; of runs that follow each other
+    steps: int  # in PERIOD, of the first of them
+    order: float
+    in_order: bool
+
+
+def moved(file: Path, drawn: Draw, steps: int, scheme: str, events: str) -> np.ndarray:
+    """Return the positions after each command."""
+    integrator = {"dt": PERIOD / steps, "scheme": scheme, "events": events}
+    plant = Plant(load_scene(file, {f"integrator.{key}": one for key, one in integrator.items()}))
+    for name, value in drawn.numbers.items():
+        plant.set_parameter(name, value)
+    q = []
+    for k, row in enumerate(drawn.rows):
+        plant.powered = bool(drawn.powered[k])
+        plant.exchange(row, came=False, **{name: of[k] for name, of in drawn.further.items()})
+        q.append(plant.state.q)
+    return np.array(q)
+
+
+def judge(
+    file: Path, joints: tuple[DrawnJoint, DrawnJoint], machine: int, seed: int, scheme: str
+) -> Verdict:
+    """Judge a draw with a scheme, whose events are located if it can."""
+    located = scheme in LOCATING_SCHEMES
+    drawn = draw(load_scene(file), joints, 1000 * machine + seed)
+    parts = [kind.__name__ for joint in joints for kind in joint.kinds]
+
+    @cache
+    def run(steps: int, scheme: str = scheme, events: str = "step") -> np.ndarray | None:
+        try:
+            return moved(file, drawn, steps, scheme, events)
+        except Diverged:
+            return None
+
+    def verdict(differences: tuple[float, ...], steps: int, halvings: int, least: float) -> Verdict:
+        first, last = differences[0], differences[-1]
+        order = math.log2(first / last) / halvings if 0.0 < last <= first < math.inf else 0.0
+        in_order = last < RESOLVED or order >= least
+        return Verdict(machine, seed, scheme, located, parts, drawn.off, differences, steps, order,
+                       in_order)  # fmt: skip
+
+    if not located:
+        finest = COARSE * FINER
+        truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
+        errors = tuple(_apart(run(steps), truth) for steps in (COARSE, finest))
+        return verdict(errors, COARSE, round(math.log2(FINER)), math.log(FALLS, FINER))
+    for steps in STEPS:
+        runs = [run(steps << k, scheme, "located") for k in range(HALVINGS + 2)]
+        found = verdict(tuple(map(_apart, runs, runs[1:])), steps, HALVINGS, ORDER)
+        if found.in_order:
+            break
+    return found
+
+
+def _apart(one: np.ndarray | None, other: np.ndarray | None) -> float:
+    return math.inf if one is None or other is None else float(np.abs(one - other).max())

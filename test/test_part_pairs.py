@@ -1,0 +1,53 @@
+"""Every pair of parts, at one joint and at two, keeps the order that the pages promise."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+from pathlib import Path
+
+import pytest
+from draws import FULL, some
+
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
+from oracles import part_pairs
+
+DRAWS = 36 if FULL else 8  # of each machine: 1 000 with each scheme
+SHARES = range(6)  # of the machines
+AT_STEPS = [scheme for scheme in SCHEMES if scheme not in LOCATING_SCHEMES]
+
+
+@cache
+def machines() -> list[tuple[part_pairs.DrawnJoint, part_pairs.DrawnJoint]]:
+    return list(part_pairs.machines())
+
+
+def judge(share: int, scheme: str, folder: Path) -> None:
+    """Hold the claim against all draws of the machines of a share."""
+    for machine, joints in some(list(enumerate(machines()))[share :: len(SHARES)], 1):
+        place = folder / str(machine)
+        place.mkdir()
+        file = part_pairs.write_machine(place, joints, machine)
+        for seed in range(DRAWS):
+            verdict = part_pairs.judge(file, joints, machine, seed, scheme)
+            assert verdict.in_order, verdict
+
+
+@pytest.mark.parametrize(("share", "scheme"), some(itertools.product(SHARES, LOCATING_SCHEMES), 1))
+def test_located_events_keep_order_two(share: int, scheme: str, tmp_path: Path) -> None:
+    judge(share, scheme, tmp_path)
+
+
+@pytest.mark.skipif(not FULL, reason="another scheme is compiled for each: make test-in-full")
+@pytest.mark.parametrize(("share", "scheme"), itertools.product(SHARES, AT_STEPS))
+def test_events_at_steps_keep_order_one(share: int, scheme: str, tmp_path: Path) -> None:
+    judge(share, scheme, tmp_path)
+
+
+def test_the_machines_have_every_part_beside_and_opposite_itself_and_others() -> None:
+    """The list of pairs is drawn: each part must be in it, with all that a joint may have."""
+    found = set().union(*map(part_pairs.pairs_of, machines()))
+    assert found == part_pairs.all_pairs()
+    for kind in PARTS:
+        assert (False, frozenset({kind.__name__})) in found, f"{kind.__name__} opposite itself"
