@@ -28,7 +28,7 @@ from arm_emulator import (
     load_scene,
 )
 from arm_emulator.base.urdf_text import UNLIMITED
-from arm_emulator.design.new_scene import write_new
+from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.motion_report import State
@@ -132,7 +132,7 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
         else:
             file = robot
         try:
-            written = write_new(file, Path(folder) / "new")
+            written = scene_of(file, Path(folder) / "new")
             scene, gains = load_scene(written.file), load_gains(written.file)
         except Refusal as refusal:
             outcome.refused = str(refusal)
@@ -147,6 +147,16 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
                 if pair is not None:
                     outcome.moves.append(move(scene, gains, key, *pair))
     return outcome
+
+
+def scene_of(file: Path, folder: Path) -> NewScene:
+    """Make a scene of an arm; some robots of example-robot-data have impossible inertias."""
+    try:
+        return write_new(file, folder)
+    except Refusal as refusal:
+        if not refusal.quantity.startswith("inertia of link"):
+            raise
+        return write_new(file, folder, replace_inertias=True)
 
 
 def reachable(

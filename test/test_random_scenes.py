@@ -262,6 +262,7 @@ def test_every_robot_of_example_robot_data_is_taken_or_refused_with_the_reason(
         names = {str(j.get("name")): {} for j in joints if j.get("name") not in locked}
         links = [str(link.get("name")) for link in robot.findall("link")] or ["none"]
         changes = {"tool": links[-1], "joints": names, **({"locked": locked} if locked else {})}
+        changes["trusted_inertias"] = []
         scene = write(tmp_path, "", **changes)
         urdf = f"example-robot-data:{file.relative_to(folder)}"
         scene.write_text(scene.read_text().replace("robot.urdf", urdf))

@@ -57,7 +57,7 @@ def assume_bodies(
         name = link.get("name", "")
         if name not in links:
             continue
-        body, how = _of_shapes(link, folder)
+        body, how = shape_of(link, folder)
         if body is None:
             body, why = _rod(links[name], SHORTEST * longest or LONE), how
             how = f"a rod to the next joint{why}"
@@ -73,7 +73,12 @@ def assume_bodies(
     return out
 
 
-def _of_shapes(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
+def has_shape(link: ET.Element) -> bool:
+    """Whether a link has shapes, of which its body could be assumed."""
+    return bool(link.findall("collision") or link.findall("visual"))
+
+
+def shape_of(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
     """Return the body of a link's shapes at 1 kg/m3, and from what; without, why not."""
     why = ""
     for kind in ("collision", "visual"):

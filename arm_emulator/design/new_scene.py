@@ -15,9 +15,10 @@ from arm_emulator.analysis.holding import Overload, overloads
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED, parse_urdf
-from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
+from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, has_shape
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
+from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
 from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.mesh_file import move_meshes
 from arm_emulator.design.own_collisions import own_collisions, own_shapes
@@ -32,7 +33,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.urdf_chain import moved_bodies
+from arm_emulator.machine.urdf_chain import MovedBody, moved_bodies
 from arm_emulator.machine.urdf_tree import LARGEST_MASS
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -79,6 +80,8 @@ def write_new(
     motor: str | None = None,
     tree: bool = False,
     force: bool = False,
+    replace_inertias: bool = False,
+    trust_inertias: bool = False,
 ) -> NewScene:
     """Write a scene for a robot.
 
@@ -94,6 +97,8 @@ def write_new(
         motor: kind of all motors; None: that of a scene that gives none.
         tree: whether the joints beside the arm move, too.
         force: whether to overwrite existing files.
+        replace_inertias: whether impossible and doubtful inertias are computed from shapes.
+        trust_inertias: whether they are taken as they are; the scene names their links.
 
     Raises:
         Refusal: a robot that cannot be emulated, or files that exist already or are shipped.
@@ -111,6 +116,15 @@ def write_new(
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)
     mended = forget_impossible(description)
     assumed = _assume(description, robot, choice, density)
+    if replace_inertias and trust_inertias:
+        raise Refusal("new", "--trust-inertias", "stand without --replace-inertias", "both")
+    doubts = _doubts(description, robot, choice, assumed)
+    if replace_inertias and doubts:
+        assumed += _replace(description, robot, choice, density, doubts)
+        doubts = _doubts(description, robot, choice, assumed)
+    if not trust_inertias:
+        check_inertias(doubts, robot.name)
+    trusted = [*dict.fromkeys(doubt.link for doubt in doubts)] if trust_inertias else []
     if mended or assumed:
         text = ET.tostring(description, encoding="unicode")
     name = scene_name(robot)
@@ -122,7 +136,8 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, tools, texts = _texts(robot, text, description, choice, payload, assumed, kind)
+    bodies = assumed, trusted
+    drives, tools, texts = _texts(robot, text, description, choice, payload, bodies, kind)
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})
@@ -137,18 +152,54 @@ def _assume(description: ET.Element, robot: Path, choice: Choice, density: float
     """Add a body in the description to each moving link without one; return these links."""
     if not 0.0 < density <= MOST_DENSITY:
         raise Refusal("new", "--density", f"be > 0 and at most {MOST_DENSITY:g} kg/m3", density)
-    locked = {name: held.position for name, held in choice.held.items()}
-    bodies = moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
-    shapes = {
-        link.get("name", ""): bool(link.findall("collision") or link.findall("visual"))
-        for link in description.findall("link")
-    }
+    shapes = {link.get("name", ""): has_shape(link) for link in description.findall("link")}
     wanted: dict[str, Array] = {}
-    for body in bodies:
+    for body in _moved(description, robot, choice):
         if body.fault is not None:
             lacking = [link for link in body.links if shapes[link]] or list(body.links[:1])
             wanted |= {link: body.tip for link in lacking}
     return assume_bodies(description, robot.parent, wanted, density)
+
+
+def _doubts(
+    description: ET.Element, robot: Path, choice: Choice, assumed: list[Assumed]
+) -> list[Doubt]:
+    """Return what is wrong with inertias that the description gives."""
+    text = ET.tostring(description, encoding="unicode")
+    chain = _links_alone(text, robot.name, choice).chain
+    given = [one.link for one in assumed]
+    return doubtful_inertias(description, robot.name, robot.parent, chain, given)
+
+
+def _replace(
+    description: ET.Element, robot: Path, choice: Choice, density: float, doubts: list[Doubt]
+) -> list[Assumed]:
+    """Give links with doubtful inertias those of their shapes; return these links.
+
+    A mass that is in doubt goes, too, and so does an inertia without a mass.
+    """
+    of_mass = {doubt.link for doubt in doubts if doubt.is_of_mass}
+    wanted: dict[str, Array] = {}
+    for body in _moved(description, robot, choice):
+        for link in body.links:
+            if any(doubt.link == link for doubt in doubts):
+                wanted[link] = body.tip
+    for element in description.findall("link"):
+        name = element.get("name", "")
+        for inertial in element.findall("inertial") if name in wanted else ():
+            mass = inertial.find("mass")
+            if mass is not None and name in of_mass:
+                mass.set("value", "0")
+            elif mass is None or (float(mass.get("value", "0")) <= 0.0 and not has_shape(element)):
+                element.remove(inertial)
+                wanted.pop(name, None)
+    return assume_bodies(description, robot.parent, wanted, density)
+
+
+def _moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
+    """Return what each moving joint of a choice moves."""
+    locked = {name: held.position for name, held in choice.held.items()}
+    return moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
 
 
 def _write(folder: Path, contents: Mapping[str, str]) -> None:
@@ -195,12 +246,13 @@ def _texts(
     description: ET.Element,
     choice: Choice,
     payload: float | None,
-    assumed: list[Assumed],
+    bodies: tuple[list[Assumed], list[str]],
     kind: type[Motor],
 ) -> tuple[list[Sized], list[RatedTool], dict[str, str]]:
     """Return the drives, the tools that they are sized for, and the files to write by their places.
 
-    The `description` gets limits.
+    The `description` gets limits; `bodies` are links whose body is assumed, and those whose inertia
+    is trusted.
 
     The servo is not among them: its gains are those of the scene as it is written.
     """
@@ -238,7 +290,7 @@ def _texts(
     write_limits(description, {drive.joint.name: drive for drive in drives})
     motion["collisions"], why = own_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
-    given = Given(robot.name, choice, payload or 0.0, assumed, tools)
+    given = Given(robot.name, choice, payload or 0.0, *bodies, tools)
     scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
     displacement = bare.displacement.tolist()
     contents = (

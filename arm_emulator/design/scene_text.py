@@ -59,6 +59,7 @@ class Given:
     choice: Choice
     payload: float  # kg
     assumed: list[Assumed]
+    trusted: list[str]  # links whose inertia is taken as it is
     tools: list[RatedTool]
 
 
@@ -94,6 +95,12 @@ def scene_text(
     if given.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
         lines += [f"  - {_text(one.link)}  # {one_line(one.how)}" for one in given.assumed]
+    if given.trusted:
+        lines += [
+            "",
+            "trusted_inertias:  # as in the description, though no body of its shape has them",
+        ]
+        lines += [f"  - {_text(link)}" for link in given.trusted]
     if choice.held:
         lines += ["", "locked:"]
         for joint, held in choice.held.items():

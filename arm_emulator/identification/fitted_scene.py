@@ -59,10 +59,19 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
     try:
         urdf.parent.mkdir(parents=True, exist_ok=True)
         urdf.write_text(_with_bodies(scene, in_urdf(scene, bodies)), encoding="utf-8")
-        file.write_text(comments + _replaced(scene_file, values), encoding="utf-8")
+        text = comments + _replaced(scene_file, values)
+        if not scene.trusted_inertias:
+            text = text.rstrip() + "\n" + _trust([joint.link for joint in scene.chain.links])
+        file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise Refusal("identify", f"file {file}", "be writable", error.strerror) from None
     _check_written(load_scene(file), numbers)
+
+
+def _trust(links: Sequence[str]) -> str:
+    """Return the key that exempts links: parameters that fit torques need not fit shapes."""
+    listed = yaml.safe_dump({"trusted_inertias": list(links)}, sort_keys=False)
+    return f"\n# Identified parameters, not those of bodies.\n{listed}"
 
 
 def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:

@@ -88,6 +88,7 @@ class Scene(ByValue, Lasting):
         ends=(0, LARGEST_SEED), whole=True, default=0, text="of the noise of sensors"
     )
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
+    trusted_inertias: tuple[str, ...] = ()  # links that are not checked for being bodies
     home_offset: str = HOME_OFFSETS[0]  # meaning of object 0x607C of drives on field buses
 
     def __hash__(self) -> int:
@@ -240,6 +241,7 @@ def _build(root: Section, file: Path) -> Scene:
         possible_faults=tuple(possible.values()),
         imus=imus,
         assumed=_links_named(root, "assumed", links.robot),
+        trusted_inertias=_links_named(root, "trusted_inertias", links.robot),
         **numbers,
     )
     for key in BESIDE:

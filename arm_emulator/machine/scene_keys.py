@@ -75,6 +75,9 @@ MACHINE: Keys = {
     "supply_voltage": _SCENE["supply_voltage"],
     "assumed": _names("links of the URDF", "none",
                       "links without measured bodies: `check-scene` names them"),
+    "trusted_inertias": _names("links of the URDF", "none",
+                               "links whose inertia `check-scene` takes as it is: regrouped or"
+                               " identified parameters, or a body that its shape does not show"),
     "imus": Key("", range="a section per unit",
                 text="[inertial measurement units](parts/imu.md) on links"),
     "seed": _SCENE["seed"],

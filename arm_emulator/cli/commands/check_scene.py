@@ -14,13 +14,17 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import parse_urdf
 from arm_emulator.base.warning import warn
+from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.command import command
 from arm_emulator.cli.mode_table import mode_facts, mode_rows, page_table
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
+from arm_emulator.design.inertia_check import check_inertias, doubtful_inertias
 from arm_emulator.doors.fieldbus.object_dictionary import modes as drive_modes
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.urdf_file import find_urdf
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity
 from arm_emulator.servo.servo_config import ServoConfig
@@ -93,6 +97,7 @@ def check_scene(name: str) -> Checked:
     """
     file = find_scene(name)
     scene = load_scene(file)
+    _check_links(scene, file)
     for overload in overloads(scene):
         warn(f"{scene.where}: {overload}")
     files: dict[str, Path | None] = {}
@@ -117,6 +122,15 @@ def check_scene(name: str) -> Checked:
         warn(text)
     warn_of_gravity(scene, gains.motion)
     return checked
+
+
+def _check_links(scene: Scene, file: Path) -> None:
+    """Check that the links of a scene can be bodies; where the scene trusts them, they need not."""
+    folder = find_urdf(str(read_yaml(file).get("urdf")), file).parent
+    trusted = (*scene.assumed, *scene.trusted_inertias)
+    robot = parse_urdf(scene.urdf, scene.where)
+    doubts = doubtful_inertias(robot, scene.where, folder, scene.chain, trusted)
+    check_inertias(doubts, scene.where)
 
 
 def _with_loops(name: str) -> tuple[Scene, ServoConfig]:

@@ -34,6 +34,8 @@ def new(
     density: Annotated[float, Parameter(metavar="KG/M3")] = 1200.0,
     motor: Annotated[str | None, Parameter(metavar="KIND")] = None,
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    replace_inertias: bool = False,
+    trust_inertias: bool = False,
     force: bool = False,
     ros2_control: bool = False,
 ) -> int:
@@ -50,6 +52,8 @@ def new(
         density: density of bodies without inertia in the description.
         motor: kind of all motors, as `motor.kind` in scenes (default: that of scenes).
         out: folder of the scene's files (default: the robot's name, here).
+        replace_inertias: compute impossible and doubtful inertias from shapes.
+        trust_inertias: take them as they are, such as regrouped or identified parameters.
         force: overwrite existing files.
         ros2_control: compile the scene for ros2_control, too, and write its robot description and
             controllers beside it.
@@ -62,7 +66,7 @@ def new(
         given[name] = value
     written = write_new(
         robot, out, tool, joints, given, payload=payload, density=density, motor=motor, tree=tree,
-        force=force,
+        force=force, replace_inertias=replace_inertias, trust_inertias=trust_inertias,
     )  # fmt: skip
     facts = _report(written)
     if ros2_control:
