@@ -62,7 +62,11 @@ class Case:
         command = [sys.executable, "-c", RUN, child, str(folder)]
         self.wait = self.end = 0.0
         with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            command,
+            bufsize=0,
+            stdout=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         ) as run:
             assert run.stdout is not None
             first = run.stdout.readline()
@@ -81,7 +85,7 @@ class Case:
                 self.wait = self._watch(run)
                 begun = time.monotonic()
                 run.send_signal(signal.SIGINT)
-            while run.stdout.read1(65536):
+            while run.stdout.read(65536):
                 pass
             run.wait(PATIENCE)
             while any(map(runs, children)) and time.monotonic() - begun < PATIENCE:
@@ -97,7 +101,7 @@ class Case:
         assert run.stdout is not None
         begun = last = time.monotonic()
         longest = 0.0
-        while last - begun < 0.3 and run.stdout.read1(65536):
+        while last - begun < 0.3 and run.stdout.read(65536):
             now = time.monotonic()
             longest, last = max(longest, now - last), now
         return longest

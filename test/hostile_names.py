@@ -6,6 +6,7 @@ import numpy as np
 
 # `CANARY` stands for what must not run: window.hacked in a browser, a symbol in C.
 PIECES = (
+    "<iframe srcdoc='<script>parent.window.hacked=1</script>'></iframe>",
     "<script>window.hacked=1</script>", "<img src=x onerror=window.hacked=1>",
     "{window.hacked=1}", "{`${window.hacked=1}`}", "<b>", "</b>", "<!--", "-->", "&lt;", "&amp;",
     "&#60;", "]]>", "<![CDATA[", "javascript:window.hacked=1", "[a](javascript:window.hacked=1)",

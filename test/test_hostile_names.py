@@ -98,8 +98,6 @@ def test_markdown_shows_a_name_as_it_is() -> None:
         table = parser.parse(number_table([name], {"q": [1.0], "v": [2.0]}))
         cells = [one for one in table if one.type == "inline"]
         assert len(cells) == 6 and "".join(x.content for x in cells[3].children or ()) == shown
-        block = parser.parse(escape.markdown_code(f"refused: {name}\n{name}"))
-        assert [one.type for one in block] == ["fence"], name
 
 
 def test_mdx_takes_no_line_for_a_statement() -> None:

@@ -34,20 +34,15 @@ def xml_text(text: str) -> str:
 def markdown_text(text: str) -> str:
     r"""Return a text for a paragraph or a table of Markdown, on one line.
 
-    The page renders MDX, which runs `{...}` and `<...>` as JavaScript, and lines that begin with
-    `import` or `export`. CommonMark and MDX take a mark of ASCII behind a backslash as it is
+    The page renders HTML in Markdown, frames with JavaScript among it. MDX, as other pages have it,
+    runs `{...}`, and lines that begin with `import` or `export`. Both and
+    CommonMark take a mark of ASCII behind a backslash as it is
     (https://spec.commonmark.org/0.31.2/#backslash-escapes, https://mdxjs.com/docs/what-is-mdx/).
     """
     line = _ASCII_MARKS.sub(r"\\\g<0>", one_line(" ".join(text.split())))
     if line.startswith(("import", "export")):
         line = f"&#{ord(line[0])};{line[1:]}"
     return line
-
-
-def markdown_code(text: str) -> str:
-    """Return lines of text as a block of code in Markdown: its fence is longer than any in it."""
-    fence = "`" * max(3, 1 + max(map(len, re.findall("`+", text)), default=0))
-    return f"{fence}\n{text}\n{fence}"
 
 
 def c_comment(text: str) -> str:

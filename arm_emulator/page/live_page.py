@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.escape import markdown_code, markdown_text
+from arm_emulator.base.escape import markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.record_row import values_of
 from arm_emulator.machine.scene import Scene
@@ -260,7 +260,7 @@ class LivePage:
                 (int(newest["tick"][0]) if len(newest) else 0, f"refused: {reason}")
             )
             self._list.show(self._events)
-            self.answer.content = markdown_code(reason)
+            self.answer.content = markdown_text(reason)
 
     def _time_controls(self, gui: Any, can: frozenset[str]) -> None:
         if "pause" in can:

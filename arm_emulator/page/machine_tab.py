@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.base.escape import markdown_code
+from arm_emulator.base.escape import markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import Scene
 
@@ -65,7 +65,7 @@ def _add_gains(page: Any, gui: Any) -> None:
             try:
                 known.update(page.hands.gains())
             except Refusal as reason:
-                page.answer.content = markdown_code(str(reason))
+                page.answer.content = markdown_text(str(reason))
                 return
             if known:
                 names = tuple(sorted(known))

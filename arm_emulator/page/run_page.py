@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.analysis.torque_terms import TermsNow
-from arm_emulator.base.escape import markdown_code, markdown_text
+from arm_emulator.base.escape import markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session import Session
 from arm_emulator.page.arm_scene import ArmScene
@@ -246,7 +246,7 @@ class RunPage:
             try:
                 condition = Condition(self._condition.value, scene, "page")
             except Refusal as reason:
-                self._found.content = markdown_code(str(reason))
+                self._found.content = markdown_text(str(reason))
                 return
             before = self.line.tick
             tick = self.line.find(lambda run: condition.holds(run.session), self.last)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from arm_emulator.base.escape import markdown_code, markdown_text
+from arm_emulator.base.escape import markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.page.hands import Vector
@@ -89,7 +89,7 @@ class WhatIf:
                     bags[id(line)] = bag
                 answer = markdown_text(f"{len(bags)} bags in {folder.resolve()}")
             except (Refusal, OSError) as reason:
-                answer = markdown_code(str(reason))
+                answer = markdown_text(str(reason))
             self._page.line.go_to(self._page.line.tick)  # forks take turns in one machine
             self._answer.content = answer  # last: all that it reports is done
 
@@ -127,7 +127,7 @@ class WhatIf:
                 line.advance(round(seconds / period))
                 answer = markdown_text(f"{name}: {done or 'as it was'}")
             except (Refusal, Diverged) as reason:
-                answer = markdown_code(str(reason))
+                answer = markdown_text(str(reason))
             if line.newest == begin:  # refused at once: no other future
                 line = self._page.line
             elif forked:
