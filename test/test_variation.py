@@ -8,7 +8,6 @@ from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.distributions import parse_distribution
-from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
 from arm_emulator.campaign.variation import Variation, Varying, correlation_of
 
 DISTRIBUTIONS = [
@@ -106,16 +105,3 @@ def test_numbers_may_follow_from_each_other():
             assert score[:, other] == pytest.approx(sign * score[:, 0], abs=1e-12)
     with pytest.raises(Refusal, match="hold together"):
         variation("random", 1, pairs=[(["x0", "x1"], 1.0), (["x1", "x2"], 0.5)])
-
-
-def test_intervals_hold_what_they_claim():
-    # Coverage summed over all outcomes.
-    for share in (0.02, 0.2, 0.5):
-        chance = stats.binom.pmf(range(41), 40, share)
-        ends = (clopper_pearson(k, 40, 0.9) for k in range(41))
-        assert (
-            sum(p for p, (low, high) in zip(chance, ends, strict=True) if low <= share <= high)
-            >= 0.9
-        )
-    low, high = quantile_places(0.5, 100, 0.95)
-    assert (low, high) == (39, 60)  # tables of the sign test: the 40th and 61st of 100

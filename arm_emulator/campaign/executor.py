@@ -21,7 +21,6 @@ from arm_emulator.base.wheel import need_wheel
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
-from arm_emulator.campaign.intervals import clopper_pearson
 from arm_emulator.campaign.lanes import WIDTH
 from arm_emulator.campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.worker import Done, end_with, simulate, simulator_of
@@ -191,7 +190,7 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
     if stop.width <= 0.0:
         return False
     found = failures_in(campaign, results.columns(), count)
-    intervals = (clopper_pearson(failed, count, stop.confidence) for failed in found)
+    intervals = (stop.interval(failed, count) for failed in found)
     return all(high - low <= stop.width for low, high in intervals)
 
 

@@ -269,12 +269,12 @@ def _quantiles(summary: Summary) -> Iterable[str]:
     if not summary.quantiles:
         return
     heads = sorted({one.q for one in summary.quantiles})
-    yield "<h2>Quantiles</h2><div class=scroll><table><tr><th>"
+    yield f"<h2>Quantiles</h2><p>Intervals of {100 * summary.confidence:g} % confidence; an end "
+    yield "that so few runs do not have is open.</p><div class=scroll><table><tr><th>"
     yield "".join(f"<th class=n>{100 * q:g} %" for q in heads) + "</tr>"
     for column in dict.fromkeys(one.column for one in summary.quantiles):
         yield f"<tr><td>{html_text(column)}"
         for one in (one for one in summary.quantiles if one.column == column):
-            low_high = f"{one.low:.5g} to {one.high:.5g}"
-            yield f"<td class=n title='{low_high}'>{one.value:.4g}"
+            yield f"<td class=n>{one.value:.4g}<br><small>{one.interval}</small>"
         yield "</tr>"
     yield "</table></div>"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.campaign.campaign_file import Campaign
-from arm_emulator.campaign.intervals import clopper_pearson, quantile_places
+from arm_emulator.campaign.intervals import quantile_places
 from arm_emulator.campaign.results import FAILED, INDEX, MEASURE, ROBUSTNESS
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
@@ -25,7 +26,7 @@ class Share:
         name: of the requirement.
         hits: runs in which it fails.
         share: of all runs.
-        low, high: confidence interval of the share (Clopper and Pearson).
+        low, high: confidence interval of the share, see `Stop.interval`.
         worst: index of the run with the least robustness; -1: none.
         least: that robustness.
     """
@@ -41,13 +42,27 @@ class Share:
 
 @dataclass(frozen=True)
 class Quantile:
-    """A quantile of a column, with its confidence interval."""
+    """A quantile of a column, with its confidence interval.
+
+    An end that so few runs do not have is -inf or inf, see `quantile_places`.
+    """
 
     column: str
     q: float
     value: float
     low: float
     high: float
+
+    @property
+    def interval(self) -> str:
+        """The interval in words."""
+        if math.isinf(self.low) and math.isinf(self.high):
+            return "too few runs for an interval"
+        if math.isinf(self.high):
+            return f"above {self.low:.5g}"
+        if math.isinf(self.low):
+            return f"below {self.high:.5g}"
+        return f"{self.low:.5g} to {self.high:.5g}"
 
 
 @dataclass(frozen=True)
@@ -75,7 +90,7 @@ def summary_of(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summa
         values = columns.get(f"{ROBUSTNESS}{name}", np.zeros(0))
         failed = columns[FAILED] if name == ANY else ~(values >= 0.0)
         hits = int(np.count_nonzero(failed))
-        low, high = clopper_pearson(hits, count, confidence)
+        low, high = campaign.stop.interval(hits, count)
         at = int(np.argmin(values)) if len(values) else -1
         worst = int(columns[INDEX][at]) if at >= 0 else -1
         least = float(values[at]) if at >= 0 else float("nan")
@@ -95,5 +110,6 @@ def _quantiles(name: str, values: NDArray[Any], confidence: float) -> list[Quant
     for q in QUANTILES:
         at = min(len(known) - 1, int(q * len(known)))
         low, high = quantile_places(q, len(known), confidence)
-        found.append(Quantile(name, q, *map(float, (known[at], known[low], known[high]))))
+        ends = -math.inf if low is None else known[low], math.inf if high is None else known[high]
+        found.append(Quantile(name, q, *map(float, (known[at], *ends))))
     return found

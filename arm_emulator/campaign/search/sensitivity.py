@@ -15,6 +15,7 @@ from arm_emulator.campaign.search.method import Array, Course, Finding, Method
 from arm_emulator.campaign.variation import Variation
 
 CONFIDENCE = 0.95
+TAIL = 0.01  # on either side of the quantiles that Morris' steps keep within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,12 +133,17 @@ class Morris(Sensitivity):
         """Return how many runs it takes."""
         return int(self.trajectories) * (D + 1)
 
+    @property
+    def _part(self) -> float:
+        """Part of the range between the outer quantiles that a step spans, as Morris chose it."""
+        return 0.5 * self.levels / (self.levels - 1.0)
+
     def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
         from SALib.analyze import morris as analysis
         from SALib.sample import morris as sampling
 
-        problem = _problem(names, 0.01)  # the ends of a normal distribution are at infinity
+        problem = _problem(names, TAIL)  # the ends of a normal distribution are at infinity
         levels, seed = int(self.levels), seed % 2**31
         u = sampling.sample(problem, int(self.trajectories), num_levels=levels, seed=seed)
         values = yield _scores(u)
@@ -150,8 +156,11 @@ class Morris(Sensitivity):
             keys = ("mu_star", "mu_star_conf", "mu", "sigma")
             return [(names[k], *(float(found[key][k]) for key in keys)) for k in order]
 
+        low, high = 100.0 * TAIL, 100.0 * (TAIL + (1.0 - 2.0 * TAIL) * self._part)
         about = (
-            f"Change of an output while a number goes from its 1 % to its 99 % quantile, "
+            f"Change of an output by a step of a number between two of its quantiles, such as "
+            f"{low:g} and {high:.3g} %, divided by {self._part:.3g}, the part that a step spans of "
+            f"the range from {low:g} to {100.0 - low:g} %; "
             f"{self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         )
         head = ("size", "+- size", "mean", "spread")
