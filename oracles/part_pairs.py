@@ -103,7 +103,8 @@ def drawn_joint(rng: Rng) -> DrawnJoint:
     always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
     for kinds in always:
         joint.put(any_of(rng, kinds), rng)
-    for kind in (Brake, *EXTRAS):
+    sometimes: tuple[Kind, ...] = (Brake, *EXTRAS)
+    for kind in sometimes:
         if rng.random() < 0.5:
             joint.put(kind, rng)
     return joint

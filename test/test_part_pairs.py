@@ -40,7 +40,7 @@ def test_located_events_keep_order_two(share: int, scheme: str, tmp_path: Path) 
 
 
 @pytest.mark.skipif(not FULL, reason="another scheme is compiled for each: make test-in-full")
-@pytest.mark.parametrize(("share", "scheme"), itertools.product(SHARES, AT_STEPS))
+@pytest.mark.parametrize(("share", "scheme"), list(itertools.product(SHARES, AT_STEPS)))
 def test_events_at_steps_keep_order_one(share: int, scheme: str, tmp_path: Path) -> None:
     judge(share, scheme, tmp_path)
 
