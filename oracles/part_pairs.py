@@ -55,9 +55,9 @@ PERIOD = 0.01  # s, that each command is held
 ROWS, UNPOWERED = 12, slice(5, 8)  # commands; those without power, in half of the draws
 STEPS, HALVINGS = (20, 80, 320), 3  # in PERIOD, of the first run; one of these shows the order
 SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
-# Of events at steps: steps of the coarse run, how many times as many the fine one has, and by how
-# much the error falls then, at least. An event may lie well in coarse steps and badly in fine ones.
-COARSE, FINER, FALLS = 80, 32, 4.0
+# Of events at steps: steps of the coarse runs, how many times as many the fine one has, and by how
+# much the largest error falls then, at least. Events lie well in some steps and badly in others.
+COARSE, FINER, FALLS = (20, 40, 80), 32, 4.0
 CANDIDATES = 40  # machines, of which the one with the most new pairs is taken
 
 # Numbers that switch a part off, by the end of their names. Other numbers are 0, where they may.
@@ -247,10 +247,12 @@ def judge(
                        in_order)  # fmt: skip
 
     if not located:
-        finest = COARSE * FINER
+        finest = COARSE[-1] * FINER
         truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
-        errors = tuple(_apart(run(steps), truth) for steps in (COARSE, finest))
-        return verdict(errors, COARSE, round(math.log2(FINER)), math.log(FALLS, FINER))
+        coarse = [_apart(run(steps), truth) for steps in COARSE]
+        largest = max((one for one in coarse if one < math.inf), default=math.inf)
+        errors = largest, _apart(run(finest), truth)
+        return verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
     for steps in STEPS:
         runs = [run(steps << k, scheme, "located") for k in range(HALVINGS + 2)]
         found = verdict(tuple(map(_apart, runs, runs[1:])), steps, HALVINGS, ORDER)
