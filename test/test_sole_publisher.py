@@ -29,38 +29,45 @@ from arm_emulator_msgs.msg import (
 )
 
 SPEED = 0.3  # rad/s, of the trajectories below: 0.6 rad in 3 s, 1.5 times their mean
-Running = tuple[User, Bringup]
+
+
+class Mover:
+    """A user who moves the arm by trajectories.
+
+    Attributes:
+        heard: reports of motions.
+    """
+
+    def __init__(self, user: User) -> None:
+        self.user, self.heard = user, list[MotionStatus]()
+        user.node.create_subscription(MotionStatus, "motion/status", self.heard.append, EVENT_QOS)
+        self._orders = user.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        user.wait("the run", lambda: user.truth is not None)
+        user.wait("a listener", lambda: self._orders.get_subscription_count() > 0)
+        user.wait("health", lambda: user.printed("motion_controller", "holding"))
+
+    def state_of(self, number: int) -> int:
+        """Return the newest state of a trajectory, 0 for none."""
+        return next((one.state for one in self.heard[::-1] if one.number == number), 0)
+
+    def move(self, to: float, seconds: int = 3) -> int:
+        """Send all joints to a place; return the number of the trajectory."""
+        number = 1 + max((one.number for one in self.heard), default=0)
+        point = JointTrajectoryPoint(positions=[to, 0.5 + to, 0.8 + to], velocities=[0.0] * 3)
+        point.time_from_start.sec = seconds
+        self._orders.publish(JointTrajectory(joint_names=JOINTS, points=[point]))
+        moving = MotionStatus.STATE_MOVING
+        self.user.wait("the motion", lambda: self.state_of(number) == moving)
+        return number
 
 
 @pytest.fixture(scope="module", params=["lockstep", "realtime"])
-def running(
+def mover(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Running]:
+) -> Iterator[Mover]:
     log = tmp_path_factory.mktemp("log")
-    with network(log, clock=request.param, start="first_answer") as both:
-        user, _ = both
-        user.heard = []
-        user.node.create_subscription(MotionStatus, "motion/status", user.heard.append, EVENT_QOS)
-        user.trajectories = user.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
-        user.wait("the run", lambda: user.truth is not None)
-        user.wait("a listener", lambda: user.trajectories.get_subscription_count() > 0)
-        user.wait("health", lambda: user.printed("motion_controller", "holding"))
-        yield both
-
-
-def state_of(user: User, number: int) -> int:
-    """Return the newest state of a trajectory, 0 for none."""
-    return next((one.state for one in user.heard[::-1] if one.number == number), 0)
-
-
-def move(user: User, to: float, seconds: int = 3) -> int:
-    """Send all joints to a place; return the number of the trajectory."""
-    number = 1 + max((one.number for one in user.heard), default=0)
-    point = JointTrajectoryPoint(positions=[to, 0.5 + to, 0.8 + to], velocities=[0.0] * 3)
-    point.time_from_start.sec = seconds
-    user.trajectories.publish(JointTrajectory(joint_names=JOINTS, points=[point]))
-    user.wait("the motion", lambda: state_of(user, number) == MotionStatus.STATE_MOVING)
-    return number
+    with network(log, clock=request.param, start="first_answer") as (user, _):
+        yield Mover(user)
 
 
 def strangers(rng: random.Random, user: User) -> dict[str, Any]:
@@ -87,17 +94,17 @@ def strangers(rng: random.Random, user: User) -> dict[str, Any]:
     return messages
 
 
-def test_messages_of_strangers_do_not_change_a_motion(running: Running) -> None:
+def test_messages_of_strangers_do_not_change_a_motion(mover: Mover) -> None:
     """Also none that would reset time: a motion goes on, as slowly as it was commanded."""
-    user, _ = running
+    user = mover.user
     rng = random.Random(8)
     stranger = Node("stranger", context=user.node.context)
     user.add(stranger)
     fastest, publishers = 0.0, {}
     try:
         for to in some((0.6, 0.0, 0.6, 0.0), 2):
-            number = move(user, to)
-            while state_of(user, number) == MotionStatus.STATE_MOVING:
+            number = mover.move(to)
+            while mover.state_of(number) == MotionStatus.STATE_MOVING:
                 for topic, message in strangers(rng, user).items():
                     if topic not in publishers:
                         qos = EVENT_QOS if "/" in topic or "robot" in topic else QoSProfile(depth=9)
@@ -105,7 +112,7 @@ def test_messages_of_strangers_do_not_change_a_motion(running: Running) -> None:
                     publishers[topic].publish(message)
                 user.spin(0.005)
                 fastest = max(fastest, *map(abs, user.truth.velocity))
-            assert state_of(user, number) == MotionStatus.STATE_REACHED, user.heard[-1]
+            assert mover.state_of(number) == MotionStatus.STATE_REACHED, mover.heard[-1]
         for topic, owner in SOLE_PUBLISHER.items():
             receivers = [one for one in user.diagnostics if user.refused(one, topic)]
             assert receivers, f"no node refuses {topic}"
@@ -124,16 +131,16 @@ def test_messages_of_strangers_do_not_change_a_motion(running: Running) -> None:
         assert SPEED * 0.9 < fastest < SPEED * 1.2, "the trajectory's largest speed is 0.3 rad/s"
 
 
-def test_a_reset_by_the_emulator_begins_anew(running: Running) -> None:
-    user, _ = running
-    number = move(user, 0.6, 600)  # longer than any delay of a busy machine
+def test_a_reset_by_the_emulator_begins_anew(mover: Mover) -> None:
+    user = mover.user
+    number = mover.move(0.6, 600)  # longer than any delay of a busy machine
     assert user.call("emulator/reset").success
-    user.wait("the end", lambda: state_of(user, number) == MotionStatus.STATE_ABORTED)
+    user.wait("the end", lambda: mover.state_of(number) == MotionStatus.STATE_ABORTED)
     assert "the machine began anew" in next(
-        one.reason for one in user.heard[::-1] if one.number == number
+        one.reason for one in mover.heard[::-1] if one.number == number
     )
-    after = move(user, 0.6)
-    user.wait("the next", lambda: state_of(user, after) == MotionStatus.STATE_REACHED)
+    after = mover.move(0.6)
+    user.wait("the next", lambda: mover.state_of(after) == MotionStatus.STATE_REACHED)
     running_ = EmulatorStatus.PHASE_RUNNING
     user.wait("the run", lambda: user.status is not None and user.status.phase == running_)
 
