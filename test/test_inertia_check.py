@@ -38,7 +38,9 @@ def moments(mass: float, size: np.ndarray = SIZE) -> np.ndarray:
     return mass * (square.sum() - square) / 12.0
 
 
-def arm(bodies: list[tuple[float, np.ndarray]], shape: str = BOX) -> str:
+def arm(
+    bodies: list[tuple[float, np.ndarray]], shape: str = BOX, at: str = "0.0123 -0.0071 0.15"
+) -> str:
     """Return an arm of boxes with masses [kg] and tensors (3, 3) [kg m2]."""
     text = ['<robot name="boxes"><link name="base"/>']
     before = "base"
@@ -46,7 +48,7 @@ def arm(bodies: list[tuple[float, np.ndarray]], shape: str = BOX) -> str:
         entries = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
         inertia = " ".join(f'{key}="{value!r}"' for key, value in zip(KEYS, entries, strict=True))
         text.append(
-            f'<link name="l{k}"><inertial><origin xyz="0 0 0.15"/><mass value="{mass!r}"/>'
+            f'<link name="l{k}"><inertial><origin xyz="{at}"/><mass value="{mass!r}"/>'
             f'<inertia {inertia}/></inertial><collision><origin xyz="0 0 0.15"/><geometry>{shape}'
             f'</geometry></collision></link><joint name="j{k}" type="revolute">'
             f'<parent link="{before}"/><child link="l{k}"/><origin xyz="0 0 0.3"/>'
@@ -88,7 +90,8 @@ DOUBTFUL = {
     "light": (0.5, np.diag(moments(0.5)), "208 kg/m3, not 300 to 3000"),
     "heavy": (10.0, np.diag(moments(10.0)), "4.17e+03 kg/m3"),
     "wide": (2.4, 9.0 * np.diag(moments(2.4)), "radius of gyration"),
-    "point": (2.4, 1e-6 * np.eye(3), "radius of gyration"),
+    "small": (2.4, 1e-6 * np.eye(3), "radius of gyration"),
+    "point": (2.4, np.zeros((3, 3)), "radius of gyration"),
 }
 
 

@@ -24,8 +24,8 @@ from arm_emulator.machine.parts.sensors import JointSensors
 MOST_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
 DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 # A torque of the description stands for "not known" beyond so many times what the joint needs with
-# a tool, or where every joint has so many times as much.
-PLACEHOLDER, OVERSIZED = 50.0, 8.0
+# a tool, or where every joint has so many times as much. Makers' figures are up to 6 times.
+PLACEHOLDER, OVERSIZED = 20.0, 8.0
 UNDERSIZED = 20.0  # likewise below so many times less, for joints on which no weight rests
 ALIKE = 3  # joints that have one figure are all without one, where one of them cannot have it
 
