@@ -53,7 +53,9 @@ Pair = tuple[bool, frozenset[str]]  # whether at one joint, and the names of the
 
 PERIOD = 0.01  # s, that each command is held
 ROWS, UNPOWERED = 12, slice(5, 8)  # commands; those without power, in half of the draws
-STEPS, HALVINGS = (20, 80, 320), 3  # in PERIOD, of the first run; one of these shows the order
+# Steps in PERIOD of the first run, and how often they are halved: one of these shows the order. The
+# last ones average over corners, whose errors of order 2 scatter.
+WINDOWS = ((20, 3), (80, 3), (320, 3), (40, 6), (80, 5))
 SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
 # Of events at steps: steps of the coarse runs, how many times as many the fine one has, and by how
 # much the largest error falls then, at least. Events lie well in some steps and badly in others.
@@ -253,9 +255,9 @@ def judge(
         largest = max((one for one in coarse if one < math.inf), default=math.inf)
         errors = largest, _apart(run(finest), truth)
         return verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
-    for steps in STEPS:
-        runs = [run(steps << k, scheme, "located") for k in range(HALVINGS + 2)]
-        found = verdict(tuple(map(_apart, runs, runs[1:])), steps, HALVINGS, ORDER)
+    for steps, halvings in WINDOWS:
+        runs = [run(steps << k, scheme, "located") for k in range(halvings + 2)]
+        found = verdict(tuple(map(_apart, runs, runs[1:])), steps, halvings, ORDER)
         if found.in_order:
             break
     return found
