@@ -21,6 +21,7 @@ TOP = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contribute/contributing.md",
     "CHANGELOG.md": "contribute/changelog.md",
+    "SECURITY.md": "contribute/security.md",
 }
 LANGUAGES = {".h": "c", ".hpp": "cpp", ".py": "python", ".yaml": "yaml", ".c": "c", ".msg": "text"}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from draws import some
+from draws import FULL, some
 
 from arm_emulator.base.kept import Kept
 from arm_emulator.base.refusal import Refusal
@@ -309,9 +309,106 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     for name, unit in (("near", "rad"), ("never", "rad/s")):
         margins = columns[f"robustness.{name}"]
         assert f"margin of {name} [{unit}]" in report, "a column has one unit"
-        assert f"{columns['index'][np.argmin(margins)]}<td" in report.partition("Worst runs")[2]
+        worst = report.partition("Worst runs")[2].replace("\n", "")
+        assert f"{columns['index'][np.argmin(margins)]}<td" in worst
     with pytest.raises(Refusal, match="have results of this campaign"):
         Results(tmp_path / "two", load_campaign(written(tmp_path, changed(TABLE, "seed", 1))))
+
+
+def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, capsys):
+    data = changed(changed(TABLE, "count", 70), "scenario/seconds", 0.002)
+    data = changed(data, "faults", None)
+    for name in ("faults.push.force.2",):
+        del data["vary"][name]
+    file, rng = written(tmp_path, data), np.random.default_rng(1)
+    digest, _ = digest_alone(file)
+    one, other = (
+        load_campaign(file),
+        load_campaign(written(tmp_path, {**data, "seed": 7}, "o.yaml")),
+    )
+    results, runs = Results(tmp_path / "alone", one), runs_of(one)
+    foreign = write_part(
+        Results(tmp_path / "other", other).folder, other,
+        Outcomes.joined(list(runs_of(other).runs([drawn_case(other.variation, 3)]))),
+    )  # fmt: skip
+    for round_ in range(60 if FULL else 12):
+        some = results.parts[int(rng.integers(len(results.parts)))]
+        content = bytearray(some.read_bytes())
+        match round_ % 4:
+            case 0:
+                content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+                some.write_bytes(content)
+            case 1:
+                some.write_bytes(content[: int(rng.integers(len(content)))])
+            case 2:
+                some.write_bytes(foreign.read_bytes())
+            case _:  # with its own name, in the place of one that is missing
+                some.unlink()
+                (some.parent / foreign.name).write_bytes(foreign.read_bytes())
+        results = Results(tmp_path / "alone", one)  # as the next command finds them
+        missing = results.missing(70)
+        assert 1 <= sum(end - first for first, end in missing) <= 10, "of one part"
+        assert ("is set aside" in capsys.readouterr().err) and not (
+            some.parent / foreign.name
+        ).exists()
+        for first, end in missing:
+            cases = [drawn_case(one.variation, k) for k in range(first, end)]
+            write_part(results.folder, one, Outcomes.joined(list(runs.runs(cases))))
+        assert not results.missing(70) and digest_of(results.columns()) == digest
+    aside = list((tmp_path / "alone" / "set_aside").iterdir())
+    assert aside, "they are kept"
+
+
+def test_a_file_of_checks_is_beside_its_campaign_and_cannot_end_the_command(tmp_path):
+    inside, outside = tmp_path / "in", tmp_path / "out.py"
+    (inside / "below").mkdir(parents=True)
+    code = (
+        "import pathlib\npathlib.Path(__file__ + '.ran').touch()\ndef f(trace):\n    return 1.0\n"
+    )
+    outside.write_text(code)
+    (inside / "below/checks.py").write_text(code)
+    (inside / "link.py").symlink_to(outside)
+    data = changed(TABLE, "scenario/seconds", 0.2)
+    for name in (str(outside), "../out.py", "below/../../out.py", "link.py", "/dev/stdin"):
+        asked = {"c": {"python": f"{name}:f", "signals": ["q.elbow"]}}
+        file = written(inside, changed(data, "requirements", asked))
+        with pytest.raises(Refusal, match="a file beside the campaign's or below its folder"):
+            campaign(file, dry=True)
+        assert not Path(f"{outside}.ran").exists(), "nothing of it ran"
+    asked = {"c": {"python": "below/checks.py:f", "signals": ["q.elbow"]}}
+    Simulator(load_campaign(written(inside, changed(data, "requirements", asked))))
+    for text in ("import sys; sys.exit(0)", "exit()", "raise SystemExit"):
+        (inside / "ends.py").write_text(text)
+        asked = {"c": {"python": "ends.py:f", "signals": ["q.elbow"]}}
+        with pytest.raises(Refusal, match=r"be a file that Python can run, got SystemExit"):
+            campaign(written(inside, changed(data, "requirements", asked)), dry=True)
+
+
+def test_no_runs_are_no_success(tmp_path, monkeypatch):
+    monkeypatch.setattr("arm_emulator.cli.commands.campaign._simulate", lambda *_: (False, []))
+    assert campaign(written(tmp_path, TABLE), into=tmp_path / "results", workers=1) == 1
+    assert output.collected["missed"] == "it has ended before the first run"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("abs(v.elbow) <= 0.001", "alone; always (abs(v.elbow) <= 0.001) judges the whole run"),
+        ("0 <= v.elbow <= 1 or t > 2", "always (0 <= v.elbow <= 1 or t > 2) judges the whole run"),
+        ("v.elbow < 1 and eventually q.elbow > 1", "a part without always"),
+        ("always v.elbow < 1", None),
+        ("always[0, 0] v.elbow < 1", None),
+        ("q.elbow > 0 implies always q.elbow > 0", None),
+        ("v.elbow < 1 until q.elbow > 1", None),
+    ],
+)
+def test_requirements_about_the_first_sample_are_named(tmp_path, capsys, text, line):
+    data = changed(changed(TABLE, "requirements", {"asked": text}), "scenario/seconds", 0.2)
+    assert campaign(written(tmp_path, data), dry=True) == 0
+    warned = capsys.readouterr().err
+    assert (line is None and "warning" not in warned) or (
+        line is not None and "warning: c.yaml: requirements.asked" in warned and line in warned
+    )
 
 
 def test_a_run_is_driven_again_to_the_last_bit(tmp_path):

@@ -230,6 +230,10 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     crew = Crew(Here, 1.0, lambda now: seen.append(now.done))
     assert Splitter(one, results, crew).run() == first
     assert len(seen) == 2, "what was there was not done again"
+    damaged = results.folder / "splitting/0002.json"
+    damaged.write_text(damaged.read_text().replace("0", "1"))
+    assert Splitter(one, results, crew).run() == first
+    assert len(seen) == 3 and (results.folder / "set_aside/0002.json").exists()
     ((name, mean, low, high, _),) = first[0].rows
     assert name == "counts" and low <= mean <= high
     rows = first[1].rows

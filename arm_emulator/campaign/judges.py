@@ -6,7 +6,7 @@ import importlib.util
 import math
 import re
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.bound_formula import bound_to, meant_by
-from arm_emulator.base.formula import Expression, Formula, Signal, parse_expression, parse_formula
+from arm_emulator.base.formula import (
+    Combined,
+    Expression,
+    Formula,
+    Signal,
+    parse_expression,
+    parse_formula,
+)
 from arm_emulator.base.given import array_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
@@ -23,6 +30,7 @@ from arm_emulator.campaign.program import Program, Rows, Targets, judges
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.signals import units_of_signals
+from arm_emulator.machine.formula_rows import is_at_one_instant
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -65,10 +73,11 @@ class Checked:
     Args:
         section: ``python: FILE:FUNCTION`` and ``signals``, the names that it gets.
         known: signals.
-        folder: where the file is.
+        folder: the campaign's. The file is code, so that it must be in this folder or below it,
+            links followed.
 
     Raises:
-        Refusal: no such file or function, or signals that are not known.
+        Refusal: no such file or function there, or signals that are not known.
     """
 
     def __init__(self, section: Section, known: list[str], folder: Path) -> None:
@@ -85,10 +94,11 @@ class Checked:
             self.names += found
         self.names.append("t")
         section.finish()
-        if not name or not (folder / file).is_file():
-            rule = "be FILE:FUNCTION, a file beside the campaign's"
+        code = (folder / file).resolve()
+        if not name or not code.is_file() or not code.is_relative_to(folder.resolve()):
+            rule = "be FILE:FUNCTION, a file beside the campaign's or below its folder"
             raise section.refusal("python", rule, section.text("python"))
-        self._function, self._section = _function(folder / file, name, section), section
+        self._function, self._section = _function(code, name, section), section
 
     def judge(self, trace: Sequence[Array]) -> float:
         """Return the function's result for pieces (names, n) of a run.
@@ -115,7 +125,7 @@ def _function(file: Path, name: str, section: Section) -> Callable[[Signals], An
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         got = f"{type(error).__name__}: {error}"
         raise section.refusal("python", "be a file that Python can run", got) from None
     function = getattr(module, name, None)
@@ -123,6 +133,27 @@ def _function(file: Path, name: str, section: Section) -> Callable[[Signals], An
         valid = ", ".join(key for key, one in vars(module).items() if callable(one))
         raise section.refusal("python", "name a function of the file", name, valid or "none")
     return function  # type: ignore[no-any-return]
+
+
+def statements_about_the_start(campaign: Campaign) -> Iterator[str]:
+    """Yield a line for each requirement that judges only the first sample of a run, in all or part.
+
+    It is a part that the whole needs: of an `implies` or `or` it may be meant so.
+    """
+    for name, text in campaign.requirements.items():
+        if not isinstance(text, str):
+            continue
+        formula = parse_formula(text, campaign.where, f"requirements.{name}")
+        parts: tuple[Formula, ...] = (formula,)
+        if isinstance(formula, Combined) and formula.sign == "and":
+            parts = formula.of
+        at_start = [is_at_one_instant(part) for part in parts]
+        if all(at_start):
+            valid = f"always ({text}) judges the whole run, always[0, 0] ({text}) its start"
+            yield f"{campaign.where}: requirements.{name} judges the first sample alone; {valid}"
+        elif any(at_start):
+            rule = "a part without always, eventually or until judges the first sample alone"
+            yield f"{campaign.where}: requirements.{name}: {rule}; always (...) the whole run"
 
 
 class Judges:

@@ -2,6 +2,10 @@
 
 A part holds a row per run, its indices ascending. The parts list the runs that are done; their
 division into parts has no meaning and does not affect the digest.
+
+The name of a part ends with the checksum of its bytes, and its metadata have the campaign's key. A
+file that has other bytes, or is of another campaign, is moved into a folder of its own: its runs
+are missing, and are simulated again.
 """
 
 from __future__ import annotations
@@ -17,13 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.base.whole_file import hidden_beside, write_whole
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.units import judged_units
 
-PARTS, ABOUT = "parts", "campaign.json"
+PARTS, ABOUT, ASIDE = "parts", "campaign.json", "set_aside"
 INDEX, FAILED, DIVERGED = "index", "failed", "diverged"
 ROBUSTNESS, MEASURE = "robustness.", "measure."
 
@@ -67,13 +72,19 @@ def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
     for rows in (done.values, done.robustness, done.measures):
         columns += [np.ascontiguousarray(column) for column in rows.T]
     first, last = done.indices[0], done.indices[-1]
-    part = folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet"
-    hidden = hidden_beside(part)
+    hidden = hidden_beside(folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet")
     pq.write_table(pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema), hidden)
     with hidden.open("rb") as written:
         os.fsync(written.fileno())
+    checksum = checksum_of(hidden.read_bytes())
+    part = folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}-{checksum}.parquet"
     hidden.replace(part)
     return part
+
+
+def checksum_of(content: bytes) -> str:
+    """Return a checksum of bytes, 16 digits."""
+    return hashlib.blake2b(content, digest_size=8).hexdigest()
 
 
 class Results:
@@ -89,11 +100,13 @@ class Results:
 
     def __init__(self, folder: Path, campaign: Campaign) -> None:
         self.folder, self.campaign = folder, campaign
+        self._sound: set[str] = set()
         about = folder / ABOUT
         try:
             (folder / PARTS).mkdir(parents=True, exist_ok=True)
             if about.exists():
-                known = json.loads(about.read_text(encoding="utf-8")).get("key")
+                facts = json.loads(about.read_text(encoding="utf-8"))
+                known = facts.get("key") if isinstance(facts, dict) else None
                 if known != campaign.key.hex():
                     rule = "be new, or have results of this campaign as it is written now"
                     got = f"results of {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
@@ -108,8 +121,35 @@ class Results:
 
     @property
     def parts(self) -> list[Path]:
-        """All whole parts."""
-        return sorted((self.folder / PARTS).glob("[0-9]*.parquet"))
+        """All sound parts; others are set aside."""
+        found = sorted((self.folder / PARTS).glob("*.parquet"))
+        return [part for part in found if self._is_sound(part)]
+
+    def _is_sound(self, part: Path) -> bool:
+        """Return whether a part is what was written for this campaign; each is read once for it."""
+        if part.name in self._sound:
+            return True
+        import pyarrow.parquet as pq
+
+        # Its bytes first, so that nothing reads the structures of a damaged file.
+        if part.stem.rpartition("-")[2] != checksum_of(part.read_bytes()):
+            return self.set_aside(part, "its bytes are not those that were written")
+        try:
+            metadata = pq.read_schema(part).metadata or {}
+        except (OSError, ValueError) as error:
+            return self.set_aside(part, f"it is no Parquet file: {error}")
+        if metadata.get(b"campaign") != self.campaign.key.hex().encode():
+            return self.set_aside(part, "it is of another campaign")
+        self._sound.add(part.name)
+        return True
+
+    def set_aside(self, file: Path, reason: str) -> bool:
+        """Move a file that cannot be counted into a folder of its own, and warn; return False."""
+        aside = self.folder / ASIDE
+        aside.mkdir(exist_ok=True)
+        file.replace(aside / file.name)
+        warn(f"{file.name} is set aside, its runs are simulated again: {reason}")
+        return False
 
     def done(self) -> NDArray[np.int64]:
         """Return the indices of the runs that are done, ascending."""

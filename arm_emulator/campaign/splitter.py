@@ -8,12 +8,13 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
 from arm_emulator.campaign.forking import ForkingRun
-from arm_emulator.campaign.results import Results
+from arm_emulator.campaign.results import Results, checksum_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.search.splitting import Origin, Repetition, Splitting
 from arm_emulator.campaign.searcher import write_findings
@@ -54,12 +55,13 @@ class Splitter:
         """
         ForkingRun.check(self._campaign)
         self._complete([PILOT])
-        pilot = json.loads(_file(self._folder, PILOT).read_text())
+        key = self._campaign.key
+        pilot = _content(_file(self._folder, PILOT), key)
         found: list[Repetition] = []
         if pilot["leads"]:
             numbers = range(1, 1 + int(self._method.repetitions))
             self._complete(list(numbers))
-            found = [_read(_file(self._folder, number)) for number in numbers]
+            found = [_read(_file(self._folder, number), key) for number in numbers]
         findings = [self._method.finding(self._method.of, pilot["levels"], found)]
         if found:
             findings.append(self._method.of_levels(pilot["levels"], found))
@@ -83,12 +85,23 @@ class Splitter:
         head = "failure", "values of run", "forks", "last fork [s]"
         return Finding("Failures", about, head, tuple(rows))
 
+    def _is_done(self, number: int) -> bool:
+        """Return whether a repetition is there as it was written; a damaged file is set aside."""
+        file = _file(self._folder, number)
+        if not file.exists():
+            return False
+        try:
+            _content(file, self._campaign.key)
+        except ValueError as error:
+            return self._results.set_aside(file, str(error))
+        return True
+
     def _complete(self, numbers: list[int]) -> None:
         """Have the repetitions done that are not."""
         of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
 
         def missing(_: int) -> list[int]:
-            return [one for one in numbers if not _file(self._folder, one).exists()]
+            return [one for one in numbers if not self._is_done(one)]
 
         def work(pool: Pool, left: Sequence[int], _: int) -> None:
             for one in cf.as_completed([pool.submit(split, *of_all, k) for k in left]):
@@ -102,7 +115,13 @@ class Splitter:
 def failed_forks(results: Results) -> list[Origin]:
     """Return the failures of all repetitions that are done, in their order."""
     files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
-    return _failures(map(_read, files))
+    found = []
+    for file in files:
+        try:
+            found.append(_read(file, results.campaign.key))
+        except ValueError as error:
+            results.set_aside(file, str(error))
+    return _failures(found)
 
 
 def _failures(repetitions: Iterable[Repetition]) -> list[Origin]:
@@ -120,16 +139,34 @@ def split(file: str, key: bytes, folder: str, number: int) -> Done:
         content: dict[str, object] = {"levels": levels, "leads": leads}
         runs = int(method.per_level) * (len(levels) + 1)
     else:
-        levels = json.loads(_file(Path(folder), PILOT).read_text())["levels"]
+        levels = _content(_file(Path(folder), PILOT), key)["levels"]
         found = method.repetition(run, levels, seed, number)
         content, runs = asdict(found), found.runs
-    write_whole(_file(Path(folder), number), json.dumps(content))
+    text = json.dumps(content)
+    head = {"key": key.hex(), "checksum": checksum_of(text.encode()), "content": text}
+    write_whole(_file(Path(folder), number), json.dumps(head))
     nothing = (0,) * (len(campaign.requirements) + 1)
     return Done(runs, nothing, time.process_time() - began, True)
 
 
-def _read(file: Path) -> Repetition:
-    data = json.loads(file.read_text())
+def _content(file: Path, key: bytes) -> dict[str, Any]:
+    """Return what a file of a repetition, or of the pilot, has.
+
+    Raises:
+        ValueError: it is damaged, or of another campaign.
+    """
+    head = json.loads(file.read_text(encoding="utf-8"))
+    text = head.get("content") if isinstance(head, dict) else None
+    if not isinstance(text, str) or head.get("checksum") != checksum_of(text.encode()):
+        raise ValueError("its bytes are not those that were written")
+    if head.get("key") != key.hex():
+        raise ValueError("it is of another campaign")
+    content: dict[str, Any] = json.loads(text)
+    return content
+
+
+def _read(file: Path, key: bytes) -> Repetition:
+    data = _content(file, key)
     return Repetition(**data | {"failures": [Origin(**one) for one in data["failures"]]})
 
 

@@ -17,10 +17,12 @@ from cyclopts import Parameter
 from arm_emulator.base.count import check_count
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.crew import Crew, Pool, Progress
 from arm_emulator.campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
+from arm_emulator.campaign.judges import statements_about_the_start
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.outcome import Outcome
 from arm_emulator.campaign.report import write_report
@@ -67,8 +69,8 @@ def campaign(
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
 
-    The exit code is 1 where the only run, or that of --replay, fails a requirement. Ctrl-C keeps
-    all that is done; the same command goes on with what is missing.
+    The exit code is 1 where the only run, or that of --replay, fails a requirement, and where no
+    run was simulated. Ctrl-C keeps all that is done; the same command goes on with what is missing.
 
     Args:
         file: the campaign, YAML.
@@ -102,6 +104,8 @@ def campaign(
         return _replay(one, case_of(one, into, replay, "--replay"), kept, page, bag)
     if shrink is not None:
         return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
+    for text in statements_about_the_start(one):
+        warn(text)
     seconds, ready = seconds_per_run(one)
     _preview(one, seconds, ready, workers or _all_of(dask))
     if dry:
@@ -121,6 +125,8 @@ def campaign(
         return 130
     fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
     missed = f"the only run fails {', '.join(fails)}" if fails and one.search is None else ""
+    if not summary.count and not findings:
+        missed = "it has ended before the first run"
     return output.judge("campaign", missed)
 
 
@@ -217,8 +223,6 @@ def _facts(now: Progress) -> str:
 
 def _print(summary: Summary, digest: str, folder: Path) -> None:
     percent = f"{100 * summary.confidence:g} %"
-    if summary.count == 0:
-        output.line("it has ended before the first run")
     for one in summary.shares if summary.count else ():
         output.line(
             f"{one.name:<20} fails in {one.hits} of {summary.count}: {100 * one.share:.4g} %, "
