@@ -43,8 +43,12 @@ DRIFTS = {
     },
     "search": {"method": "splitting", "of": "counts", "per_level": 20, "repetitions": 4},
 }  # fmt: skip
-EDGES = {**DRIFTS["faults"]["edges"], "magnitude": 0.015}
-RARE = DRIFTS | {"faults": {**DRIFTS["faults"], "edges": EDGES}}
+# The seed follows from the scene's file: all of 12 seeds lead to failures over a level or two.
+EDGES = {**DRIFTS["faults"]["edges"], "magnitude": 0.016}
+RARE = DRIFTS | {
+    "faults": {**DRIFTS["faults"], "edges": EDGES},
+    "search": {**DRIFTS["search"], "per_level": 60},
+}
 
 
 def read(folder, data=DRIFTS):
