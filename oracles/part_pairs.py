@@ -55,7 +55,7 @@ PERIOD = 0.01  # s, that each command is held
 ROWS, UNPOWERED = 12, slice(5, 8)  # commands; those without power, in half of the draws
 # Steps in PERIOD of the first run, and how often they are halved: one of these shows the order. The
 # last ones average over corners, whose errors of order 2 scatter.
-WINDOWS = ((20, 3), (80, 3), (320, 3), (40, 6), (80, 5))
+WINDOWS = ((20, 3), (80, 3), (320, 3), (40, 6), (80, 6))
 SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
 # Of events at steps: steps of the coarse runs, how many times as many the fine one has, and by how
 # much the largest error falls then, at least. Events lie well in some steps and badly in others.
