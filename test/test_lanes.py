@@ -51,7 +51,7 @@ JOINTS: dict[str, list[tuple[dict[str, Any], float | None]]] = {
                                                   "link": [[3.0, 1e-2, 1.0]]}},
           "friction": {**DRY, "load": 0.2}}, 0.4),
     ],
-    "brakes, stops and springs": [
+    "brakes with stops and springs": [
         ({"motor": {"kind": "current", "torque_constant": 0.05, "current_limit": 5.0,
                     "rotor_inertia": 1e-4, "friction": ROTOR_DRY},
           "gear": {"ratio": -0.03}, "friction": DRY,

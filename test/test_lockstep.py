@@ -303,11 +303,15 @@ def test_a_reset_while_the_servo_waits_for_targets(
         user.wait("t = 0", lambda: user.diagnostics["servo"].message == f"{waiting}0 s")
         user.wait("tick 0", lambda: user.tick == 0)
         before = user.refused("servo", "joint_targets")
-        answer(0.05)  # too late
+        answer(0.05)  # too late: what the servo has asked for before the reset
+        late = "joint_targets before the reset"
+        user.wait("the count", lambda: user.value("servo", late) == "1")
+        assert user.refused("servo", "joint_targets") == before
+        answer(0.1)  # what nobody has asked for
         user.wait("the refusal", lambda: user.refused("servo", "joint_targets") == before + 1)
         assert user.value("servo", "newest refusal") == (
             "joint_targets: header.stamp must be that of the joint states it answers, 0 s, "
-            "got 0.05 s"
+            "got 0.1 s"
         )
         assert user.tick == 0
         answer(0.0)

@@ -64,7 +64,7 @@ OTHERS = {
     ),
     "launch_test": "of ROS; test/peers/test_launch_testing.py",
     "pytest": "a test of its own",
-    "rerun": "opens a window",
+    **dict.fromkeys(("rerun", ".venv/bin/rerun"), "opens a window"),
     "ros2": "no wheel has it; types of messages are checked",
 }
 PROGRAMS = {*OTHERS, "arm_emulator", "make", "python"}

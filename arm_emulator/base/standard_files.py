@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from typing import Any
 
 from arm_emulator.base.refusal import Refusal
 
@@ -25,9 +26,11 @@ def open_standard_files() -> None:
             os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this
     if sys.stderr is None:
         sys.stderr = open(2, "w", closefd=False)
-    for stream in (sys.stdout, sys.stderr):
-        if (change := getattr(stream, "reconfigure", None)) is not None:
-            change(errors="backslashreplace")
+    streams: tuple[Any, ...] = (sys.stdout, sys.stderr)
+    for stream in streams:
+        # A stream whose descriptor was exchanged for a pipe since it was opened cannot seek.
+        with contextlib.suppress(AttributeError, OSError):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def check_stdout() -> None:
