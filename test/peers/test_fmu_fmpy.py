@@ -69,7 +69,7 @@ def unit_2(three_axis: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def rich(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rich")
-    names = "a", "b'\"<&>", "c"
+    names = "a", "b:/#[].(+)", "c"
     export(load_scene(rich_machine(folder, names)), folder / "rich.fmu", "x86-64-v2")
     return folder / "rich.fmu"
 
