@@ -63,11 +63,11 @@ class Place(Protocol):
 
 
 def kill_client(victim: str, client: Process) -> None:
-    """Kill a client, or press Ctrl-C in its terminal, which reaches its whole group."""
+    """Kill a client, or press Ctrl-C in its terminal, which reaches its whole group, or neither."""
     with contextlib.suppress(ProcessLookupError):  # it had just come to its end
         if victim == "client":
             client.kill()
-        else:
+        elif victim == "ctrl-c":
             os.killpg(client.pid, signal.SIGINT)
 
 
