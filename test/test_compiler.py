@@ -256,7 +256,11 @@ from arm_emulator.cli.command_line import main
 main()
 """
         done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False
+            [sys.executable, "-B", "-c", code],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
         )
         assert done.returncode == 2, done.stderr
         lines = done.stderr.splitlines()

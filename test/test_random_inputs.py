@@ -6,17 +6,18 @@ for it and no service changes the machine, no joint exceeds its limits.
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
+import time
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from draws import FULL, some
-from network import ALL_THREE, ASK_AGAIN, JOINTS, User, logs, network
+from draws import some
+from network import ALL_THREE, ASK_AGAIN, JOINTS, PATIENCE, SOLE_PUBLISHER, User, logs, network
 from random_fields import class_of, fill
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -27,7 +28,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.node_shell import EVENT_QOS
+from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus, ServoState
 from emulator_node.page_hands import RosHands
@@ -176,7 +177,6 @@ def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path
         strangers.node.destroy_node()
 
 
-@pytest.mark.skipif(not FULL, reason="its last trajectory is not always the newest order: FULL=1")
 def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_path: Path) -> None:
     """Joints move to and fro, and every topic gets messages of strangers, of any time and content.
 
@@ -197,7 +197,14 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
         user.wait("a listener", lambda: strangers.listeners("/joint_trajectory") > 0)
         fastest, reports = 0.0, list[MotionStatus]()
         user.node.create_subscription(MotionStatus, "motion/status", reports.append, EVENT_QOS)
-        for number, _ in enumerate(COUNT):
+        until = time.monotonic() + PATIENCE
+        for number in itertools.count():
+            # Orders of strangers replace each other: after COUNT messages they send states alone,
+            # until the arm has moved.
+            if number == len(COUNT):
+                topics = [one for one in topics if one.strip("/") in SOLE_PUBLISHER]
+            if number >= len(COUNT) and (fastest > 0.05 or time.monotonic() > until):
+                break
             topic = rng.choice(topics)
             message = fill(rng, class_of(strangers.topics[topic])(), WORDS)
             if hasattr(message, "header") and rng.random() < 0.7:
@@ -207,15 +214,14 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
             if isinstance(message, JointState | ServoState) and rng.random() < 0.7:
                 sound(rng, message, names)
             strangers.publish(topic, message)
-            if number % 100 == 0:
+            if number % (100 if number < len(COUNT) else 1000) == 0:
                 strangers.publish("/joint_trajectory", swing(rng, names))
                 assert_alive(nodes, tmp_path)
             user.spin(0.002)
             assert_within(user, limits)
             fastest = max([fastest, *map(abs, user.truth.velocity)])
         assert_alive(nodes, tmp_path)
-        # Orders replace each other: how fast it becomes in between depends on the machine's load.
-        assert fastest > 0.01, "rad/s: the arm has moved"
+        assert fastest > 0.05, "rad/s: the arm has moved"
         # Its reports are true: a trajectory that nothing disturbs has ended where it was to end.
         own = user.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         user.wait("a listener", lambda: own.get_subscription_count() > 0)
@@ -228,11 +234,15 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
         heard, goal = len(reports), swing(rng, names)
         own.publish(goal)
         kind, reached = MotionStatus.KIND_JOINT_TRAJECTORY, MotionStatus.STATE_REACHED
-        user.wait(
-            "its end", lambda: any(o.state == reached and o.kind == kind for o in reports[heard:])
+        end = user.wait(
+            "its end",
+            lambda: next(
+                (o for o in reports[heard:] if (o.kind, o.state) == (kind, reached)), None
+            ),
         )
-        then = user.status.tick
-        user.wait("a newer state", lambda: user.status.tick > then + 500)
+        # What this user has received so far may be older than the report: its own stamp counts.
+        later = nanoseconds_of(end.header.stamp) + NANOSECONDS // 2
+        user.wait("a newer state", lambda: nanoseconds_of(user.truth.header.stamp) > later)
         at = dict(zip(user.truth.name, user.truth.position, strict=True))
         off = np.subtract([at[name] for name in names], goal.points[0].positions)
         assert np.abs(off).max() < 0.02, f"{off} rad, more than gears wind up: {reports[heard:]}"
