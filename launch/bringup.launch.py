@@ -11,6 +11,7 @@ from pathlib import Path
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -73,18 +74,47 @@ ARGUMENTS = [
 ]
 
 
+class Ends:
+    """Ends the nodes when one has ended, and the launch with the exit code of the first failure.
+
+    `ros2 launch` itself ends with 0 when a node has failed.
+
+    Attributes:
+        running: number of nodes that have not ended.
+    """
+
+    def __init__(self) -> None:
+        self.running, self._code = 0, 0
+
+    def __call__(self, event: ProcessExited, _: LaunchContext) -> Shutdown:
+        """Take the end of a node."""
+        code = event.returncode
+        self._code = self._code or (code if code >= 0 else 128 - code)
+        self.running -= 1
+        if self._code and self.running == 0:
+            sys.exit(self._code)
+        return Shutdown(reason=f"{event.action.name} ended")
+
+
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the three nodes, with the parameter files of the chosen scene."""
-    scene, clock, pace, start, rerun, record, namespace, use_sim_time, params_file, allow_second = (
-        LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
-    )
+    """Return the nodes, or end the launch in a line with exit code 2 if they are refused."""
     try:
-        factor = factor_of("bringup", pace)
-        if allow_second == "false":
-            refuse_second_network(namespace, "allow_second:=true")
+        return nodes_of(context)
     except Refusal as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)  # not as an exception, of which `ros2 launch` makes exit code 1
+
+
+def nodes_of(context: LaunchContext) -> list[Node]:
+    """Return the three nodes, with the parameter files of the chosen scene.
+
+    Raises:
+        Refusal: an argument is not valid, or such a network runs already.
+    """
+    scene, clock, pace, start, rerun, record, namespace, use_sim_time, params_file, allow_second = (
+        LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
+    )
+    factor = factor_of("bringup", pace)
     file = find_scene(scene)
     gains = {kind: str(find_beside(file, kind)) for kind in ("servo", "motion")}
 
@@ -103,6 +133,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     if params_file and not Path(params_file).is_file():
         raise Refusal("bringup", f"file {params_file}", "exist", "no such file")
     chosen = [str(Path(params_file).resolve())] if params_file else []
+    if allow_second == "false":
+        refuse_second_network(namespace, "allow_second:=true")
+    ends = Ends()
 
     def node(name: str, *parameters: dict | str) -> Node:
         return Node(
@@ -116,15 +149,16 @@ def nodes(context: LaunchContext) -> list[Node]:
             # `ros2 launch` leaves its nodes alone when it is ended by SIGTERM, or killed.
             additional_env=parent_environment(),
             output="screen",
-            on_exit=Shutdown(reason=f"{name} ended"),
+            on_exit=ends,
         )
 
-    return [
+    three = [
         node("emulator", emulator),
         node("servo", gains["servo"], {"clock": clock}),
         node("motion_controller", gains["motion"]),
-        *frames(load_scene(file), namespace, every),
     ]
+    ends.running = len(three)
+    return [*three, *frames(load_scene(file), namespace, every)]
 
 
 def frames(scene: Scene, namespace: str, every: dict) -> list[Node]:
