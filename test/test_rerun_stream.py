@@ -282,6 +282,8 @@ def test_the_viewers_command_is_one_that_a_shell_finds(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", str(viewer.parent))
     assert viewer_command("my run.rrd") == "rerun 'my run.rrd'"
+    stream = "rerun+http://127.0.0.1:9876/proxy"  # of the port that rerun itself would listen at
+    assert viewer_command(stream) == f"rerun --connect {stream}"
     monkeypatch.setenv("PATH", "/nowhere")
     assert viewer_command(tmp_path / "a.rrd") == f"bin/rerun {tmp_path}/a.rrd"
 

@@ -16,6 +16,7 @@ def viewer_command(source: str | Path) -> str:
         source: file of the recording, or address of a running stream.
     """
     viewer = Path(sys.executable).parent / "rerun"
-    if shutil.which("rerun") or not viewer.exists():
-        return shlex.join(["rerun", str(source)])
-    return shlex.join([os.path.relpath(viewer), str(source)])
+    by_path = shutil.which("rerun") or not viewer.exists()
+    # Without it, rerun takes whoever listens at its own port, 9876, for a viewer, and opens none.
+    connect = ["--connect"] if "://" in str(source) else []
+    return shlex.join(["rerun" if by_path else os.path.relpath(viewer), *connect, str(source)])
