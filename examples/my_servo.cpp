@@ -46,7 +46,7 @@ class MyServo : public rclcpp::Node {
       measured.name = state.joint_names;
       measured.position = q_;
       joint_states_->publish(measured);
-    } else if (!targets_.empty()) {
+    } else {
       answer();
     }
   }
@@ -64,8 +64,10 @@ class MyServo : public rclcpp::Node {
     answer.header = state_.header;
     answer.tick = state_.tick;
     answer.joint_names = state_.joint_names;
-    for (std::size_t j = 0; j < q_.size(); ++j)
-      answer.command.push_back(kGain * (targets_.at(state_.joint_names[j]) - q_[j]));
+    for (std::size_t j = 0; j < q_.size(); ++j) {
+      const auto target = targets_.find(state_.joint_names[j]);
+      answer.command.push_back(target == targets_.end() ? 0.0 : kGain * (target->second - q_[j]));
+    }
     commands_->publish(answer);
   }
 

@@ -35,7 +35,7 @@ class MyServo(Node):
         if state.tick % MOTION_TICKS == 0:
             measured = JointState(header=state.header, name=state.joint_names, position=self.q)
             self.joint_states.publish(measured)
-        elif self.targets:
+        else:
             self.answer()
 
     def on_targets(self, targets: JointState) -> None:
@@ -49,7 +49,7 @@ class MyServo(Node):
         answer = MotorCommand(header=self.state.header, tick=self.state.tick)
         answer.joint_names = self.state.joint_names
         for name, q in zip(self.state.joint_names, self.q, strict=True):
-            answer.command.append(GAIN * (self.targets[name] - q))
+            answer.command.append(GAIN * (self.targets.get(name, q) - q))  # 0 V without a target
         self.commands.publish(answer)
 
 

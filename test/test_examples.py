@@ -71,6 +71,17 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
         assert sender.returncode == 0
 
 
+def test_a_servo_of_ones_own_goes_on_after_a_restart_within_a_motion_period(tmp_path: Path) -> None:
+    with network(tmp_path, only=("emulator", "motion_controller"), start="first_answer") as (
+        user,
+        _,
+    ):
+        for _ in range(3):  # at least one of three ends within a period
+            before = user.tick
+            with example("my_servo"):
+                user.wait("a hundred ticks", lambda before=before: user.tick > before + 100)
+
+
 @pytest.mark.parametrize(
     "words", ["", "0.4 0.5", "0.4 0.5 0.6 0.7", "0.4 O.5 0.6", "0,4 0.5 0.6", "0.4 nan 0.6"]
 )
