@@ -246,7 +246,7 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
             ),
         )
         assert end.state == MotionStatus.STATE_REACHED, end
-        # What this user has received so far may be older than the report: its own stamp counts.
+        # The truth received so far may be older than the report: its own stamp counts.
         later = nanoseconds_of(end.header.stamp) + NANOSECONDS // 2
         user.wait("a newer state", lambda: nanoseconds_of(user.truth.header.stamp) > later)
         at = dict(zip(user.truth.name, user.truth.position, strict=True))

@@ -41,7 +41,7 @@ def launched(*words: str) -> subprocess.CompletedProcess[str]:
         ("pace:=-3", "bringup: pace must be max, or times real time, above 0"),
     ],
 )
-def test_what_is_refused_is_a_line_and_exit_code_2(word: str, refusal: str) -> None:
+def test_refused_arguments_are_a_line_and_exit_code_2(word: str, refusal: str) -> None:
     done = launched(word)
     lines = [line for line in done.stderr.splitlines() if line.startswith(refusal)]
     assert (done.returncode, len(lines)) == (2, 1), done.stdout + done.stderr
