@@ -9,7 +9,10 @@ from typing import Any
 import pytest
 from draws import some
 from geometry_msgs.msg import PoseStamped
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from network import network, node
+from rclpy.serialization import deserialize_message, serialize_message
 from test_command_line import run
 
 from arm_emulator.base.config_files import config_folder
@@ -17,6 +20,7 @@ from arm_emulator.ros import causal_replay
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.node_shell import stamp
 from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator_msgs.msg import MotorCommand
 
 TICKS = 600  # 12 motion periods
 
@@ -32,7 +36,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         target.header.stamp = stamp(100_000_000)
         p, o = target.pose.position, target.pose.orientation
         (p.x, p.y, p.z), o.w = (0.6, 0.1, 0.3), 1.0  # reached or not, the arm moves
-        user.tool_targets.publish(target)
+        user.publish(user.tool_targets, target)
         taken = "the target's acceptance"
         user.wait(taken, lambda: user.value("motion_controller", "tool targets") == "1")
         assert user.call("emulator/pause", False).success
@@ -67,6 +71,49 @@ def test_the_recorded_nodes_give_the_recorded_bits(bag: Path) -> None:
         assert code == 0 and facts["missed"] is None, errors
         assert facts["answers"] == facts["messages"] == facts["alike"], facts
         assert facts["messages"] >= (TICKS if into == "servo" else TICKS // 50), facts
+
+
+def test_answers_recorded_long_before_the_first_question_do_not_matter(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recorder that finds the servo long before the emulator, which is reset afterwards."""
+    monkeypatch.setattr(causal_replay, "AHEAD", 100)
+    late = tmp_path / "late"
+    late.mkdir()
+    with (
+        (late / "late_0.mcap").open("wb") as file,
+        next(bag.glob("*.mcap")).open("rb") as recorded,
+    ):
+        writer = Writer(file)
+        writer.start()
+        schemas, channels = dict[int, int](), dict[int, int]()
+        whole = list(make_reader(recorded).iter_messages(log_time_order=False))
+        earlier = [one for one in whole if one[1].topic == "/motor_commands"]
+        shift = 1_000_000_000_000
+        for before, messages in ((shift, earlier), (0, whole)):
+            for schema, channel, one in messages:
+                if channel.id not in channels:
+                    if schema.id not in schemas:
+                        known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        schemas[schema.id] = known
+                    channels[channel.id] = writer.register_channel(
+                        channel.topic,
+                        channel.message_encoding,
+                        schemas[schema.id],
+                        channel.metadata,
+                    )
+                times = (one.log_time - before, one.publish_time - before)
+                data = one.data
+                if before:  # of a run that went farther
+                    command = deserialize_message(data, MotorCommand)
+                    command.tick += 10 * TICKS
+                    data = serialize_message(command)
+                writer.add_message(channels[channel.id], times[0], data, times[1])
+        writer.finish()
+    with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
+        code, facts, errors = replayed(late, "servo")
+    assert code == 0 and facts["missed"] is None, errors
+    assert facts["answers"] == facts["messages"] == facts["alike"] >= TICKS, facts
 
 
 def test_a_servo_with_another_gain_answers_each_state_with_the_same_bits(bag: Path) -> None:

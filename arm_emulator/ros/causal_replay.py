@@ -128,8 +128,10 @@ class CausalReplay:
         """
         topics, answers = self._topics, self._answers
         self._connect(wait, report)
-        recorded = _Stamped([(_key(m), m.data) for m in self._recorded(topics.answered)])
-        granted, beside = self._stamped(topics.granted), self._stamped(topics.beside)
+        begin = next(self._recorded(topics.asked)).published
+        recorded = self._stamped(topics.answered, _key, begin)
+        granted = self._stamped(topics.granted, _stamp, begin)
+        beside = self._stamped(topics.beside, _stamp, begin)
         before: int | None = None
         for one in self._recorded(topics.asked):
             key, stamp = _key(one), _stamp(one)
@@ -172,8 +174,21 @@ class CausalReplay:
                 raise Refusal(self._where, f"messages on {topic}", rule, error) from None
             yield _Message(message, one)
 
-    def _stamped(self, topic: str) -> _Stamped:
-        return _Stamped([(_stamp(one), one.data) for one in self._recorded(topic)] if topic else [])
+    def _stamped(self, topic: str, key: Callable[[_Message], int], begin: int) -> _Stamped:
+        """Return the messages of a topic from the first question on, by their keys.
+
+        A recorder may find the node that answers seconds before the one that asks.
+
+        Args:
+            topic: empty: no messages.
+            key: of a message.
+            begin: when the first question was published, wall time [ns].
+        """
+        kept = list(self._recorded(topic)) if topic else []
+        earlier = bisect.bisect_left(kept, begin, key=lambda one: one.published)
+        # Some of them, since the clocks of two computers differ.
+        kept = kept[max(0, earlier - AHEAD // 2) :]
+        return _Stamped([(key(one), one.data) for one in kept])
 
     def _placed_orders(self) -> list[_Order]:
         """Return the orders, with the stamp of the joint states after which each was taken.
