@@ -185,7 +185,9 @@ class SolePublisher:
         if name == owner:
             return None
         rule = f"be node {owner}, whose messages are taken"
-        got = f"node {name}" if name else "a node that the graph does not have yet"
+        # The middleware finds a publisher before it knows of which node it is.
+        known = name and "UNKNOWN" not in name
+        got = f"node {name}" if known else "a node that the graph does not have yet"
         return Refusal(self._topic, "publisher", rule, got)
 
 

@@ -21,6 +21,7 @@ NODES = {
     "motion_controller": "joint_targets",
 }
 OTHERS_WITHIN = 0.3  # s, for the arrival of all kept statuses
+NAMED_WITHIN = 1.0  # s, for the names of nodes that publish
 TARGET_WITHIN = 1.0  # s, for the arrival of the newest status of a target
 PHASES = {
     EmulatorStatus.PHASE_FREE_RUNNING: "free running",
@@ -121,7 +122,14 @@ def status(
 
 def _others(node: NetworkGuest, topic: str) -> list[str]:
     """Return the nodes that publish a topic."""
-    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    found: list[Any] = []
+
+    def all_named() -> bool:
+        found[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+        return all("UNKNOWN" not in one.node_name for one in found)
+
+    # The middleware finds a publisher before it knows of which node it is.
+    node.spin_until(all_named, NAMED_WITHIN)
     names = {f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found}
     return sorted(f"node {name}" for name in names)
 
