@@ -11,6 +11,8 @@ from arm_emulator.campaign.pictures import (
     FAILS,
     HOLDS,
     MOST_LINES,
+    NO_BREAK,
+    _in,
     coordinates,
     influences,
     margins,
@@ -80,3 +82,8 @@ def test_a_text_is_broken_after_dots_and_kept_to_the_letter() -> None:
     assert max(map(len, lines)) <= 20
     assert all(line[-1] in "._" for line in lines[:-1])
     assert "".join(wrapped("a" * 50, 20).split("\n")) == "a" * 50
+
+
+def test_a_unit_stays_on_one_line() -> None:
+    label = wrapped(_in("joints.shoulder.gear.stiffness", "N m/rad"))
+    assert [line.replace(NO_BREAK, " ") for line in label.split("\n")][-1].endswith("[N m/rad]")

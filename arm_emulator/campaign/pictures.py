@@ -41,6 +41,9 @@ _STYLE = {
 }
 
 
+NO_BREAK = "\N{NO-BREAK SPACE}"
+
+
 def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
     import matplotlib as mpl
 
@@ -243,7 +246,8 @@ def _scaled(values: Array) -> Array:
 
 
 def _in(name: str, unit: str | None) -> str:
-    return f"{name} [{unit}]" if unit else name
+    """Return a name with its unit, which stays on one line: N m/rad is not m/rad."""
+    return f"{name} [{unit.replace(' ', NO_BREAK)}]" if unit else name
 
 
 def wrapped(text: str, width: int = 26) -> str:
