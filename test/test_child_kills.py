@@ -9,13 +9,17 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from draws import some
 
 from arm_emulator import Plant, Refusal
+from arm_emulator.base.kept import Kept
 from arm_emulator.base.process import runs
-from arm_emulator.runs.row_process import RowProcess
+from arm_emulator.page import watched
+from arm_emulator.runs import recorder, row_process
+from arm_emulator.runs.row_process import RowProcess, tell_all
 from bench.child_kills import HOW, Case
 
 CASES = [(child, how) for how in HOW for child in ("recorder", "viewer")]
@@ -28,9 +32,14 @@ print(200_000 * "x", flush=True)
 end.answer("ready")
 while not end.is_over(30.0):
     pass
+time.sleep(end.task.get("late", 0.0))
 if end.task["hangs"]:
-    time.sleep(60.0)
+    while True:
+        time.sleep(60.0)
 end.answer("over")
+if end.task.get("stays"):
+    time.sleep(60.0)
+end.leave("never read")
 """
 
 
@@ -63,6 +72,75 @@ def test_a_process_that_does_not_end_is_killed(noisy: str) -> None:
     answer = one.close()
     assert time.monotonic() - begun < LONGEST
     assert isinstance(answer, Refusal) and "killed by SIGKILL" in str(answer)
+
+
+def test_a_process_that_has_answered_is_not_waited_for(noisy: str) -> None:
+    task = {"hangs": False, "stays": True}
+    one = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
+    begun = time.monotonic()
+    assert one.close() == "over"
+    assert time.monotonic() - begun < 0.5 * LONGEST and not runs(one.process_id)
+
+
+def test_processes_of_a_run_end_together(noisy: str) -> None:
+    """Each takes 1.5 s for its end: one after another they would take 4.5 s."""
+    plant, task = Plant("three_axis"), {"hangs": False, "late": 1.5}
+    every = [RowProcess(plant, noisy, task, "test", waits=False, patience=30.0) for _ in range(3)]
+    other = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
+    begun = time.monotonic()
+    tell_all(plant)
+    assert [one.close() for one in every] == 3 * ["over"]
+    assert time.monotonic() - begun < 3.5
+    assert not other.trouble
+    assert other.close() == "over"
+
+
+def test_processes_that_hang_are_killed_at_one_deadline(noisy: str) -> None:
+    plant, task = Plant("three_axis"), {"hangs": True}
+    every = [RowProcess(plant, noisy, task, "test", waits=False, patience=1.5) for _ in range(3)]
+    begun = time.monotonic()
+    tell_all(plant)
+    answers = [one.close() for one in every]
+    assert all("killed by SIGKILL" in str(answer) for answer in answers)
+    assert time.monotonic() - begun < 3.5
+
+
+def test_further_signals_give_no_further_time(noisy: str) -> None:
+    """The process has 0.5 s; with each signal anew it would never end here."""
+    one = RowProcess(
+        Plant("three_axis"), noisy, {"hangs": True}, "test", waits=False, patience=30.0
+    )
+    begun = time.monotonic()
+    while runs(one.process_id):
+        os.kill(one.process_id, signal.SIGTERM)
+        assert time.monotonic() - begun < LONGEST, "each signal gives it time"
+        time.sleep(0.1)
+    assert "killed by SIGALRM" in one.trouble
+    assert isinstance(one.close(), Refusal)
+
+
+def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
+    noisy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each takes 2 s for its end: one after another they would take 4 s."""
+    for module in (watched, recorder):
+        monkeypatch.setattr(module, "PROCESS", noisy)
+    began = row_process._begin
+
+    def begin(module: str, task: dict[str, Any], files: tuple[int, ...]) -> Any:
+        return began(module, task | {"hangs": False, "late": 2.0}, files)
+
+    monkeypatch.setattr(row_process, "_begin", begin)
+    plant = Plant("three_axis")
+    begun = 0.0
+    with (
+        pytest.raises(Refusal, match="over"),  # what this recorder calls its trouble
+        recorder.Recorder(plant, Kept(record=Path("never.csv")), waits=False),
+        watched.Watched(plant, 0),
+    ):
+        begun = time.monotonic()
+        raise KeyboardInterrupt
+    assert time.monotonic() - begun < 3.5
 
 
 def test_sigterm_ends_a_process_that_hangs(noisy: str) -> None:

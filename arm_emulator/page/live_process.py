@@ -29,14 +29,13 @@ def main() -> None:
             task["scene"], task["columns"], task["kind"], hands, task["at"], task["varied"]
         )
     except Refusal as no:
-        end.answer(no)
-        return
+        end.leave(no)
     end.answer(page.url)
     _show_all(end, ring, page)
     end.end_in_time()
     hands.close()
     page.close()
-    end.answer("")
+    end.leave("")
 
 
 def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:

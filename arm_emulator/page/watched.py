@@ -9,7 +9,7 @@ from collections.abc import Callable
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
 from arm_emulator.page.hands import Hands
-from arm_emulator.runs.row_process import RowProcess
+from arm_emulator.runs.row_process import RowProcess, tell_all
 
 PROCESS = "arm_emulator.page.live_process"
 PATIENCE = 4.0  # s, wall: for the end of the page
@@ -66,7 +66,9 @@ class Watched:
     def __enter__(self) -> Watched:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if kind is not None and self._process is not None:
+            tell_all(self._process.plant)  # a recorder writes its end while the page ends
         self.close()
 
     def take(self) -> None:

@@ -30,8 +30,7 @@ def main() -> None:
         if task["record"] is not None:
             files.append(open_record("record", task["record"], task["columns"]))
     except Refusal as no:
-        end.answer(no)
-        return
+        end.leave(no)
     end.answer(None)
     troubles = []
     try:
@@ -42,7 +41,7 @@ def main() -> None:
     troubles.append(close_view())
     if end.stopped:
         troubles.append("the recorder was ended by SIGTERM")
-    end.answer("; ".join(filter(None, troubles)))
+    end.leave("; ".join(filter(None, troubles)))
 
 
 def _take_all(

@@ -10,7 +10,7 @@ import select
 import signal
 import sys
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 _PR_SET_PDEATHSIG = 1
 _ORPHANED = signal.SIGUSR1  # which the system sends when the run has ended
@@ -21,7 +21,8 @@ class RowEnd:
 
     The process ends when its input does: the run is over, however it ended. The system kills it if
     it has not ended some seconds after SIGTERM, or after the run has died: it may hang in a file
-    that takes nothing. Ctrl-C is for the run, which then ends this process.
+    that takes nothing. The first of these reasons counts, others give it no further time. Ctrl-C is
+    for the run, which then ends this process.
 
     Attributes:
         task: what the run has handed over.
@@ -55,9 +56,21 @@ class RowEnd:
         with contextlib.suppress(BrokenPipeError):  # the run was killed
             self._answers.write(pickle.dumps(what))
 
+    def leave(self, what: Any) -> NoReturn:
+        """Hand the run the last answer, and end at once.
+
+        Python's own end has nothing to save here. On a busy machine it takes seconds.
+        """
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        self.answer(what)
+        os._exit(0)
+
     def end_in_time(self) -> None:
         """Let the system kill this process unless it ends within the time that it has for that."""
-        signal.setitimer(signal.ITIMER_REAL, self._grace)
+        if not signal.getitimer(signal.ITIMER_REAL)[0]:
+            signal.setitimer(signal.ITIMER_REAL, self._grace)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.stopped = True

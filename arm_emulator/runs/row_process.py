@@ -9,6 +9,8 @@ import select
 import signal
 import subprocess
 import sys
+import time
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +24,15 @@ from arm_emulator.runs.view_of import view_of
 
 HERE = Path(__file__).resolve().parents[2]  # what the other process imports from
 START = 120.0  # s, wall: for its imports, on a busy machine
-END = 2.0  # s, wall: for its end after its last answer
+
+_all: weakref.WeakSet[RowProcess] = weakref.WeakSet()
+
+
+def tell_all(plant: Plant) -> None:
+    """Tell every process that takes rows of a plant that the run is over, before one is awaited."""
+    for one in list(_all):
+        if one.plant is plant:
+            one.tell()
 
 
 class RowProcess:
@@ -31,8 +41,10 @@ class RowProcess:
     The module gets its task as a pickled dict on its input, which ends when it has to, and hands
     pickled answers back through a pipe that nothing else writes into (`RowEnd`): one when it is
     ready, which is a `Refusal` if it cannot be, and one at its end. What it prints goes to stderr.
+    Nothing is lost by its end after the last answer, so that it is killed then.
 
     Attributes:
+        plant: the machine.
         ready: its first answer.
 
     Args:
@@ -42,7 +54,7 @@ class RowProcess:
         where: for refusals.
         waits: whether the machine waits for a slow reader; else rows that find no room are dropped
             and counted.
-        patience: wall time that it has to end in [s]; then it is killed.
+        patience: wall time that it has to end in, from when it is told on [s]; then it is killed.
         files: further descriptors that it inherits.
 
     Raises:
@@ -60,7 +72,8 @@ class RowProcess:
         patience: float,
         files: tuple[int, ...] = (),
     ) -> None:
-        self._plant, self._where, self._patience = plant, where, patience
+        self.plant, self._where, self._patience = plant, where, patience
+        self._deadline: float | None = None
         row = RecordRow(plant)
         memory = os.memfd_create("record_ring")
         try:
@@ -72,13 +85,14 @@ class RowProcess:
         finally:
             os.close(memory)
         assert process.stdin is not None
-        self.ready = self._answer(START)
+        self.ready = self._answer(time.monotonic() + START)
         if isinstance(self.ready, Refusal):
             self._end()
             raise self.ready
         self._writer = RingWriter(ring, plant.core, row, process.stdin.fileno(), waits)
         self.take()
         listen(plant, self._writer.take, self._writer.struct)
+        _all.add(self)
 
     @property
     def dropped(self) -> int:
@@ -98,32 +112,38 @@ class RowProcess:
 
     def take(self) -> None:
         """Take a row of the machine as it is now; no exchange may be under way."""
-        with self._plant.turn:
-            self._writer.take(self._writer.struct, self._plant.machine)
+        with self.plant.turn:
+            self._writer.take(self._writer.struct, self.plant.machine)
+
+    def tell(self) -> float:
+        """Tell the process that the run is over; return its deadline, which stays the first one."""
+        if self._deadline is None:
+            self._deadline = time.monotonic() + self._patience
+            leave(self.plant, self._writer.struct)
+            self._close_input()
+        return self._deadline
 
     def close(self) -> Any:
         """Let the process take what waits, and return its last answer."""
-        assert self._process.stdin is not None
-        leave(self._plant, self._writer.struct)
-        self._process.stdin.close()
-        answer = self._answer(self._patience)
+        answer = self._answer(self.tell())
         self._end()
         return answer
 
-    def _end(self) -> None:
-        """Wait for the end of the process, which has given its last answer."""
+    def _close_input(self) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._answers.close()
-        try:
-            self._process.wait(END)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        with contextlib.suppress(BrokenPipeError):  # it has ended before it took its task
+            self._process.stdin.close()
 
-    def _answer(self, patience: float) -> Any:
-        """Return the next answer, which comes within a wall time [s]; else kill the process."""
-        if not select.select([self._answers], [], [], patience)[0]:
+    def _end(self) -> None:
+        """End the process, which has given its last answer."""
+        self._close_input()
+        self._answers.close()
+        self._process.kill()
+        self._process.wait()
+
+    def _answer(self, deadline: float) -> Any:
+        """Return the next answer; kill the process if none comes until a deadline."""
+        if not select.select([self._answers], [], [], max(0.0, deadline - time.monotonic()))[0]:
             self._process.kill()
         try:
             return pickle.load(self._answers)
