@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -25,6 +26,7 @@ CHILDREN = ("page", "recorder", "viewer")
 HOW = {"SIGKILL": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "of the run": None}
 PATIENCE = 60.0  # s, wall: then it hangs
 RUN = """
+import signal
 import sys
 from pathlib import Path
 import numpy as np
@@ -34,6 +36,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.desk import watched
 from arm_emulator.runs.recorder import Recorder
 child, folder = sys.argv[1:]
+signal.signal(signal.SIGINT, signal.default_int_handler)  # what a script begins with & ignores it
 kept = {"page": NOTHING, "recorder": Kept(record=Path(folder, "a.mcap")),
         "viewer": Kept(rerun=folder + "/a.rrd")}[child]
 plant, port = Plant("three_axis"), "0" if child == "page" else None
@@ -75,6 +78,8 @@ class Case:
             assert first, "it does not start"
             children = list(below(run.pid))
             time.sleep(pause)
+            late = threading.Timer(PATIENCE, run.kill)  # the time shows that it hung
+            late.start()
             if how is None:
                 run.kill()
                 begun = time.monotonic()
@@ -87,7 +92,8 @@ class Case:
                 run.send_signal(signal.SIGINT)
             while run.stdout.read(65536):
                 pass
-            run.wait(PATIENCE)
+            run.wait()
+            late.cancel()
             while any(map(runs, children)) and time.monotonic() - begun < PATIENCE:
                 time.sleep(0.01)
             self.end = time.monotonic() - begun
