@@ -19,7 +19,7 @@ from arm_emulator.base.kept import Kept
 from arm_emulator.base.process import runs
 from arm_emulator.page import watched
 from arm_emulator.runs import recorder, row_process
-from arm_emulator.runs.row_process import RowProcess, tell_all
+from arm_emulator.runs.row_process import RowProcess, dismiss_all
 from bench.child_kills import HOW, Case
 
 CASES = [(child, how) for how in HOW for child in ("recorder", "viewer")]
@@ -88,7 +88,7 @@ def test_processes_of_a_run_end_together(noisy: str) -> None:
     every = [RowProcess(plant, noisy, task, "test", waits=False, patience=30.0) for _ in range(3)]
     other = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
     begun = time.monotonic()
-    tell_all(plant)
+    dismiss_all(plant)
     assert [one.close() for one in every] == 3 * ["over"]
     assert time.monotonic() - begun < 3.5
     assert not other.trouble
@@ -99,7 +99,7 @@ def test_processes_that_hang_are_killed_at_one_deadline(noisy: str) -> None:
     plant, task = Plant("three_axis"), {"hangs": True}
     every = [RowProcess(plant, noisy, task, "test", waits=False, patience=1.5) for _ in range(3)]
     begun = time.monotonic()
-    tell_all(plant)
+    dismiss_all(plant)
     answers = [one.close() for one in every]
     assert all("killed by SIGKILL" in str(answer) for answer in answers)
     assert time.monotonic() - begun < 3.5

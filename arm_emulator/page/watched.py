@@ -9,7 +9,7 @@ from collections.abc import Callable
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
 from arm_emulator.page.hands import Hands
-from arm_emulator.runs.row_process import RowProcess, tell_all
+from arm_emulator.runs.row_process import RowProcess, dismiss_all
 
 PROCESS = "arm_emulator.page.live_process"
 PATIENCE = 4.0  # s, wall: for the end of the page
@@ -68,7 +68,7 @@ class Watched:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is not None and self._process is not None:
-            tell_all(self._process.plant)  # a recorder writes its end while the page ends
+            dismiss_all(self._process.plant)  # a recorder writes its end while the page ends
         self.close()
 
     def take(self) -> None:

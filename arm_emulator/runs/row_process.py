@@ -28,11 +28,11 @@ START = 120.0  # s, wall: for its imports, on a busy machine
 _all: weakref.WeakSet[RowProcess] = weakref.WeakSet()
 
 
-def tell_all(plant: Plant) -> None:
-    """Tell every process that takes rows of a plant that the run is over, before one is awaited."""
+def dismiss_all(plant: Plant) -> None:
+    """Dismiss every process that takes rows of a plant, before one of them is awaited."""
     for one in list(_all):
         if one.plant is plant:
-            one.tell()
+            one.dismiss()
 
 
 class RowProcess:
@@ -54,7 +54,7 @@ class RowProcess:
         where: for refusals.
         waits: whether the machine waits for a slow reader; else rows that find no room are dropped
             and counted.
-        patience: wall time that it has to end in, from when it is told on [s]; then it is killed.
+        patience: wall time that it has to end in, from `dismiss` on [s]; then it is killed.
         files: further descriptors that it inherits.
 
     Raises:
@@ -115,8 +115,8 @@ class RowProcess:
         with self.plant.turn:
             self._writer.take(self._writer.struct, self.plant.machine)
 
-    def tell(self) -> float:
-        """Tell the process that the run is over; return its deadline, which stays the first one."""
+    def dismiss(self) -> float:
+        """End the input of the process, the first time; return its deadline, which is then set."""
         if self._deadline is None:
             self._deadline = time.monotonic() + self._patience
             leave(self.plant, self._writer.struct)
@@ -125,7 +125,7 @@ class RowProcess:
 
     def close(self) -> Any:
         """Let the process take what waits, and return its last answer."""
-        answer = self._answer(self.tell())
+        answer = self._answer(self.dismiss())
         self._end()
         return answer
 
