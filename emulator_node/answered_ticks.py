@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from functools import cache
 
 import numpy as np
 from rclpy.subscription import Subscription
 
-from arm_emulator.build.c_header import NULL, CData, Library
-from arm_emulator.build.unit import library
+from arm_emulator.build.c_header import NULL, CData
+from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.middleware import middleware
@@ -23,15 +22,7 @@ from emulator_node.reports import Reports
 
 LOGGED = 200  # ticks of which the messages have room in the log: some 20 ms
 
-
-@cache
-def answered_ticks() -> Library:
-    """Return the compiled answered_ticks.h, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(answered_ticks_unit())
+answered_ticks = compiled_once(answered_ticks_unit)
 
 
 class AnsweredTicks:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from functools import cache
 
 import numpy as np
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from arm_emulator.build.c_header import CData, Library, pointer
-from arm_emulator.build.unit import library
+from arm_emulator.build.c_header import CData, pointer
+from arm_emulator.build.unit import compiled_once
 from arm_emulator.machine.call_arguments import commands_of
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.loop_clock import LoopClock
@@ -28,15 +27,7 @@ READERS, READER = 2, 1  # of the loop: the session is the first
 LOGGED = 8192  # ticks of which the messages have room in a log
 LARGEST_COMMANDS = 2**12  # bytes, for that room; longer ones leave less ticks
 
-
-@cache
-def real_time_ticks() -> Library:
-    """Return the compiled real_time_ticks.h, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(real_time_ticks_unit())
+real_time_ticks = compiled_once(real_time_ticks_unit)
 
 
 class RealTimeTicks:

@@ -57,8 +57,9 @@ ROWS, UNPOWERED = 12, slice(5, 8)  # commands; those without power, in half of t
 # last ones average over corners, whose errors of order 2 scatter.
 WINDOWS = ((20, 3), (80, 3), (320, 3), (40, 6), (80, 6))
 SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
-# Of events at steps: steps of the coarse runs, how many times as many the fine one has, and by how
-# much the largest error falls then, at least. Events lie well in some steps and badly in others.
+# Three numbers for schemes that place events at steps. Runs with the first numbers of steps are
+# coarse. A fine run has so many times as many, and its largest error is smaller by the last factor
+# at least. An event may lie well in a step or badly, so that single errors scatter.
 COARSE, FINER, FALLS = (20, 40, 80), 32, 4.0
 CANDIDATES = 40  # machines, of which the one with the most new pairs is taken
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import numpy as np
 from rclpy.subscription import Subscription
 
 from arm_emulator.base.bound import BRAKE_CLOSED, COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
-from arm_emulator.build.c_header import CData, Library, pointer
-from arm_emulator.build.unit import library
+from arm_emulator.build.c_header import CData, pointer
+from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.fixed_layout import FixedLayout, Taking
 from arm_emulator.ros.middleware import Outgoing, middleware, pattern_of
 from arm_emulator.servo.drives import Drives
@@ -28,15 +27,7 @@ TARGETS = {
     "stamp_at": "header.stamp.sec", "q_at": "position", "v_at": "velocity", "tau_at": "effort",
 }  # fmt: skip
 
-
-@cache
-def answered_states() -> Library:
-    """Return the compiled answered_states.h, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(answered_states_unit())
+answered_states = compiled_once(answered_states_unit)
 
 
 OPTIONAL = ("applied", "brake_closed", "velocity", "effort")  # arrays that may be empty

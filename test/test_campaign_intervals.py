@@ -35,7 +35,7 @@ def test_intervals_of_shares_hold_what_they_state() -> None:
 
 @pytest.mark.parametrize("count", [*range(1, 60), *COUNTS])
 def test_intervals_of_quantiles_hold_what_they_state(count: int) -> None:
-    """Of uniform numbers a place in the order has a beta distribution: coverage in closed form."""
+    """The k-th smallest of uniform numbers has a beta distribution: coverage in closed form."""
     for q in QUANTILES:
         for confidence in (0.9, 0.95, 0.99):
             low, high = quantile_places(q, count, confidence)
@@ -51,7 +51,8 @@ def test_intervals_of_quantiles_hold_what_they_state(count: int) -> None:
 
 
 def test_places_are_those_of_tables() -> None:
-    assert quantile_places(0.5, 100, 0.95) == (39, 60)  # of the sign test: the 40th and 61st
+    # Tables of the sign test name the 40th and the 61st of 100 numbers.
+    assert quantile_places(0.5, 100, 0.95) == (39, 60)
     assert quantile_places(0.99, 100, 0.95)[1] is None
     assert quantile_places(0.01, 100, 0.95)[0] is None
     assert quantile_places(0.5, 1, 0.95) == (None, None)

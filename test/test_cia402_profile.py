@@ -539,7 +539,8 @@ def test_nothing_is_monitored_until_a_master_asks_for_it() -> None:
 def test_synchronous_data_after_the_window_is_ignored() -> None:
     """0x1007: synchronous PDOs outside the window after SYNC are ignored; 0: there is no window.
 
-    CANopenNode, issue 23. In lock-step time waits for SYNC, and nothing is too late.
+    A maintainer of the stack CANopenNode quotes this rule of CiA 301 to a user whose synchronous
+    RPDOs were lost. In lock-step time waits for SYNC, and nothing is too late.
     """
     for lockstep in (False, True):
         segment = can_segment(lockstep=lockstep)

@@ -137,7 +137,7 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
 
 
 def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
-    """Both answer each tick: the first one's commands are taken, until it is killed."""
+    """Two servos answer each tick: commands of the first one count until it is killed."""
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 60)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 import socket
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.page.guard import Guard
+from arm_emulator.page.guard import Guard, _put_title
 from arm_emulator.page.page_address import PageAddress
 
 TOKEN = "s3cret-token"
@@ -60,6 +62,23 @@ def test_a_header_that_comes_twice_is_malformed() -> None:
     of = pytest.importorskip("websockets.datastructures", reason="see requirements-peers.txt")
     headers = of.Headers([("Host", "127.0.0.1:1"), ("Host", "evil.example")])
     assert Guard(TOKEN).judge(f"/{TOKEN}/", headers).status == 400
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_the_title_is_ours_and_nothing_but_pages_is_unpacked(packed: bool) -> None:
+    of = pytest.importorskip("websockets.datastructures", reason="see requirements-peers.txt")
+    titles = b"<title>Viser</title>", b"<title>arm_emulator</title>"
+    for kind, title in (("text/html", titles[1]), ("text/javascript", titles[0])):
+        body = gzip.compress(titles[0]) if packed else titles[0]
+        lines = {"Content-Type": kind, "Content-Length": str(len(body))}
+        headers = of.Headers(lines | ({"Content-Encoding": "gzip"} if packed else {}))
+        response = SimpleNamespace(headers=headers, body=body)
+        _put_title(response)
+        assert (gzip.decompress(response.body) if packed else response.body) == title
+        assert headers["Content-Length"] == str(len(response.body))
+        assert kind == "text/html" or response.body is body
+    headers = of.Headers({"Content-Type": "image/png", "Content-Encoding": "gzip"})
+    _put_title(SimpleNamespace(headers=headers, body=b"not packed at all"))
 
 
 def test_any_request_has_an_answer() -> None:

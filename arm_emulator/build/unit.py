@@ -7,7 +7,7 @@ import hashlib
 import platform
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -88,6 +88,15 @@ def library(unit: Unit) -> Library:
             except (library_cache.Damaged, FileNotFoundError) as error:
                 _report_damaged(file, error)
     raise AssertionError("writable_caches ends with a refusal")
+
+
+def compiled_once(unit: Callable[[], Unit]) -> Callable[[], Library]:
+    """Return a function that calls `library` with a unit once, and then returns the same again.
+
+    Args:
+        unit: makes the unit, at the first call.
+    """
+    return cache(lambda: library(unit()))
 
 
 def _load(file: Path, unit: Unit) -> Library:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.formula import Constant, Operation, Signal
-from arm_emulator.build.c_header import NULL, Header, Library, pointer
+from arm_emulator.build.c_header import NULL, Header, pointer
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.formula_library import FORMULA
@@ -26,12 +25,6 @@ JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY))
 BLOCK = FORMULA.constant("FORMULA_BLOCK")
 
 
-@cache
-def judges() -> Library:
-    """Return the compiled program, compiling it if no cached library fits."""
-    return library(judges_unit())
-
-
 def judges_unit() -> Unit:
     """Return the sources of the program."""
     parts = "formula.c", "robustness.c", "judges.c"
@@ -39,6 +32,9 @@ def judges_unit() -> Unit:
     headers = (JUDGES, Header(HERE / "robustness.h"))
     about = "the judges of campaigns"
     return Unit("judges", source, C_FLAGS, (HERE, BOUNDARY), headers, "campaign", about, parts[1])
+
+
+judges = compiled_once(judges_unit)
 
 
 class Rows(FormulaRows):

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
+from arm_emulator.build.c_header import NULL, CData, Header, pointer
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.core_calls import FLEET, PLACES
@@ -29,16 +28,14 @@ SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
-@cache
-def _sampler() -> Library:
-    return library(sampler_unit())
-
-
 def sampler_unit() -> Unit:
     """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
     return Unit("sampler", source, C_FLAGS, (HERE, BOUNDARY), (SAMPLER,), "campaign", about, part)
+
+
+_sampler = compiled_once(sampler_unit)
 
 
 def units_of_signals(scene: Scene) -> dict[str, str]:

@@ -148,7 +148,8 @@ def _why_no_moments(body: Body) -> str:
     """Return why no body has these principal moments; empty: one has."""
     moments = _moments(body)
     shown = ", ".join(f"{moment:.3g}" for moment in moments)
-    # Of a point, the difference of two large tensors leaves anything about its centre.
+    # A body as small as a point has moments near 0, computed as the difference of two large
+    # tensors. Their rounding can be larger than what remains.
     rounding = ROUNDING * abs(moments[2]) + 1e-12 * np.abs(body.inertia).max()
     if moments[0] < -rounding:
         return f"a principal moment below 0: ({shown}) kg m2"

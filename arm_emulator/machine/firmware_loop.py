@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from arm_emulator.build.c_header import Library
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.control_code import ControlCode
@@ -18,21 +16,14 @@ from arm_emulator.machine.core_calls import ARM, FIRMWARE_LOOP
 from arm_emulator.machine.plant import Plant
 
 
-@cache
-def firmware_loop() -> Library:
-    """Return the compiled loop of firmware_loop.h, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(firmware_loop_unit())
-
-
 def firmware_loop_unit() -> Unit:
     """Return the loop as what is compiled."""
     source, about = '#include "firmware_loop.c"\n', "the loop of control code"
     headers, part = (FIRMWARE_LOOP,), "firmware_loop.c"
     return Unit("firmware_loop", source, C_FLAGS, (BOUNDARY,), headers, "firmware", about, part)
+
+
+firmware_loop = compiled_once(firmware_loop_unit)
 
 
 class FirmwareLoop:

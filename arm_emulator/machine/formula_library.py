@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cache
-
-from arm_emulator.build.c_header import Header, Library
+from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 
 FORMULA = Header(BOUNDARY / "formula.h")
 TOOL_POSITION = Header(BOUNDARY / "tool_position.h")
 CONDITION = Header(BOUNDARY / "condition.h")
 BREAKPOINT = Header(BOUNDARY / "breakpoint.h")
-
-
-@cache
-def formula_library() -> Library:
-    """Return the compiled formula.h, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(formula_unit())
 
 
 def formula_unit() -> Unit:
@@ -32,3 +20,6 @@ def formula_unit() -> Unit:
     headers = FORMULA, TOOL_POSITION, CONDITION, BREAKPOINT
     about = "formulas and conditions"
     return Unit("formula", source, C_FLAGS, (BOUNDARY,), headers, "formula", about, parts[0])
+
+
+formula_library = compiled_once(formula_unit)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mmap
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from arm_emulator.base.column import Rows
 from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 
 RING = Header(BOUNDARY / "record_ring.h")
@@ -19,21 +18,14 @@ LISTENERS = Header(BOUNDARY / "listeners.h")
 CAPACITY = 2**13  # rows: 8 s at 1 kHz
 
 
-@cache
-def record_ring() -> Library:
-    """Return the compiled ring, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(record_ring_unit())
-
-
 def record_ring_unit() -> Unit:
     """Return the ring as what is compiled."""
     name, part, about = "record_ring", "record_ring.c", "the ring of records"
     source, headers = f'#include "{part}"\n#include "listeners.c"\n', (RING, LISTENERS)
     return Unit(name, source, C_FLAGS, (BOUNDARY,), headers, name, about, part)
+
+
+record_ring = compiled_once(record_ring_unit)
 
 
 class SharedRing:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
-
-from arm_emulator.build.c_header import Header, Library
+from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import SHARED
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.motion.cpp import FOLDER
 
 WAY = Header(FOLDER / "way.h")
@@ -19,17 +17,10 @@ _FLAGS = (
 )
 
 
-@cache
-def way_library() -> Library:
-    """Return the compiled computations, compiling them if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(way_unit())
-
-
 def way_unit() -> Unit:
     """Return their sources."""
     source = '#include "way.cpp"\n'
     return Unit("way", source, _FLAGS, (FOLDER,), (WAY,), "motion", "the ways", "way.cpp")
+
+
+way_library = compiled_once(way_unit)

@@ -82,6 +82,8 @@ class Guard:
 
 def _put_title(response: Any) -> None:
     """Put our title in the place of that of the library, which it has no setting for."""
+    if not response.headers.get("Content-Type", "").startswith("text/html"):
+        return
     packed = response.headers.get("Content-Encoding") == "gzip"
     text = gzip.decompress(response.body) if packed else response.body
     titled = text.replace(b"<title>Viser</title>", b"<title>arm_emulator</title>", 1)

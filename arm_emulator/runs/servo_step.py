@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import pickle
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.build.c_header import Header, Library
+from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.firmware_loop import FirmwareLoop
@@ -22,17 +21,15 @@ HERE = Path(__file__).resolve().parent
 STEP = Header(HERE / "servo_step.h", (BOUNDARY, FOLDER))
 
 
-@cache
-def _servo_step() -> Library:
-    return library(servo_step_unit())
-
-
 def servo_step_unit() -> Unit:
     """Return servo and step as what is compiled."""
     source = '#include "servo.c"\n#include "servo_step.c"\n'
     folders = (FOLDER, BOUNDARY, HERE)
     about = "the servo for runs without a network"
     return Unit("servo_step", source, C_FLAGS, folders, (STEP,), "servo", about, "servo.c")
+
+
+_servo_step = compiled_once(servo_step_unit)
 
 
 class ServoStep(ControlCode):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy.typing as npt
 
-from arm_emulator.build.c_header import Header, Library
+from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.servo.c import FOLDER
 
 SERVO = Header(FOLDER / "servo.h")
@@ -22,17 +21,10 @@ POSITION, SPEED, CURRENT = map(SERVO.constant, ("SERVO_POSITION", "SERVO_SPEED",
 Rows = npt.NDArray[Any]  # of structs, an entry per joint
 
 
-@cache
-def servo_law() -> Library:
-    """Return the compiled law, compiling it if no cached library fits.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(servo_unit())
-
-
 def servo_unit() -> Unit:
     """Return the law as what is compiled."""
     source = '#include "servo.c"\n'
     return Unit("servo", source, C_FLAGS, (FOLDER,), (SERVO,), "servo", "the servo", "servo.c")
+
+
+servo_law = compiled_once(servo_unit)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
-from arm_emulator.build.c_header import Header, Library
+from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import SHARED
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus import declared
 from arm_emulator.servo.c import FOLDER
@@ -53,11 +52,4 @@ def drives_unit(
     )
 
 
-@cache
-def drives_library() -> Library:
-    """Return the drives compiled.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(drives_unit())
+drives_library = compiled_once(drives_unit)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-from functools import cache
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, Header, Library
-from arm_emulator.build.unit import Unit, library
+from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus.drives import Drives
 from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
@@ -23,19 +22,12 @@ LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 SEGMENT = Header(DRIVES_CORE / "ethercat.h", (BOUNDARY, FOLDER))
 
 
-@cache
-def ethercat_library() -> Library:
-    """Return drives and segment compiled.
-
-    Raises:
-        Refusal: there is neither a sound cached library nor a working compiler.
-    """
-    return library(ethercat_unit())
-
-
 def ethercat_unit() -> Unit:
     """Return drives and segment as a unit to compile."""
     return drives_unit("ethercat", '#include "ethercat.cpp"\n', (SEGMENT,), "the EtherCAT segment")
+
+
+ethercat_library = compiled_once(ethercat_unit)
 
 
 class Segment:
