@@ -107,6 +107,16 @@ class Cluster:
         ]
         self._words += [worker] * WORKERS
         self._processes = [self._begun(words) for words in self._words]
+        self._wait_for(port)
+
+    @staticmethod
+    def _wait_for(port: int) -> None:
+        """Wait until the scheduler listens: its imports take long on a busy machine."""
+        until = time.monotonic() + LONGEST
+        while time.monotonic() < until:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+                return
+            time.sleep(0.1)
 
     @staticmethod
     def _begun(words: tuple[str, ...]) -> subprocess.Popen[bytes]:
