@@ -18,11 +18,13 @@ from arm_emulator.machine.scene_unit import scene_unit
 # there are, one direction takes twice as long.
 DIRECTIONS = 8
 
-# The stepping code never asks for errno, traps or the sign of zero, and may reassociate.
-# Finiteness is checked on bit patterns (core/machine/machine.hpp).
+# Sums and products are computed as they are written, so that every compiler and processor gives
+# the same bits. The stepping code never asks for errno, traps, infinities or the sign of zero:
+# products with constants that are 0 vanish. Finiteness is checked on bit patterns
+# (core/numerics/finite.hpp).
 FLAGS = (
     *"-std=c++20 -O3 -fvisibility=hidden -fno-math-errno -fno-trapping-math -pthread".split(),
-    *"-fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math".split(),
+    *"-fno-signed-zeros -ffinite-math-only -ffp-contract=off".split(),
     *SHARED,
 )
 

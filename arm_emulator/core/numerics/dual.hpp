@@ -102,17 +102,6 @@ ARM_INLINE Dual<directions> square_root(const Dual<directions>& x) {
   const double root = __builtin_sqrt(x.value);
   return chained(root, root > 0.0 ? 0.5 / root : 0.0, x);
 }
-template <int directions>
-ARM_INLINE constexpr Dual<directions> exponential(const Dual<directions>& x) {
-  if (std::is_constant_evaluated() && x.value == 0.0) return chained(1.0, 1.0, x);
-  const double e = __builtin_exp(x.value);
-  return chained(e, e, x);
-}
-template <int directions>
-ARM_INLINE Dual<directions> natural_log(const Dual<directions>& x) {
-  return chained(__builtin_log(x.value), 1.0 / x.value, x);
-}
-
 ARM_INLINE constexpr double value_of(double x) { return x; }
 template <int directions>
 ARM_INLINE constexpr double value_of(const Dual<directions>& x) {

@@ -1,6 +1,11 @@
 // Loops over joints: unrolled at compile time for the usual arm, so that a joint's constants fold.
 #pragma once
 
+// Its vectors of joined sums and differences have fused products, whatever -ffp-contract asks for.
+#if defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12 && __GNUC_MINOR__ < 3
+#pragma GCC optimize("no-tree-slp-vectorize")
+#endif
+
 #include <type_traits>
 #include <utility>
 

@@ -1,11 +1,11 @@
 // Counter-based random numbers: each is a function of seed, stream and index. There is no state to
-// save, and no dependence on other draws. Logarithm and sine are the core's own, since other
-// systems may round differently.
+// save, and no dependence on other draws.
 #pragma once
 
 #include <bit>
 #include <cstdint>
 
+#include "numerics/exponential.hpp"
 #include "numerics/sincos.hpp"
 
 namespace arm {
@@ -17,23 +17,6 @@ constexpr std::uint64_t mixed(std::uint64_t x) {
   return x ^ (x >> 31);
 }
 inline constexpr std::uint64_t kGolden = 0x9e3779b97f4a7c15;  // 2^64 over the golden ratio
-
-// The series of artanh, exact to some 1e-16 for |s| < 0.18 and to some 1e-12 for |s| < 1/3.
-inline double artanh(double s) {
-  const double z = s * s;
-  double sum = 0.0;
-  for (int k = 21; k >= 1; k -= 2) sum = 1.0 / k + z * sum;
-  return s * sum;
-}
-
-// Natural logarithm of 0 < x < inf, x = 2^n m with m within a factor of sqrt(2) of 1.
-inline double logarithm(double x) {
-  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
-  std::int64_t n = static_cast<std::int64_t>(bits >> 52) - 1023;
-  double m = std::bit_cast<double>((bits & 0xfffffffffffff) | 0x3ff0000000000000);
-  if (m > 1.4142135623730951) m *= 0.5, ++n;
-  return static_cast<double>(n) * 0.69314718055994531 + 2.0 * artanh((m - 1.0) / (m + 1.0));
-}
 
 // A stream of draws. `number`: index of the draw, from 0.
 struct Noise {
@@ -51,8 +34,7 @@ struct Noise {
   }
   // Of mean 1.
   double exponential(std::int64_t number) const { return -logarithm(uniform(number)); }
-  // Of mean 0 and variance 1 (Box and Muller 1958). Neither inlined nor cloned, so that each
-  // caller gets the same bits.
+  // Of mean 0 and variance 1 (Box and Muller 1958).
   ARM_APART double normal(std::int64_t number) const {
     const double r = __builtin_sqrt(2.0 * exponential(2 * number));
     return r * sincos(6.283185307179586 * uniform(2 * number + 1)).cos;

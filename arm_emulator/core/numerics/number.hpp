@@ -11,7 +11,7 @@ namespace arm {
 template <int width>
 struct LanesOf {
   typedef double type __attribute__((vector_size(width * sizeof(double))));
-  // The same in memory that has only the alignment of its numbers.
+  // Lanes in memory that has only the alignment of its numbers.
   typedef double Loose
       __attribute__((vector_size(width * sizeof(double)), aligned(sizeof(double)), may_alias));
 
@@ -117,14 +117,6 @@ template <class X>
 ARM_INLINE X square_root(X x) {
   for (int lane = 0; lane < kWidth<X>; ++lane) x[lane] = __builtin_sqrt(x[lane]);
   return x;
-}
-
-ARM_INLINE double natural_log(double x) { return __builtin_log(x); }
-
-// e^x. At compile time it is evaluated at 0 only, since not every compiler supports it.
-ARM_INLINE constexpr double exponential(double x) {
-  if (std::is_constant_evaluated() && x == 0.0) return 1.0;
-  return __builtin_exp(x);
 }
 
 // The value of one lane.

@@ -1,5 +1,9 @@
 // Sine and cosine of joint angles, inline so that the compiler can work on several joints at once.
+// They take no function of the system's library, whose rounding differs between systems.
 #pragma once
+
+#include <bit>
+#include <cstdint>
 
 #include "numerics/number.hpp"
 
@@ -10,96 +14,110 @@ struct SinCos {
   X sin, cos;
 };
 
-#ifdef __FMA__
-inline constexpr double kReducible = 1e5;  // rad; up to here the reduction has bits to spare
-#else
-inline constexpr double kReducible = -1.0;  // none is
-#endif
+inline constexpr double kReducible = 1e5;  // rad; up to here n below has at most 17 bits
 
-#ifdef __FMA__
+// A number between -pi/4 and pi/4 that differs from an angle by `quadrant` right angles.
+template <class X>
+struct Reduced {
+  X angle;
+  Mask<X> quadrant;  // whole, of which the last two bits count
+};
+template <>
+struct Reduced<double> {
+  double angle;
+  std::int64_t quadrant;
+};
 
-// a b + c, rounded once, and the whole number next to x. Both are safe from the reassociation that
-// this unit is compiled with.
-ARM_INLINE double fused(double a, double b, double c) { return __builtin_fma(a, b, c); }
-ARM_INLINE double nearest(double x) { return __builtin_rint(x); }
-ARM_INLINE long whole(double x) { return static_cast<long>(x); }
+// Added to a number, it makes the last bit worth 1.
+inline constexpr double kOnes = 0x1.8p52;
 
-// In lanes, which are a register each; an empty instruction ends what may be reassociated.
+// By Cody and Waite (1980): x - n pi/2, with pi/2 in three parts of which the first two have so few
+// bits that n times them is exact. What the second difference rounds off goes into the third.
 template <class X>
-ARM_INLINE X fused(const X& a, double b, const X& c) {
-  X result = a * b + c;
-  asm("" : "+x"(result));
-  return result;
-}
-inline constexpr double kOnes = 0x1.8p52;  // added to a number, it makes the last bit worth 1
-template <class X>
-ARM_INLINE X nearest(const X& x) {
-  X beside = x + kOnes;
-  asm("" : "+x"(beside));
-  return beside - kOnes;
-}
-template <class X>
-ARM_INLINE Mask<X> whole(const X& x) {
-  X beside = x + kOnes;
-  asm("" : "+x"(beside));
-  return __builtin_bit_cast(Mask<X>, beside);  // all but the first bits
+ARM_INLINE Reduced<X> reduced(const X& x) {
+  const X shifted = x * 0.63661977236758134308 + kOnes;
+  const X n = shifted - kOnes;
+  const X whole_turns = x - n * 0x1.921fb5444p+0;
+  const X rest = n * 0x1.68c234c5p-39;
+  const X angle = whole_turns - rest;
+  const X beside = (whole_turns - angle) - rest;
+  return {angle + (beside - n * -0x1.cceba3f91f197p-74),
+          std::bit_cast<decltype(Reduced<X>::quadrant)>(shifted)};
 }
 
-// Within 1 ulp of the correctly rounded value up to kReducible.
+// The first 1280 bits of 2/pi behind the point, after 64 zeros.
+inline constexpr std::uint64_t kTwoOverPi[] = {
+    0x0000000000000000, 0xa2f9836e4e441529, 0xfc2757d1f534ddc0, 0xdb6295993c439041,
+    0xfe5163abdebbc561, 0xb7246e3a424dd2e0, 0x06492eea09d1921c, 0xfe1deb1cb129a73e,
+    0xe88235f52ebb4484, 0xe99c7026b45f7e41, 0x3991d639835339f4, 0x9c845f8bbdf9283b,
+    0x1ff897ffde05980f, 0xef2f118b5a0a6d1f, 0x6d367ecf27cb09b7, 0x4f463f669e5fea2d,
+    0x7527bac7ebe5f17b, 0x3d0739f78a5292ea, 0x6bfb5fb11f8d5d08, 0x56033046fc7b6bab,
+    0xf0cfbc209af4361d};
+
+// By Payne and Hanek (1983), for any finite angle: x 2/pi modulo 4 in whole numbers, without those
+// bits of 2/pi whose product with x is a multiple of 4.
+ARM_ONCE inline Reduced<double> reduced_anywhere(double x) {
+  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+  const std::uint64_t m = (bits & 0xfffffffffffff) | 0x10000000000000;
+  const int from = static_cast<int>(bits >> 52 & 0x7ff) - 1075 + 62;  // of |x| = m 2^(from - 62)
+  const int word = from / 64, shift = from % 64;
+  std::uint64_t window[3];
+  for (int k = 0; k < 3; ++k)
+    window[k] =
+        kTwoOverPi[word + k] << shift | (shift > 0 ? kTwoOverPi[word + k + 1] >> (64 - shift) : 0);
+  using Wide = unsigned __int128;
+  const Wide low = Wide{m} * window[2], middle = Wide{m} * window[1] + (low >> 64);
+  const std::uint64_t high = m * window[0] + static_cast<std::uint64_t>(middle >> 64);
+  // Right angles: two bits before the point, then a fraction between -1/2 and 1/2.
+  const Wide turns = Wide{high} << 64 | static_cast<std::uint64_t>(middle);
+  const auto fraction = static_cast<__int128>(turns << 2 | (low >> 62 & 3));
+  const std::int64_t quadrant = static_cast<std::int64_t>(turns >> 126) + (fraction < 0);
+  const double most = static_cast<double>(fraction);
+  const double least = static_cast<double>(fraction - static_cast<__int128>(most));
+  const double angle = 0x1p-128 * (most * 1.5707963267948966 +
+                                   (most * 6.123233995736766e-17 + least * 1.5707963267948966));
+  return x < 0.0 ? Reduced<double>{-angle, -quadrant} : Reduced<double>{angle, quadrant};
+}
+
+// Minimax polynomials on [-pi/4, pi/4] with the coefficients of fdlibm (k_sin.c, k_cos.c).
 template <class X>
-ARM_INLINE SinCos<X> sincos_reduced(const X& x) {
-  // Cody and Waite: x - n pi/2, with pi/2 in three parts.
-  const X n = nearest(X(x * 0.63661977236758134308));
-  X r = fused(X(-n), 1.5707963267948966, x);
-  r = fused(X(-n), 6.123233995736766e-17, r);
-  r = fused(X(-n), -1.4973849048591833e-33, r);
-  const X z = r * r;
-  // Minimax polynomials on [-pi/4, pi/4] with the coefficients of fdlibm (k_sin.c, k_cos.c).
+ARM_INLINE SinCos<X> sincos_of(const Reduced<X>& reduced) {
+  const X &r = reduced.angle, z = r * r, z_2 = z * z;
   const X s =
       r + r * z *
-              (-1.66666666666666324348e-01 +
-               z * (8.33333333332248946124e-03 +
-                    z * (-1.98412698298579493134e-04 +
-                         z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 +
-                                                                z * 1.58969099521155010221e-10)))));
+              ((-1.66666666666666324348e-01 + z * 8.33333333332248946124e-03) +
+               z_2 * ((-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06) +
+                      z_2 * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)));
   const X c =
-      1.0 - 0.5 * z +
-      z * z *
-          (4.16666666666666019037e-02 +
-           z * (-1.38888888888741095749e-03 +
-                z * (2.48015872894767294178e-05 +
-                     z * (-2.75573143513906633035e-07 +
-                          z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)))));
-  const auto quadrant = whole(n);
+      1.0 - (0.5 * z -
+             z_2 * ((4.16666666666666019037e-02 + z * -1.38888888888741095749e-03) +
+                    z_2 * ((2.48015872894767294178e-05 + z * -2.75573143513906633035e-07) +
+                           z_2 * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))));
+  const auto quadrant = reduced.quadrant;
   const auto odd = (quadrant & 1) != 0;
   const X sin_r = select(odd, c, s);
   const X cos_r = select(odd, s, c);
   return {select((quadrant & 2) != 0, X(-sin_r), sin_r),
           select(((quadrant + 1) & 2) != 0, X(-cos_r), cos_r)};
 }
-#endif
 
 // Of each lane, one by one where it is too large to be reduced.
 template <class X>
 __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
-#ifdef __FMA__
-  SinCos<X> result = sincos_reduced(x);
-#else
-  SinCos<X> result;
-#endif
+  SinCos<X> result = sincos_of(reduced(x));
   for (int lane = 0; lane < kWidth<X>; ++lane) {
     if (magnitude(lane_of(x, lane)) < kReducible) continue;
-    set_lane(result.sin, lane, __builtin_sin(lane_of(x, lane)));
-    set_lane(result.cos, lane, __builtin_cos(lane_of(x, lane)));
+    const auto of_lane = sincos_of(reduced_anywhere(lane_of(x, lane)));
+    set_lane(result.sin, lane, of_lane.sin);
+    set_lane(result.cos, lane, of_lane.cos);
   }
   return result;
 }
 
+// Within 1.5 ulp of the exact values, beyond kReducible within 2.5 ulp.
 template <class X>
 ARM_INLINE SinCos<X> sincos(const X& x) {
-#ifdef __FMA__
-  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_reduced(x);
-#endif
+  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_of(reduced(x));
   return sincos_anywhere(x);
 }
 

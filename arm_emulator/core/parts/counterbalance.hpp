@@ -13,6 +13,7 @@
 // smallest one, to l.
 #pragma once
 
+#include "numerics/exponential.hpp"
 #include "numerics/number.hpp"
 #include "numerics/sincos.hpp"
 #include "parts/no_torque.hpp"
@@ -56,15 +57,7 @@ struct Counterbalance {
   }
   template <class X>
   ARM_INLINE constexpr X length(X cos) const {
-    const X square = (a * a + b * b) - 2.0 * a * b * cos;
-    if constexpr (kWidth<X> == 1) {
-      return square_root(square);
-    } else {
-      X l;
-      for (int lane = 0; lane < kWidth<X>; ++lane)
-        set_lane(l, lane, square_root(lane_of(square, lane)));
-      return l;
-    }
+    return square_root(X((a * a + b * b) - 2.0 * a * b * cos));
   }
   // dwork/dl = -F.
   template <class X>
@@ -72,10 +65,10 @@ struct Counterbalance {
     if (h == 0.0) return (l - l0) * (0.5 * k * (l - l0) - F0);
     X beside = 1.0 + compressing() * (l - l0) / h;
     if constexpr (kWidth<X> == 1) {
-      beside = natural_log(beside);
+      beside = logarithm(beside);
     } else {
       for (int lane = 0; lane < kWidth<X>; ++lane)
-        set_lane(beside, lane, natural_log(lane_of(beside, lane)));
+        set_lane(beside, lane, logarithm(lane_of(beside, lane)));
     }
     return -compressing() * F0 * h * beside;
   }

@@ -4,6 +4,7 @@
 //   torque against the motion   Dv w + (Dc + (Ds - Dc) exp(-(w / vs)^2)) sign(w)
 #pragma once
 
+#include "numerics/exponential.hpp"
 #include "parts/friction.hpp"
 
 namespace arm {

@@ -1,0 +1,59 @@
+// Exponential function and natural logarithm. They are the core's own, since libraries of systems
+// round differently.
+#pragma once
+
+#include <bit>
+#include <cstdint>
+
+#include "numerics/dual.hpp"
+
+namespace arm {
+
+// e^x within 1 ulp, 0 below -708: x = n ln 2 + r, and e^r by the rational function of fdlibm
+// (e_exp.c).
+constexpr double exponential(double x) {
+  if (x < -708.0) return 0.0;
+  const double shifted = x * 1.44269504088896338700 + 0x1.8p52;
+  const double n = shifted - 0x1.8p52;
+  const double high = x - n * 6.93147180369123816490e-01;
+  const double low = n * 1.90821492927058770002e-10;
+  const double r = high - low, z = r * r;
+  const double c =
+      r - z * (1.66666666666666019037e-01 +
+               z * (-2.77777777770155933842e-03 +
+                    z * (6.61375632143793436117e-05 +
+                         z * (-1.65339022054652515390e-06 + z * 4.13813679705723846039e-08))));
+  const double y = 1.0 - ((low - r * c / (2.0 - c)) - high);
+  const std::int64_t exponent = static_cast<std::int64_t>(n) + 1023;
+  return y * std::bit_cast<double>(exponent << 52);
+}
+
+// The series of artanh, exact to some 1e-16 for |s| < 0.18 and to some 1e-12 for |s| < 1/3.
+constexpr double artanh(double s) {
+  const double z = s * s;
+  double sum = 0.0;
+  for (int k = 21; k >= 1; k -= 2) sum = 1.0 / k + z * sum;
+  return s * sum;
+}
+
+// Natural logarithm of 0 < x < inf, x = 2^n m with m within a factor of sqrt(2) of 1.
+constexpr double logarithm(double x) {
+  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+  std::int64_t n = static_cast<std::int64_t>(bits >> 52) - 1023;
+  double m = std::bit_cast<double>((bits & 0xfffffffffffff) | 0x3ff0000000000000);
+  if (m > 1.4142135623730951) m *= 0.5, ++n;
+  return static_cast<double>(n) * 0.69314718055994531 + 2.0 * artanh((m - 1.0) / (m + 1.0));
+}
+
+template <int directions>
+ARM_INLINE constexpr Dual<directions> exponential(const Dual<directions>& x) {
+  const double e = exponential(x.value);
+  return chained(e, e, x);
+}
+
+template <int directions>
+ARM_INLINE constexpr Dual<directions> logarithm(const Dual<directions>& x) {
+  return chained(logarithm(x.value), 1.0 / x.value, x);
+}
+
+}  // namespace arm
