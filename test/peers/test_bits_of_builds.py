@@ -1,0 +1,42 @@
+"""Every compiler, level and kind of processor computes the same bits."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from draws import some
+from portable_bits import KEPT
+from test_compilers import compilers
+
+from arm_emulator.build.unit import PORTABLE_TARGETS
+
+KINDS = [*compilers("g++"), *compilers("clang++")]
+BUILDS = [
+    ("g++", "x86-64-v2", "-O3"),
+    (KINDS[-1], "native", "-O1"),
+    *((one, "native", "-O3") for one in KINDS),
+    *(("g++", target, level) for target in PORTABLE_TARGETS for level in ("-O1", "-O3")),
+]
+
+
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="targets of other processors")
+@pytest.mark.parametrize(("compiler", "target", "level"), some(BUILDS, 2))
+def test_builds_compute_the_same_bits(
+    compiler: str, target: str, level: str, tmp_path: Path
+) -> None:
+    script = Path(__file__).parents[1] / "portable_bits.py"
+    done = subprocess.run(
+        [sys.executable, script, target, level],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "CXX": compiler, "ARM_EMULATOR_CACHE": str(tmp_path)},
+    )
+    assert done.returncode == 0, done.stderr
+    found, kept = json.loads(done.stdout), json.loads(KEPT.read_text())
+    assert found == {name: kept[name] for name in found}, f"{compiler} {target} {level}"
