@@ -262,7 +262,7 @@ def test_code_of_a_part(
     assert_found(plain, scene, "compiled from ")
 
 
-@pytest.mark.parametrize("flags", ["-O1 -fno-associative-math", *(["-O0", "-O2 -mno-fma"] * FULL)])
+@pytest.mark.parametrize("flags", ["-fassociative-math -ffp-contract=fast"])
 def test_a_compiler_flag(
     flags: str, plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,11 +272,12 @@ def test_a_compiler_flag(
 
 
 @pytest.mark.skipif(not FULL or shutil.which("clang++") is None, reason="a second compiler")
-def test_another_compiler(
+def test_another_compiler_makes_no_difference(
     plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CXX", "clang++")
-    assert_found(plain, scene, "compiled by GCC")
+    one = Side.of(plain[0], str(scene), -1)
+    assert first_difference(one, replace(one, again=True))[0] is None
 
 
 def assert_found(plain: tuple[Path, States], scene: Path, build: str) -> None:

@@ -14,6 +14,9 @@ struct SinCos {
   X sin, cos;
 };
 
+__extension__ typedef unsigned __int128 Wide;
+__extension__ typedef __int128 SignedWide;
+
 inline constexpr double kReducible = 1e5;  // rad; up to here n below has at most 17 bits
 
 // A number between -pi/4 and pi/4 that differs from an angle by `quadrant` right angles.
@@ -65,15 +68,14 @@ ARM_ONCE inline Reduced<double> reduced_anywhere(double x) {
   for (int k = 0; k < 3; ++k)
     window[k] =
         kTwoOverPi[word + k] << shift | (shift > 0 ? kTwoOverPi[word + k + 1] >> (64 - shift) : 0);
-  using Wide = unsigned __int128;
   const Wide low = Wide{m} * window[2], middle = Wide{m} * window[1] + (low >> 64);
   const std::uint64_t high = m * window[0] + static_cast<std::uint64_t>(middle >> 64);
   // Right angles: two bits before the point, then a fraction between -1/2 and 1/2.
   const Wide turns = Wide{high} << 64 | static_cast<std::uint64_t>(middle);
-  const auto fraction = static_cast<__int128>(turns << 2 | (low >> 62 & 3));
+  const auto fraction = static_cast<SignedWide>(turns << 2 | (low >> 62 & 3));
   const std::int64_t quadrant = static_cast<std::int64_t>(turns >> 126) + (fraction < 0);
   const double most = static_cast<double>(fraction);
-  const double least = static_cast<double>(fraction - static_cast<__int128>(most));
+  const double least = static_cast<double>(fraction - static_cast<SignedWide>(most));
   const double angle = 0x1p-128 * (most * 1.5707963267948966 +
                                    (most * 6.123233995736766e-17 + least * 1.5707963267948966));
   return x < 0.0 ? Reduced<double>{-angle, -quadrant} : Reduced<double>{angle, quadrant};
