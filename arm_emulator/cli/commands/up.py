@@ -19,6 +19,7 @@ from arm_emulator.machine.pace import factor_of
 from arm_emulator.page.page_address import PageAddress
 from arm_emulator.page.page_token import VARIABLE, new_token
 from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.ctrl_c import CtrlC
 from arm_emulator.ros.second_network import refuse_second_network
 
 
@@ -91,7 +92,7 @@ def up(
             params_file=params_file,
         )
         with contextlib.suppress(KeyboardInterrupt), network:
-            while True:
+            while not CtrlC.signal:  # an interruption in a destructor is lost
                 ended = network.ended()
                 if ended is not None:
                     name, code = ended
