@@ -29,13 +29,14 @@ BUILDS = [
 def test_builds_compute_the_same_bits(
     compiler: str, target: str, level: str, tmp_path: Path
 ) -> None:
-    script = Path(__file__).parents[1] / "portable_bits.py"
+    root = Path(__file__).parents[2]
     done = subprocess.run(
-        [sys.executable, script, target, level],
+        [sys.executable, root / "test" / "portable_bits.py", target, level],
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, "CXX": compiler, "ARM_EMULATOR_CACHE": str(tmp_path)},
+        env=os.environ
+        | {"CXX": compiler, "ARM_EMULATOR_CACHE": str(tmp_path), "PYTHONPATH": str(root)},
     )
     assert done.returncode == 0, done.stderr
     found, kept = json.loads(done.stdout), json.loads(KEPT.read_text())
