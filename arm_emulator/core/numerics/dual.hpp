@@ -102,6 +102,7 @@ ARM_INLINE Dual<directions> square_root(const Dual<directions>& x) {
   const double root = __builtin_sqrt(x.value);
   return chained(root, root > 0.0 ? 0.5 / root : 0.0, x);
 }
+
 ARM_INLINE constexpr double value_of(double x) { return x; }
 template <int directions>
 ARM_INLINE constexpr double value_of(const Dual<directions>& x) {

@@ -5,7 +5,7 @@
 #include <bit>
 #include <cstdint>
 
-#include "numerics/dual.hpp"
+#include "numerics/number.hpp"
 
 namespace arm {
 
@@ -13,8 +13,8 @@ namespace arm {
 // (e_exp.c).
 constexpr double exponential(double x) {
   if (x < -708.0) return 0.0;
-  const double shifted = x * 1.44269504088896338700 + 0x1.8p52;
-  const double n = shifted - 0x1.8p52;
+  const double shifted = x * 1.44269504088896338700 + kOnes;
+  const double n = shifted - kOnes;
   const double high = x - n * 6.93147180369123816490e-01;
   const double low = n * 1.90821492927058770002e-10;
   const double r = high - low, z = r * r;

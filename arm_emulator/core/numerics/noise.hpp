@@ -32,9 +32,9 @@ struct Noise {
     const std::uint64_t word = mixed(key + kGolden * static_cast<std::uint64_t>(number));
     return static_cast<double>((word >> 11) + 1) * 0x1p-53;
   }
-  // Of mean 1.
+  // A draw of the exponential distribution, of mean 1.
   double exponential(std::int64_t number) const { return -logarithm(uniform(number)); }
-  // Of mean 0 and variance 1 (Box and Muller 1958).
+  // A draw of the normal distribution, of mean 0 and variance 1 (Box and Muller 1958).
   ARM_APART double normal(std::int64_t number) const {
     const double r = __builtin_sqrt(2.0 * exponential(2 * number));
     return r * sincos(6.283185307179586 * uniform(2 * number + 1)).cos;

@@ -119,6 +119,9 @@ ARM_INLINE X square_root(X x) {
   return x;
 }
 
+// Added to a number, it makes the last bit worth 1: the sum is a whole number.
+inline constexpr double kOnes = 0x1.8p52;
+
 // The value of one lane.
 ARM_INLINE constexpr double lane_of(double x, int) { return x; }
 template <class X>

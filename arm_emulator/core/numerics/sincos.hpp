@@ -31,9 +31,6 @@ struct Reduced<double> {
   std::int64_t quadrant;
 };
 
-// Added to a number, it makes the last bit worth 1.
-inline constexpr double kOnes = 0x1.8p52;
-
 // By Cody and Waite (1980): x - n pi/2, with pi/2 in three parts of which the first two have so few
 // bits that n times them is exact. What the second difference rounds off goes into the third.
 template <class X>
@@ -48,14 +45,13 @@ ARM_INLINE Reduced<X> reduced(const X& x) {
           std::bit_cast<decltype(Reduced<X>::quadrant)>(shifted)};
 }
 
-// The first 1280 bits of 2/pi behind the point, after 64 zeros.
+// The first 1216 bits of 2/pi behind the point, after 64 zeros.
 inline constexpr std::uint64_t kTwoOverPi[] = {
     0x0000000000000000, 0xa2f9836e4e441529, 0xfc2757d1f534ddc0, 0xdb6295993c439041,
     0xfe5163abdebbc561, 0xb7246e3a424dd2e0, 0x06492eea09d1921c, 0xfe1deb1cb129a73e,
     0xe88235f52ebb4484, 0xe99c7026b45f7e41, 0x3991d639835339f4, 0x9c845f8bbdf9283b,
     0x1ff897ffde05980f, 0xef2f118b5a0a6d1f, 0x6d367ecf27cb09b7, 0x4f463f669e5fea2d,
-    0x7527bac7ebe5f17b, 0x3d0739f78a5292ea, 0x6bfb5fb11f8d5d08, 0x56033046fc7b6bab,
-    0xf0cfbc209af4361d};
+    0x7527bac7ebe5f17b, 0x3d0739f78a5292ea, 0x6bfb5fb11f8d5d08, 0x56033046fc7b6bab};
 
 // By Payne and Hanek (1983), for any finite angle: x 2/pi modulo 4 in whole numbers, without those
 // bits of 2/pi whose product with x is a multiple of 4.
@@ -103,7 +99,7 @@ ARM_INLINE SinCos<X> sincos_of(const Reduced<X>& reduced) {
           select(((quadrant + 1) & 2) != 0, X(-cos_r), cos_r)};
 }
 
-// Of each lane, one by one where it is too large to be reduced.
+// Sine and cosine in each lane, one by one where the angle is too large for `reduced`.
 template <class X>
 __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
   SinCos<X> result = sincos_of(reduced(x));
