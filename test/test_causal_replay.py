@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pytest
 from draws import some
 from geometry_msgs.msg import PoseStamped
 from mcap.reader import make_reader
+from mcap.records import Channel, Schema
 from mcap.writer import Writer
 from network import network, node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -18,7 +19,8 @@ from test_command_line import run
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.ros import causal_replay
 from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.node_shell import stamp
+from arm_emulator.ros.message_types import message_class
+from arm_emulator.ros.node_shell import nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand
 
@@ -42,6 +44,39 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert user.call("emulator/pause", False).success
         user.wait("some motion", lambda: user.tick > TICKS)
     return bag
+
+
+class Copy:
+    """A bag that gets messages of another one.
+
+    Args:
+        file: of the bag.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._writer = Writer(file)
+        self._writer.start()
+        self._schemas, self._channels = dict[int, int](), dict[int, int]()
+
+    def add(
+        self, schema: Schema, channel: Channel, data: bytes, logged: int, published: int
+    ) -> None:
+        """Write a message of a channel of the other bag, with times [ns]."""
+        if channel.id not in self._channels:
+            if schema.id not in self._schemas:
+                known = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+                self._schemas[schema.id] = known
+            self._channels[channel.id] = self._writer.register_channel(
+                channel.topic,
+                channel.message_encoding,
+                self._schemas[schema.id],
+                channel.metadata,
+            )
+        self._writer.add_message(self._channels[channel.id], logged, data, published)
+
+    def finish(self) -> None:
+        """Write the end of the file."""
+        self._writer.finish()
 
 
 def replayed(bag: Path, into: str) -> tuple[int, dict[str, Any], str]:
@@ -84,36 +119,49 @@ def test_answers_recorded_long_before_the_first_question_do_not_matter(
         (late / "late_0.mcap").open("wb") as file,
         next(bag.glob("*.mcap")).open("rb") as recorded,
     ):
-        writer = Writer(file)
-        writer.start()
-        schemas, channels = dict[int, int](), dict[int, int]()
+        copy = Copy(file)
         whole = list(make_reader(recorded).iter_messages(log_time_order=False))
         earlier = [one for one in whole if one[1].topic == "/motor_commands"]
         shift = 1_000_000_000_000
         for before, messages in ((shift, earlier), (0, whole)):
             for schema, channel, one in messages:
-                if channel.id not in channels:
-                    if schema.id not in schemas:
-                        known = writer.register_schema(schema.name, schema.encoding, schema.data)
-                        schemas[schema.id] = known
-                    channels[channel.id] = writer.register_channel(
-                        channel.topic,
-                        channel.message_encoding,
-                        schemas[schema.id],
-                        channel.metadata,
-                    )
-                times = (one.log_time - before, one.publish_time - before)
                 data = one.data
                 if before:  # of a run that went farther
                     command = deserialize_message(data, MotorCommand)
                     command.tick += 10 * TICKS
                     data = serialize_message(command)
-                writer.add_message(channels[channel.id], times[0], data, times[1])
-        writer.finish()
+                copy.add(schema, channel, data, one.log_time - before, one.publish_time - before)
+        copy.finish()
     with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
         code, facts, errors = replayed(late, "servo")
     assert code == 0 and facts["missed"] is None, errors
     assert facts["answers"] == facts["messages"] == facts["alike"] >= TICKS, facts
+
+
+def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bag ends in a motion period's first answer, without the targets that it needs."""
+    monkeypatch.setattr(causal_replay, "PATIENCE", 1.0)
+    last = 500  # a motion period begins
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    with (cut / "cut_0.mcap").open("wb") as file, next(bag.glob("*.mcap")).open("rb") as recorded:
+        copy = Copy(file)
+        for schema, channel, one in make_reader(recorded).iter_messages(log_time_order=False):
+            message = deserialize_message(one.data, message_class(schema.name))
+            header = getattr(message, "header", None)
+            after = header is not None and nanoseconds_of(header.stamp) > last * 1_000_000
+            lost = channel.topic == "/joint_targets" and (
+                nanoseconds_of(message.header.stamp) == last * 1_000_000
+            )
+            if not (after or lost):
+                copy.add(schema, channel, one.data, one.log_time, one.publish_time)
+        copy.finish()
+    with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
+        code, facts, errors = replayed(cut, "servo")
+    assert code == 0 and facts["missed"] is None, errors
+    assert facts["answers"] == facts["messages"] == facts["alike"] == last, facts
 
 
 def test_a_servo_with_another_gain_answers_each_state_with_the_same_bits(bag: Path) -> None:

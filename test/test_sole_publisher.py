@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,8 +20,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of, stamp
+from arm_emulator.ros.sole_publisher import IDENTIFY, KINDS, SolePublisher
 from arm_emulator_msgs.msg import (
     EmulatorStatus,
     MachineEvent,
@@ -166,3 +170,66 @@ def test_a_first_publisher_yields_to_the_servo(tmp_path: Path) -> None:
             )
             tick = user.tick
             user.wait("the run to go on", lambda: user.tick >= tick + 200)
+
+
+class SlowGraph:
+    """A node whose graph knows publishers before their nodes."""
+
+    def __init__(self) -> None:
+        self.names = dict[str, dict[bytes, str]]()  # by topic and publisher
+        self.refusals = list[str]()
+
+    def refuse(self, topic: str, reason: Refusal, times: int = 1) -> None:
+        """See `Diagnostics`."""
+        self.refusals += [str(reason)] * times
+
+    def count(self, what: str, times: int = 1) -> None:
+        """See `Diagnostics`."""
+
+    def note(self, name: str, value: object) -> None:
+        """See `Receiver`."""
+
+    def has_lost(self, kind: str, there: int) -> bool:
+        """See `Receiver`."""
+        return False
+
+    def resolve_topic_name(self, topic: str) -> str:
+        """See `Node`."""
+        return f"/{topic}"
+
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]:
+        """See `Node`."""
+        return [
+            SimpleNamespace(endpoint_gid=one, node_namespace="/", node_name=name)
+            for one, name in self.names.get(topic_name, {}).items()
+        ]
+
+
+def test_a_refusal_waits_for_the_names_of_its_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A single message, which a busy machine's graph gets before it has any name."""
+    graph, unknown = SlowGraph(), "_NODE_NAME_UNKNOWN_"
+    size = len(bytes(SolePublisher(graph, "joint_states", "servo", keeps=False).owner.id))
+    servo, stranger = b"s" * size, b"t" * size
+    sole = SolePublisher(graph, "joint_states", "servo", keeps=False)
+    graph.names["/joint_states"] = {servo: unknown}
+    assert sole.admits(servo), "it is the first one"
+    graph.names["/joint_states"][stranger] = unknown
+    assert not sole.admits(stranger)
+    sole.report()
+    assert graph.refusals == [], "it names nobody yet"
+    for topic in KINDS["servo"]:
+        graph.names[f"/{topic}"] = {servo: "servo"}
+    graph.names["/joint_states"][stranger] = "stranger"
+    sole.report()
+    assert len(graph.refusals) == 1
+    assert "must be node /servo, whose messages are taken, got node /stranger" in graph.refusals[0]
+    # A publisher that stays unknown is reported nevertheless, after some time.
+    graph.names["/joint_states"][stranger] = unknown
+    other = b"o" * size
+    assert not sole.admits(other)
+    sole.report()
+    assert len(graph.refusals) == 1
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now + IDENTIFY)
+    sole.report()
+    assert len(graph.refusals) == 2 and "does not have yet" in graph.refusals[1]

@@ -28,6 +28,7 @@ KINDS = {
     "motion controller": ("joint_targets", "motion/status"),
 }
 LOOK_AGAIN = 0.25  # s, wall: between two looks at the graph because of one publisher
+IDENTIFY = 4.0  # s, wall: for the graph to know the nodes of publishers that it has found
 MOST_WITHHELD = 1000  # messages of topics that keep them for late subscribers
 _NOBODY = bytes(MIDDLEWARE.constant("ROS_GID"))
 
@@ -101,7 +102,8 @@ class SolePublisher:
         self.owner = MIDDLEWARE.new("ros_publisher")
         self._owner = _NOBODY
         self._known: dict[bytes, float] = {}  # until when a judgement of a publisher holds
-        self._refusal: Refusal | None = None  # of the newest one that was refused
+        self._refused, self._refused_name = _NOBODY, ""  # the newest one that was refused
+        self._refused_at = 0.0  # s, monotonic: when the first message was dropped that is to report
         self.withheld: list[tuple[bytes, bytes]] = []  # messages and publishers
 
     def admits(self, publisher: bytes) -> bool:
@@ -111,7 +113,7 @@ class SolePublisher:
             nodes = self._nodes()
             is_owner, is_final = self._judge(publisher, nodes)
             if not is_owner:
-                self._refusal = self._reason(publisher, nodes)
+                self._refused, self._refused_name = publisher, nodes.get(publisher, "")
                 if not self._keeps:  # else they are withheld, each one
                     self.owner.quiet_until = round((now + LOOK_AGAIN) * 1e9)
             elif publisher != self._owner:
@@ -123,15 +125,33 @@ class SolePublisher:
         return False
 
     def report(self) -> None:
-        """Report messages of others that were dropped since the last time."""
-        dropped, self.owner.dropped = self.owner.dropped, 0
-        if not dropped:
+        """Report messages of others that were dropped since the last time.
+
+        The report waits for the names of both nodes, which the graph may learn some time after
+        their messages; for `IDENTIFY` seconds at most.
+        """
+        if not self.owner.dropped:
             return
-        if self._refusal is None:
+        now, nodes = time.monotonic(), self._nodes()
+        self._refused_at = self._refused_at or now
+        if not _is_known(self._refused_name):  # else it may have left since
+            self._refused_name = nodes.get(self._refused, "")
+        name, owner = self._refused_name, nodes.get(self._owner) or self._first_of_kind(nodes)
+        known = _is_known(name) and _is_known(owner)
+        if not known and now - self._refused_at < IDENTIFY:
+            return
+        dropped, self.owner.dropped, self._refused_at = self.owner.dropped, 0, 0.0
+        if self._refused == self._owner:
+            self._node.count(f"{self._topic} before the graph had their node", dropped)
+            return
+        if known and name == owner:
             self._node.count(f"{self._topic} of another node of the same name", dropped)
-        else:
-            self._node.note(f"other publishers of {self._topic}", self._refusal)
-            self._node.refuse(self._topic, self._refusal, dropped)
+            return
+        the_one = f"node {owner}," if _is_known(owner) else "the one"
+        got = f"node {name}" if _is_known(name) else "a node that the graph does not have yet"
+        refusal = Refusal(self._topic, "publisher", f"be {the_one} whose messages are taken", got)
+        self._node.note(f"other publishers of {self._topic}", refusal)
+        self._node.refuse(self._topic, refusal, dropped)
 
     def withhold(self, data: bytes, publisher: bytes) -> None:
         """Keep a message that was not admitted, where its publisher does not repeat it."""
@@ -177,18 +197,10 @@ class SolePublisher:
         found = self._node.get_publishers_info_by_topic
         return set.intersection(*({_full_name(one) for one in found(sign)} for sign in self._signs))
 
-    def _reason(self, publisher: bytes, nodes: dict[bytes, str]) -> Refusal | None:
-        """Return the refusal of a publisher; None: its node has the name of the one taken."""
+    def _first_of_kind(self, nodes: dict[bytes, str]) -> str:
+        """Return the first node of the kind among the publishers; empty: there is none."""
         whole = self._nodes_of_kind()
-        ours = next((name for name in nodes.values() if name in whole), "")
-        name, owner = nodes.get(publisher, ""), nodes.get(self._owner, ours)
-        if name == owner:
-            return None
-        rule = f"be node {owner}, whose messages are taken"
-        # The middleware finds a publisher before it knows of which node it is.
-        known = name and "UNKNOWN" not in name
-        got = f"node {name}" if known else "a node that the graph does not have yet"
-        return Refusal(self._topic, "publisher", rule, got)
+        return next((name for name in nodes.values() if name in whole), "")
 
 
 def call_back(subscription: Any, sole: SolePublisher | None, data: bytes, publisher: bytes) -> None:
@@ -213,3 +225,8 @@ def deliver(subscription: Any, data: bytes) -> None:
 
 def _full_name(endpoint: Any) -> str:
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+def _is_known(name: str) -> bool:
+    """Return whether the graph had the name of a node: it may find a publisher before its node."""
+    return name != "" and "UNKNOWN" not in name
