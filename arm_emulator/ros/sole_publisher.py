@@ -198,7 +198,7 @@ class SolePublisher:
         return set.intersection(*({_full_name(one) for one in found(sign)} for sign in self._signs))
 
     def _first_of_kind(self, nodes: dict[bytes, str]) -> str:
-        """Return the first node of the kind among the publishers; empty: there is none."""
+        """Return the first node of the kind among the publishers; empty: there is not one."""
         whole = self._nodes_of_kind()
         return next((name for name in nodes.values() if name in whole), "")
 
