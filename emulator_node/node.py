@@ -49,7 +49,7 @@ from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
 from emulator_node.intake import Intake
-from emulator_node.others import subscribe_to_others
+from emulator_node.others import subscribe_to_others, take_rest
 from emulator_node.outbox import Outbox, own_record
 from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
 from emulator_node.real_time_ticks import READERS, HeldCommands
@@ -197,7 +197,8 @@ class EmulatorNode(ManagedNode):
     def _begin_record(self, outbox: Outbox, publishers: list[Publisher], commands: str) -> None:
         """Record what is published, commands, and messages between others, until the node ends."""
         folder, diagnostics = Path(self._config.record), self._diagnostics
-        taken = [commands, *subscribe_to_others(self, outbox.record_other)]
+        self._others = subscribe_to_others(self, outbox.record_other)
+        taken = [commands, *(one.topic_name for one in self._others)]
         outbox.record = own_record(self, folder, publishers, taken, self._session.lockstep)
         diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
@@ -237,6 +238,7 @@ class EmulatorNode(ManagedNode):
         self._diagnostics.ok("inactive: the machine stands")
 
     def _end_record(self) -> None:
+        take_rest(self._others)  # of a busy machine's last periods
         self._diagnostics.send = self._diagnostics.publisher.publish
 
     def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:

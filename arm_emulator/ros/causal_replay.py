@@ -73,6 +73,12 @@ class _Stamped:
         """Whether messages were taken, up to the last one."""
         return 0 < len(self._kept) == self._next
 
+    @property
+    def period(self) -> int:
+        """Difference of the last two keys; 0: there are not two."""
+        last = [*self._places][-2:]
+        return last[1] - last[0] if len(last) == 2 else 0
+
     def take(self, key: int) -> bytes | None:
         """Return the next message with a key; None: none is near."""
         places = self._places.get(key, [])
@@ -133,12 +139,14 @@ class CausalReplay:
         granted = self._stamped(topics.granted, _stamp, begin)
         beside = self._stamped(topics.beside, _stamp, begin)
         before: int | None = None
+        end = math.inf  # stamp [ns] from which on the node waits for what the bag does not have
         for one in self._recorded(topics.asked):
             key, stamp = _key(one), _stamp(one)
             if key == before:
                 continue  # it was published again
             if before is None or key < before:
                 self._begin()
+                end = math.inf
             before = key
             wanted = recorded.take(key)
             if topics.beside and (data := beside.take(stamp)) is not None:
@@ -147,13 +155,17 @@ class CausalReplay:
             if wanted is None and (recorded.over if topics.granted else True):
                 self._publishers[topics.asked].publish(one.data)
                 continue
+            if end <= stamp < end + granted.period:
+                continue
             answers.asked += 1
             if len(answers.missing) < MOST_MISSING:
                 grant = granted.take(stamp)
                 answer = self._ask(one, grant)
-                awaits = stamp in self._prompts  # what the bag does not have
-                if answer is None and grant is None and granted.over and awaits:
-                    answers.asked -= 1  # the recorder ended before what the answer waits for
+                # The recorder may end before the last message for which the node waits.
+                waits = stamp in self._prompts
+                if answer is None and grant is None and granted.over and waits:
+                    end = stamp
+                    answers.asked -= 1
                 else:
                     self._judge(one, answer, wanted)
             self._give_orders(stamp, one.published)
