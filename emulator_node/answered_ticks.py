@@ -10,13 +10,12 @@ from rclpy.subscription import Subscription
 from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.c import MIDDLEWARE
-from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.middleware import middleware
 from emulator_node.breaks import Breaks
 from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
+from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
 from emulator_node.health import Health
-from emulator_node.known_commands import KnownCommands
 from emulator_node.log_of_c import log_room, record_log
 from emulator_node.reports import Reports
 
@@ -28,9 +27,9 @@ answered_ticks = compiled_once(answered_ticks_unit)
 class AnsweredTicks:
     """The hot path of the emulator in lock-step.
 
-    A command that answers the present tick, in the form that Python has taken before, leads to the
-    next state. All others are Python's, and so are all while the machine waits for anything else,
-    or a viewer is shown every tick.
+    A command that answers the present tick leads to the next state. All others are Python's, and so
+    are all while the machine waits for anything else, has further inputs that are not 0, or a
+    viewer is shown every tick.
 
     Attributes:
         takes, outgoing: see `HotPath`.
@@ -38,7 +37,6 @@ class AnsweredTicks:
     Args:
         own: context with machine, recorders and record.
         subscription: to motor commands.
-        commands: the commands that Python has taken.
         reports: what is published.
         health: of the node.
         breaks: what stops it.
@@ -48,7 +46,6 @@ class AnsweredTicks:
         self,
         own: Context,
         subscription: Subscription,
-        commands: Taking,
         reports: Reports,
         health: Health,
         breaks: Breaks,
@@ -86,7 +83,7 @@ class AnsweredTicks:
             period=own.session.period_ns,
         )
         struct = ANSWERED_TICKS.ffi.addressof(self._struct, "commands")
-        self._commands = KnownCommands(scene, commands, struct, len(reports.outgoing))
+        self._commands = CommandReader(scene, struct, len(reports.outgoing))
         argument = ANSWERED_TICKS.ffi.cast("void *", self._struct)
         self.takes = [(subscription, code.answered_ticks_take, argument)]
         self.outgoing = reports.outgoing
@@ -96,7 +93,7 @@ class AnsweredTicks:
         ticks, session = self._struct, self._session
         ticks.tick = ticks.last = session.tick
         ticks.result, ticks.stop = 0, self._breaks.stop
-        if self._view.open or session.last_tick == session.tick or not self._commands.known():
+        if self._view.open or session.last_tick == session.tick or session.held[1:].any():
             return
         room = min(self._gate.room(), self._pace.room(session.tick))
         ticks.last = min(session.last_tick, session.tick + room)
@@ -119,7 +116,7 @@ class AnsweredTicks:
 
     def _begin_log(self) -> None:
         """Let C keep the messages of some ticks."""
-        room = log_room(LOGGED, self.outgoing, int(self._struct.commands.pattern.size))
+        room = log_room(LOGGED, self.outgoing, self._commands.largest)
         if self._log.room != room:
             self._logged = MIDDLEWARE.ffi.new("uint8_t[]", room)
             self._log.data, self._log.room = self._logged, room

@@ -7,13 +7,14 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
 from arm_emulator.ros.doubles import started
-from arm_emulator.ros.fixed_layout import Taking
+from arm_emulator.ros.message_reader import no_message
 from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
 from emulator_node.breaks import Breaks
@@ -31,7 +32,6 @@ class Intake:
     Attributes:
         answered: called when a command has been taken.
         commands: subscription to motor commands.
-        taking: takes them.
     """
 
     def __init__(self, own: Context, pacer: Pacer, changes: Changes, breaks: Breaks) -> None:
@@ -41,11 +41,10 @@ class Intake:
         self._gate, self._outbox, self._lock = own.gate, own.outbox, own.lock
         self._diagnostics, node = own.diagnostics, own.node
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
-        self.taking = Taking("motor_commands", MotorCommand, self._on_command, breaks.refused)
         self.commands = subscribe(
             MotorCommand,
             "motor_commands",
-            self.taking.take,
+            self._on_command,
             ANSWER_SUB_QOS,
             only_from="servo",
             raw=True,
@@ -57,10 +56,17 @@ class Intake:
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, axes), qos)
         subscribe(RecorderReport, "emulator/recorders", self._on_recorder, qos)
 
-    def _on_command(self, command: Any, data: bytes) -> None:
+    def _on_command(self, data: bytes) -> None:
         with self._lock:
             if self._session.by_itself:
                 self._pacer.look()  # it has gone on since
+            try:
+                command: Any = deserialize_message(data, MotorCommand)
+            except (RuntimeError, ValueError):
+                self._breaks.refused(
+                    "motor_commands", no_message("motor_commands", MotorCommand, data)
+                )
+                return
             if command.machine not in (0, started()):
                 self._diagnostics.count("motor_commands for another emulator")
                 return

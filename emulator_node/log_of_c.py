@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from arm_emulator.ros.run_record import RunRecord  # a stock machine may lack packages for bags
 
 HEAD = MESSAGES.constant("ROS_LOG_HEAD")
-PADDING = MESSAGES.constant("ROS_PADDING")
 
 
 def log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) -> int:
@@ -24,9 +23,9 @@ def log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) -> int:
     Args:
         ticks: how many.
         outgoing: messages of a tick.
-        commands: size of the commands that answer it [bytes].
+        commands: largest size of the commands that answer it [bytes].
     """
-    sizes = [commands + PADDING, *(one.layout.size for one in outgoing)]
+    sizes = [commands, *(one.layout.size for one in outgoing)]
     return ticks * sum(HEAD + size for size in sizes)
 
 

@@ -152,11 +152,10 @@ class EmulatorNode(ManagedNode):
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
             self._begin_record(outbox, publishers, intake.commands.topic_name)
-        given = intake.commands, intake.taking
         self.hot = (
-            HeldCommands(own, loop.ticks, *given)
+            HeldCommands(own, loop.ticks, intake.commands)
             if loop
-            else AnsweredTicks(own, *given, reports, health, breaks)
+            else AnsweredTicks(own, intake.commands, reports, health, breaks)
         )
         control = TimeControl(own, changes, health, status)
         TimeServices(own, control)

@@ -15,17 +15,15 @@ from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.loop_clock import LoopClock
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.phase import Phase
-from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.middleware import Outgoing, middleware
 from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
+from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
-from emulator_node.known_commands import KnownCommands
 from emulator_node.log_of_c import log_room, record_log
 from emulator_node.reports import TRUTH, Reports
 
 READERS, READER = 2, 1  # of the loop: the session is the first
 LOGGED = 8192  # ticks of which the messages have room in a log
-LARGEST_COMMANDS = 2**12  # bytes, for that room; longer ones leave less ticks
 
 real_time_ticks = compiled_once(real_time_ticks_unit)
 
@@ -35,7 +33,6 @@ class RealTimeTicks:
 
     Attributes:
         at: ``real_time_ticks *``.
-        number: of the topic of commands in the log.
 
     Args:
         own: context with machine and record.
@@ -55,7 +52,6 @@ class RealTimeTicks:
         REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
         self._messages = reports.beside(place.view(), rows)
         motor_state, joint_state, time = self._messages
-        self.number = len(self._messages)
         self._joint, self._held = commands_of(scene), ExitStack()
         self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)
         self._newest, self._before = np.zeros(N), np.zeros(N)
@@ -82,6 +78,8 @@ class RealTimeTicks:
             commanded=self._of_c[0],
             commanded_before=self._of_c[1],
         )
+        commands = REAL_TIME_TICKS.ffi.addressof(self.at, "commands")
+        self._commands = CommandReader(scene, commands, len(self._messages))
         if not self._calls.real_time_ticks_begin(self.at):
             raise MemoryError
 
@@ -94,7 +92,7 @@ class RealTimeTicks:
             self._held.enter_context(message.bind())
         self.at.closing = 0
         if self._own.outbox.record is not None and not self._logs:
-            room = log_room(LOGGED, self._messages, LARGEST_COMMANDS)
+            room = log_room(LOGGED, self._messages, self._commands.largest)
             ffi = REAL_TIME_TICKS.ffi
             self._logs = [ffi.new("uint8_t[]", room) for _ in range(2)]
             self.at.log.data, self.at.log.room = self._logs[0], room
@@ -157,7 +155,7 @@ class RealTimeTicks:
 
 
 class HeldCommands:
-    """The hot path of the emulator in real time: commands in the form that Python has taken.
+    """The hot path of the emulator in real time: commands without further inputs.
 
     Attributes:
         takes, outgoing, beside: see `HotPath`.
@@ -166,16 +164,11 @@ class HeldCommands:
         own: context with the machine.
         ticks: gives commands to the loop.
         subscription: to motor commands.
-        commands: those that Python has taken.
     """
 
-    def __init__(
-        self, own: Context, ticks: RealTimeTicks, subscription: Subscription, commands: Taking
-    ) -> None:
+    def __init__(self, own: Context, ticks: RealTimeTicks, subscription: Subscription) -> None:
         self._session, self._ticks, self._node = own.session, ticks, own.node
         ffi = REAL_TIME_TICKS.ffi
-        struct = ffi.addressof(ticks.at, "commands")
-        self._commands = KnownCommands(own.session.scene, commands, struct, ticks.number)
         take = real_time_ticks().real_time_ticks_take
         self.takes = [(subscription, take, ffi.cast("void *", ticks.at))]
         self.outgoing: tuple[Outgoing, ...] = ()
@@ -189,7 +182,7 @@ class HeldCommands:
     def begin(self) -> None:
         """Prepare, see `HotPath`."""
         running = self._session.phase is Phase.RUNNING
-        self._in_c = running and self._commands.known()
+        self._in_c = running and not self._session.held[1:].any()
         self._ticks.open(self._in_c)
 
     def end(self) -> None:

@@ -20,6 +20,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.motion.motion_report import Reports
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.message_reader import MessageReader
 from arm_emulator.ros.node_shell import Diagnostics
 from arm_emulator.ros.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
@@ -69,8 +70,8 @@ class Doors:
 
 def bits(value: Any, depth: int = 0) -> Any:
     """Return the numbers and texts in an object, to the bit."""
-    if isinstance(value, Reports | Diagnostics | FixedLayout):
-        return None  # reports are no knowledge, and the form of the newest message is a cache
+    if isinstance(value, Reports | Diagnostics | FixedLayout | MessageReader):
+        return None  # reports are no knowledge, and the newest message is a cache
     if isinstance(value, np.ndarray):
         return value.tobytes()
     if isinstance(value, float):

@@ -22,13 +22,18 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.c import MIDDLEWARE
-from arm_emulator.ros.fixed_layout import Taking
 from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.middleware import middleware
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorState
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
 from servo_node.node import ServoNode
+
+# Modules that give C a function with which it publishes.
+PUBLISHING = (
+    "emulator_node.real_time_ticks", "emulator_node.answered_ticks", "servo_node.answered_states",
+)  # fmt: skip
 
 
 class Wires:
@@ -37,6 +42,7 @@ class Wires:
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, type, bytes]] = deque()  # stated, not delivered yet
         self.listeners: dict[str, list[Callable[[bytes], None]]] = defaultdict(list)
+        self.of_bytes: list[Callable[[bytes], None]] = []  # those that nodes take as bytes
         self.published: Counter[str] = Counter()
         self.matched: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
@@ -44,15 +50,20 @@ class Wires:
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was reported last on each topic
         self.record: list[tuple[str, type, bytes]] | None = None  # all that was reported, if wanted
         self.publishers: list[Publisher] = []
-        # For threads in C that publish.
-        declared = "int(ros_message *)"  # cffi knows no const
-        self.send = MIDDLEWARE.ffi.callback(declared)(self._send)
+        # For code in C that publishes.
+        send, publish = "int(ros_message *)", "int(ros_message *, int64_t, int64_t, ros_log *)"
+        self.send = MIDDLEWARE.ffi.callback(send)(self._send)  # cffi knows no const
+        self.publish = MIDDLEWARE.ffi.callback(publish)(self._publish)
 
     def _send(self, message: Any) -> int:
         number = int(MIDDLEWARE.ffi.cast("uintptr_t", message.publisher))
         data = bytes(MIDDLEWARE.ffi.buffer(message.data, message.size))
         self.publishers[number - 1].publish(data)
         return 0
+
+    def _publish(self, message: Any, time: int, tick: int, log: Any) -> int:
+        middleware().ros_fill(message, time, tick, log)
+        return self._send(message)
 
     def join(self, kind: type) -> Any:
         """Return a node of that kind on these wires."""
@@ -72,6 +83,8 @@ class Wires:
             ) -> SimpleNamespace:
                 take = callback if named.get("raw") else _as_message(kind, callback)
                 wires.listeners[topic].append(take)
+                if take is callback:
+                    wires.of_bytes.append(take)
                 if "event_callbacks" in named:
                     matched = named["event_callbacks"].matched
                     wires.matched[topic].append(matched)
@@ -157,8 +170,9 @@ class InProcess:
     def __init__(self) -> None:
         self._wires = Wires()
         patch = pytest.MonkeyPatch()
-        calls = SimpleNamespace(ros_send=self._wires.send)
-        patch.setattr("emulator_node.real_time_ticks.middleware", lambda: calls)
+        calls = SimpleNamespace(ros_send=self._wires.send, ros_publish=self._wires.publish)
+        for module in PUBLISHING:
+            patch.setattr(f"{module}.middleware", lambda: calls)
         self.states: dict[int, bytes] = {}
         self.tick = -1
         self._heard = _as_message(MotorState, self._on_state)
@@ -207,13 +221,11 @@ class InProcess:
         """
         done: Counter[int] = Counter()
         hot = self.nodes[node].hot
+        for message in hot.outgoing:
+            message.bind()
         for subscription, take, argument in hot.takes:
             topic = subscription.topic_name[1:]
-            (python,) = (
-                one
-                for one in self._wires.listeners[topic]
-                if isinstance(getattr(one, "__self__", None), Taking)
-            )
+            (python,) = (one for one in self._wires.listeners[topic] if one in self._wires.of_bytes)
 
             def both(
                 data: bytes, take: Any = take, argument: Any = argument, python: Any = python

@@ -13,8 +13,7 @@ from draws import some
 from in_process import InProcess, in_process
 from network import JOINTS
 
-from arm_emulator.ros.c import FOLDER, MIDDLEWARE
-from arm_emulator.ros.middleware import middleware
+from arm_emulator.ros.c import FOLDER
 from arm_emulator_msgs.srv import SetState
 
 TOPICS = (
@@ -28,24 +27,6 @@ TIMED = (
     "emulator_node.reports", "emulator_node.repeater", "emulator_node.answered_ticks",
     "emulator_node.recorder_gate", "servo_node.node",
 )  # fmt: skip
-
-
-@pytest.fixture
-def wired(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Messages published by C go to the publishers of these."""
-    outgoing: list[Any] = []
-
-    def publish(struct: Any, time: int, tick: int, log: Any) -> int:
-        middleware().ros_fill(struct, time, tick, log)
-        (one,) = (one for one in outgoing if one.struct == struct)
-        one.publisher.publish(bytes(one.layout.bytes[: one.layout.size]))
-        return 0
-
-    declared = "int(ros_message *, int64_t, int64_t, ros_log *)"
-    call = MIDDLEWARE.ffi.callback(declared)(publish)
-    for node in ("emulator_node.answered_ticks", "servo_node.answered_states"):
-        monkeypatch.setattr(f"{node}.middleware", lambda: SimpleNamespace(ros_publish=call))
-    return outgoing
 
 
 class Trouble:
@@ -95,7 +76,7 @@ class Trouble:
 
 
 def run(
-    seed: int, hot: tuple[str, ...], outgoing: list[Any], patch: pytest.MonkeyPatch
+    seed: int, hot: tuple[str, ...], patch: pytest.MonkeyPatch
 ) -> tuple[list[Any], Counter[int]]:
     """Return all that is published in a run, and what C did with the messages that it got."""
     trouble = Trouble(seed)
@@ -104,7 +85,6 @@ def run(
     with in_process() as one:
         done: Counter[int] = Counter()
         counts = [one.take_in_c(node) for node in hot]
-        outgoing[:] = [message for node in hot for message in one.nodes[node].hot.outgoing]
         one.begin_record()
         assert one.call("emulator/reset").success
         for _ in range(12 * TICKS):
@@ -117,11 +97,9 @@ def run(
 
 
 @pytest.mark.parametrize("seed", some(range(40), 2))
-def test_c_publishes_what_python_does(
-    seed: int, wired: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slow, _ = run(seed, (), wired, monkeypatch)
-    fast, done = run(seed, ("emulator", "servo"), wired, monkeypatch)
+def test_c_publishes_what_python_does(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, _ = run(seed, (), monkeypatch)
+    fast, done = run(seed, ("emulator", "servo"), monkeypatch)
     assert done[0] >= 30, "C takes those of an undisturbed run; some troubles stop it early"
     assert done[1] >= 10, "and Python the others"
     for at, (one, other) in enumerate(zip(slow, fast, strict=False)):

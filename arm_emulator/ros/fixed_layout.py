@@ -10,14 +10,11 @@ Format of the bytes: plain CDR (OMG DDSI-RTPS 2.5, section 10), as all ROS 2 mid
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
-from rclpy.serialization import deserialize_message, serialize_message
-
-from arm_emulator.base.refusal import Refusal
+from rclpy.serialization import serialize_message
 
 _KINDS = {
     "boolean": "?", "octet": "B", "byte": "B", "char": "B", "uint8": "B", "int8": "b",
@@ -78,13 +75,6 @@ class FixedLayout:
             setattr(owner, name, kind.unpack_from(data, at)[0])
         return True
 
-    def mask(self) -> bytes:
-        """Return 0xff for each byte of a string, a length or the encoding, else 0."""
-        mask = bytearray(self.size)
-        for at, same in self._fixed:
-            mask[at : at + len(same)] = b"\xff" * len(same)
-        return bytes(mask)
-
     def _laid_out(self, message: Any, within: str = "") -> SimpleNamespace:
         one = SimpleNamespace()
         for name, kind in message.get_fields_and_field_types().items():
@@ -142,41 +132,3 @@ class FixedLayout:
             self._fixed[-1] = last, before + same
         else:
             self._fixed.append((at, same))
-
-
-class Taking:
-    """Messages of a subscription with `raw=True`, passed on.
-
-    The layout of a message is kept for the following ones.
-
-    Attributes:
-        layout: of the newest message; None: no message has come.
-
-    Args:
-        topic: for refusals.
-        kind: of the messages.
-        callback: gets the fields of each message, which the next one overwrites, and its bytes.
-        refuse: gets the topic and the reason where bytes are no message of that kind.
-    """
-
-    def __init__(
-        self,
-        topic: str,
-        kind: type,
-        callback: Callable[[Any, bytes], None],
-        refuse: Callable[[str, Refusal], None],
-    ) -> None:
-        self._topic, self._kind, self._callback, self._refuse = topic, kind, callback, refuse
-        self.layout: FixedLayout | None = None
-
-    def take(self, data: bytes) -> None:
-        """Take the bytes of a message."""
-        if self.layout is None or not self.layout.take(data):
-            try:
-                self.layout = FixedLayout(deserialize_message(data, self._kind))
-            except (RuntimeError, ValueError) as error:
-                got = f"{len(data)} bytes ({type(error).__name__})"
-                rule = f"be a {self._kind.__name__}"
-                self._refuse(self._topic, Refusal(self._topic, "message", rule, got))
-                return
-        self._callback(self.layout.message, data)

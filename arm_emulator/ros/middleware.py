@@ -93,21 +93,6 @@ def topics_of(
     return topics
 
 
-def pattern_of(layout: FixedLayout, keep: list[object]) -> CData:
-    """Return the constant bytes of a layout's messages, as a ``ros_pattern *``.
-
-    Args:
-        layout: of a message.
-        keep: gets what must live as long as the pattern.
-    """
-    ffi = MIDDLEWARE.ffi
-    same, mask = ffi.from_buffer("uint8_t[]", layout.bytes), layout.mask()
-    of_mask = ffi.from_buffer("uint8_t[]", mask)
-    pattern = MIDDLEWARE.new("ros_pattern", same=same, mask=of_mask, size=layout.size)
-    keep += [same, mask, of_mask, pattern]
-    return pattern
-
-
 class Outgoing:
     """A message of constant strings and lengths, published from Python and from C.
 

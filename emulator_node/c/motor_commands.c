@@ -1,14 +1,8 @@
 #include "motor_commands.h"
 
-#include <string.h>
-
 int64_t motor_commands_read(motor_commands* own, const uint8_t* data, int64_t size) {
-  if (!ros_fits(&own->pattern, data, size)) return -1;
-  int64_t tick;
-  uint64_t emulator;
-  memcpy(&tick, data + own->tick_at, sizeof tick);
-  memcpy(&emulator, data + own->machine_at, sizeof emulator);
-  if (tick < 0 || (emulator && emulator != own->emulator)) return -1;
-  const uint8_t* numbers = data + own->command_at;
-  return ros_doubles(numbers, own->joints, own->place, own->most, own->came) ? tick : -1;
+  if (size > own->largest || !message_open(own->reader, data, size)) return -1;
+  if (own->input_names->came || own->inputs->came) return -1;
+  if (own->tick < 0 || (own->machine && own->machine != own->emulator)) return -1;
+  return message_rows(own->reader) ? own->tick : -1;
 }

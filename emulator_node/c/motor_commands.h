@@ -1,8 +1,8 @@
-/* motor_commands in the form that is known: what they must be like, and where their numbers lie.
- * C99. */
+/* motor_commands as they usually are: for this emulator, without further inputs. C99. */
 #ifndef MOTOR_COMMANDS_H
 #define MOTOR_COMMANDS_H
 
+#include "message_reader.h"
 #include "messages.h"
 
 #ifdef __cplusplus
@@ -10,18 +10,19 @@ extern "C" {
 #endif
 
 typedef struct motor_commands {
-  ros_pattern pattern;
-  int64_t tick_at, machine_at, command_at;
-  int64_t joints;
-  const int64_t* place; /* of each joint of the message */
-  const double* most;   /* of the commands, as all arrays by the machine's order of joints */
-  double* came;         /* of the newest message */
-  uint64_t emulator;    /* commands are for this one, or for any: 0 */
-  int64_t number;       /* of the topic in the log */
+  message_reader* reader;
+  const message_field *input_names, *inputs;
+  int64_t largest; /* bytes: longer messages are Python's */
+  /* Of the newest message. */
+  int64_t tick; /* that it answers */
+  uint64_t machine;
+  double* came;      /* its commands, by the machine's order of joints */
+  uint64_t emulator; /* commands are for this one, or for any: 0 */
+  int64_t number;    /* of the topic in the log */
 } motor_commands;
 
-/* Read commands into `came`; returns the tick that they answer, -1 if they are not of the known
- * form, for another emulator, or out of their bounds. */
+/* Read commands into `came`; returns the tick that they answer, -1 if they are refused or not as
+ * usual. */
 int64_t motor_commands_read(motor_commands* own, const uint8_t* data, int64_t size);
 
 #ifdef __cplusplus

@@ -50,7 +50,7 @@ int real_time_ticks_run(real_time_ticks* ticks);
 /* Publish what the loop has reached; returns 1 if there is something for Python. */
 int real_time_ticks_catch_up(real_time_ticks* ticks);
 
-/* `take` of a ros_topic: commands newer than those before, in the form that Python knows. */
+/* `take` of a ros_topic: commands newer than those before. */
 int real_time_ticks_take(void* with, const uint8_t* data, int64_t size);
 /* Take commands in C or not; the newest ones so far, and the tick that they answer. */
 void real_time_ticks_open(real_time_ticks* ticks, int64_t open, int64_t answered,

@@ -3,26 +3,7 @@
 #include <stddef.h>
 #include <string.h>
 
-/* Whether this is the state of the next tick, in the known form, within its bounds. */
-static int is_next(answered_states* own, const uint8_t* data, int64_t size) {
-  const motor_states* in = &own->in;
-  if (!own->open || !ros_fits(&in->pattern, data, size)) return 0;
-  int64_t tick;
-  uint64_t machine;
-  memcpy(&tick, data + in->tick_at, sizeof tick);
-  memcpy(&machine, data + in->machine_at, sizeof machine);
-  if (own->lockstep ? tick != own->tick + 1 : tick <= own->tick) return 0;
-  if (machine && machine != own->machine) return 0;
-  if (ros_time(data + in->stamp_at) != tick * own->period) return 0;
-  const int64_t joints = own->arm->joints;
-  const servo_bounds* most = &own->most;
-  return ros_counts(data + in->counts_at, joints, in->place, most->counts, own->counts) &&
-         ros_doubles(data + in->current_at, joints, in->place, most->current, own->current) &&
-         (in->applied_at < 0 ||
-          ros_doubles(data + in->applied_at, joints, in->place, most->applied, own->applied)) &&
-         (in->brakes_at < 0 ||
-          ros_counts(data + in->brakes_at, joints, in->place, most->brake, own->brake));
-}
+static int is_in_turns(const answered_states* own) { return own->lockstep && own->motion_ticks; }
 
 static void report(answered_states* own, int64_t time) {
   const servo* arm = own->arm;
@@ -38,6 +19,11 @@ static void report(answered_states* own, int64_t time) {
   own->publish(own->joint_state, time, 0, NULL);
 }
 
+static void publish_command(answered_states* own) {
+  memcpy(own->motor_command->data + own->machine_at, &own->machine, sizeof own->machine);
+  own->publish(own->motor_command, own->tick * own->period, own->tick, NULL);
+}
+
 /* Command and publish; Python goes on where the watchdog or a restart changes what is reported. */
 static void answer(answered_states* own) {
   servo* arm = own->arm;
@@ -45,47 +31,95 @@ static void answer(answered_states* own) {
   const uint32_t restarts = arm->restarts;
   own->command(arm, (int32_t)own->powered, own->volts);
   ++own->answers;
-  own->publish(own->motor_command, arm->now, own->tick, NULL);
+  publish_command(own);
   if (arm->does != does || arm->restarts != restarts) own->open = 0;
 }
 
-int answered_states_take(void* with, const uint8_t* data, int64_t size) {
-  answered_states* own = with;
-  const motor_states* in = &own->in;
-  if (!is_next(own, data, size)) return ROS_FOR_PYTHON;
-  memcpy(&own->tick, data + in->tick_at, sizeof own->tick);
-  own->powered = data[in->powered_at] != 0;
+/* ------------------------------------------------------------------------------ motor states */
+
+int32_t answered_states_judge(answered_states* own, const uint8_t* data, int64_t size) {
+  if (!message_open(own->state, data, size)) return STATE_MALFORMED;
+  const int64_t time = own->state_time, tick = time / own->period;
+  if (time % own->period || (uint64_t)tick != own->state_tick) return STATE_OFF_TIME;
+  if (!message_rows(own->state)) return STATE_MALFORMED;
+  const int is_first = own->tick < 0;
+  if (own->state_machine && own->state_machine != own->machine) {
+    const int is_later = own->machine && own->machine < own->state_machine;
+    if (is_later && own->now - own->heard < own->longest_quiet) return STATE_OF_ANOTHER;
+    return is_first ? STATE_NEXT : STATE_ANEW;
+  }
+  if (is_first) return STATE_NEXT;
+  if (tick == own->tick) return STATE_REPEATED;
+  /* In lock-step no tick is skipped, unless it runs free: then nothing is lost. */
+  return tick < own->tick || (own->lockstep && tick > own->tick + 1) ? STATE_ANEW : STATE_NEXT;
+}
+
+void answered_states_go_on(answered_states* own) {
+  const int64_t time = own->state_time;
+  if (own->state_machine) own->machine = own->state_machine;
+  own->tick = (int64_t)own->state_tick;
+  own->powered = own->state_powered;
+  own->silent = 0;
   ++own->states;
-  const int64_t time = own->tick * own->period;
-  own->measure(own->arm, time, own->counts, own->current, in->applied_at < 0 ? NULL : own->applied);
-  own->brakes(own->arm, in->brakes_at < 0 ? NULL : own->brake);
-  const int begins = own->lockstep && own->motion_ticks && own->tick % own->motion_ticks == 0;
+  own->measure(own->arm, time, own->counts, own->current,
+               own->applied_came->came ? own->applied : NULL);
+  own->brakes(own->arm, own->brake_came->came ? own->brake : NULL);
+  const int begins = is_in_turns(own) && own->tick % own->motion_ticks == 0;
   if (begins) {
     own->waiting = 1;
     own->cycle = time;
   }
   if (begins || own->tick % own->report_ticks == 0) report(own, time);
   if (!own->waiting) answer(own);
+}
+
+void answered_states_repeat(answered_states* own) {
+  /* While it waits: as at the motion period's start, even if another servo has answered since. */
+  if (own->waiting)
+    report(own, own->cycle);
+  else
+    publish_command(own);
+}
+
+int answered_states_take(void* with, const uint8_t* data, int64_t size) {
+  answered_states* own = with;
+  if (!own->open || answered_states_judge(own, data, size) != STATE_NEXT) return ROS_FOR_PYTHON;
+  answered_states_go_on(own);
   return ROS_TAKEN;
 }
 
-int answered_states_aim(void* with, const uint8_t* data, int64_t size) {
+/* ----------------------------------------------------------------------------- joint targets */
+
+static int are_aimed_at(const answered_states* own) {
+  for (int32_t j = 0; j < own->arm->joints; ++j)
+    if (own->q[j] != own->aimed[j]) return 0;
+  return 1;
+}
+
+int32_t answered_states_judge_target(answered_states* own, const uint8_t* data, int64_t size) {
+  if (!message_open(own->target, data, size) || !message_rows(own->target)) return TARGET_MALFORMED;
+  const int64_t time = own->target_time;
+  if (!is_in_turns(own)) return TARGET_DUE;
+  if (time == own->cycle) return own->waiting ? TARGET_DUE : TARGET_NEEDLESS;
+  /* A motion controller answers joint states once more that are repeated to it. */
+  if (time == own->cycle - own->motion_ticks * own->period && are_aimed_at(own))
+    return TARGET_REPEATED;
+  return time == own->asked_before ? TARGET_BEFORE_RESET : TARGET_OFF_TIME;
+}
+
+void answered_states_aim(answered_states* own) {
+  memcpy(own->aimed, own->q, (size_t)own->arm->joints * sizeof *own->q);
+  own->aim(own->arm, own->q, own->v_came->came ? own->v : NULL,
+           own->tau_came->came ? own->tau : NULL);
+  if (!own->waiting) return;
+  own->waiting = 0;
+  answer(own);
+}
+
+int answered_states_take_target(void* with, const uint8_t* data, int64_t size) {
   answered_states* own = with;
-  const joint_targets* in = &own->wanted;
-  if (!own->open || !ros_fits(&in->pattern, data, size)) return ROS_FOR_PYTHON;
-  const int64_t time = ros_time(data + in->stamp_at);
-  const int in_turn = own->lockstep && own->motion_ticks;
-  if (time < 0 || (in_turn && (!own->waiting || time != own->cycle))) return ROS_FOR_PYTHON;
-  const int64_t joints = own->arm->joints;
-  const servo_bounds* most = &own->most;
-  if (!ros_doubles(data + in->q_at, joints, in->place, most->q, own->q) ||
-      (in->v_at >= 0 && !ros_doubles(data + in->v_at, joints, in->place, most->v, own->v)) ||
-      (in->tau_at >= 0 && !ros_doubles(data + in->tau_at, joints, in->place, most->tau, own->tau)))
+  if (!own->open || answered_states_judge_target(own, data, size) != TARGET_DUE)
     return ROS_FOR_PYTHON;
-  own->aim(own->arm, own->q, in->v_at < 0 ? NULL : own->v, in->tau_at < 0 ? NULL : own->tau);
-  if (own->waiting) {
-    own->waiting = 0;
-    answer(own);
-  }
+  answered_states_aim(own);
   return ROS_TAKEN;
 }

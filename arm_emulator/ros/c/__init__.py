@@ -8,14 +8,15 @@ from arm_emulator.build.unit import Unit
 
 FOLDER = Path(__file__).resolve().parent
 MESSAGES = Header(FOLDER / "messages.h")
+MESSAGE_READER = Header(FOLDER / "message_reader.h")
 MIDDLEWARE = Header(FOLDER / "middleware.h")
 ARRIVALS = Header(FOLDER / "arrivals.h")
 
 
 def middleware_unit() -> Unit:
-    """Return middleware.h and arrivals.h as what is compiled. It is loaded where librcl is."""
-    parts = ("middleware.c", "arrivals.c", "bytes.c", "messages.c")
+    """Return middleware.h and what is beside it, to be compiled. It is loaded where librcl is."""
+    parts = ("middleware.c", "arrivals.c", "bytes.c", "messages.c", "message_reader.c")
     source = "".join(f'#include "{one}"\n' for one in parts)
     about, part = "waiting for messages", "middleware.c"
-    headers = (MESSAGES, MIDDLEWARE, ARRIVALS)
+    headers = (MESSAGES, MESSAGE_READER, MIDDLEWARE, ARRIVALS)
     return Unit("middleware", source, C_FLAGS, (FOLDER,), headers, "node", about, part)

@@ -3,51 +3,8 @@
 #endif
 #include "messages.h"
 
-#include <math.h>
 #include <string.h>
 #include <time.h>
-
-int ros_fits(const ros_pattern* pattern, const uint8_t* data, int64_t size) {
-  if (pattern->size <= 0 || size < pattern->size || size >= pattern->size + ROS_PADDING) return 0;
-  uint8_t differs = 0;
-  for (int64_t k = 0; k < pattern->size; ++k)
-    differs |= (uint8_t)((data[k] ^ pattern->same[k]) & pattern->mask[k]);
-  return !differs;
-}
-
-int64_t ros_time(const uint8_t* at) {
-  int32_t sec;
-  uint32_t nanosec;
-  memcpy(&sec, at, sizeof sec);
-  memcpy(&nanosec, at + sizeof sec, sizeof nanosec);
-  return sec < 0 || nanosec >= ROS_SECOND ? -1 : (int64_t)sec * ROS_SECOND + nanosec;
-}
-
-int ros_doubles(const uint8_t* at, int64_t count, const int64_t* place, const double* most,
-                double* out) {
-  int within = 1;
-  for (int64_t k = 0; k < count; ++k) {
-    double value;
-    memcpy(&value, at + 8 * k, sizeof value);
-    within &= fabs(value) <= most[place[k]]; /* false of a NaN */
-    out[place[k]] = value;
-  }
-  return within;
-}
-
-int ros_counts(const uint8_t* at, int64_t count, const int64_t* place, const double* most,
-               int64_t* out) {
-  int within = 1;
-  for (int64_t k = 0; k < count; ++k) {
-    int64_t value;
-    memcpy(&value, at + 8 * k, sizeof value);
-    within &= fabs((double)value) <= most[place[k]];
-    out[place[k]] = value;
-  }
-  return within;
-}
-
-/* ----------------------------------------------------------------------------- messages out */
 
 static void copy_numbers(uint8_t* data, const ros_copy* one) {
   const uint8_t* from = one->from;

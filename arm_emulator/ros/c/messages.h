@@ -1,4 +1,4 @@
-/* Messages in CDR of which only numbers change: written and read in place. C99. */
+/* Messages in CDR of which only numbers change, written in place. C99. */
 #ifndef MESSAGES_H
 #define MESSAGES_H
 
@@ -57,25 +57,6 @@ void ros_fill(ros_message* message, int64_t time, int64_t tick, ros_log* log);
 
 /* Result of a function that gets a message. */
 enum ros_taken { ROS_TAKEN = 0, ROS_FOR_PYTHON = 1 };
-
-enum { ROS_PADDING = 8 }; /* bytes of padding behind a message are fewer */
-
-/* A message that comes with the same strings and lengths each time; of size 0: none is known. */
-typedef struct ros_pattern {
-  const uint8_t* same;
-  const uint8_t* mask; /* 0xff where a message must have the same byte, else 0 */
-  int64_t size;
-} ros_pattern;
-
-int ros_fits(const ros_pattern* pattern, const uint8_t* data, int64_t size);
-/* Time of a stamp at a byte [ns]; -1: no logical time. */
-int64_t ros_time(const uint8_t* at);
-/* Read numbers into the receiver's order: entry k goes to out[place[k]]. Returns 0 if one is not
- * finite or greater than its bound, by the receiver's order. */
-int ros_doubles(const uint8_t* at, int64_t count, const int64_t* place, const double* most,
-                double* out);
-int ros_counts(const uint8_t* at, int64_t count, const int64_t* place, const double* most,
-               int64_t* out);
 
 #ifdef __cplusplus
 }

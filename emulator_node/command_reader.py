@@ -1,0 +1,55 @@
+"""Motor commands that C takes (c/motor_commands.h)."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+from rclpy.serialization import serialize_message
+
+from arm_emulator.base.bound import COMMAND
+from arm_emulator.build.c_header import CData
+from arm_emulator.machine.scene import Scene
+from arm_emulator.ros.doubles import started
+from arm_emulator.ros.message_reader import MessageReader, Row
+from arm_emulator_msgs.msg import MotorCommand
+from emulator_node.c import MOTOR_COMMANDS
+
+SPARE = 64  # bytes of a message, for its frame and padding
+
+
+class CommandReader:
+    """Reads the commands of a machine in C.
+
+    Attributes:
+        largest: size of messages that C takes, at most [bytes].
+
+    Args:
+        scene: the machine.
+        struct: ``motor_commands *``.
+        number: of their topic in the log of C.
+    """
+
+    def __init__(self, scene: Scene, struct: CData, number: int) -> None:
+        names, at = scene.joint_names, MOTOR_COMMANDS.ffi.addressof
+        came = np.zeros(len(names))
+        usual = MotorCommand(joint_names=names, command=array("d", came))
+        self.largest = len(serialize_message(usual)) + SPARE
+        self._reader = reader = MessageReader(
+            "motor_commands",
+            MotorCommand,
+            names,
+            "joint_names",
+            {"command": Row(came, COMMAND)},
+            {"tick": at(struct, "tick"), "machine": at(struct, "machine")},
+        )
+        MOTOR_COMMANDS.fill(
+            struct,
+            reader=reader.struct,
+            input_names=reader.field("input_names"),
+            inputs=reader.field("inputs"),
+            largest=self.largest,
+            came=came,
+            emulator=started(),
+            number=number,
+        )
