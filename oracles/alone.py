@@ -183,7 +183,7 @@ class Verdict:
             "located: balance": self.located is None or self.located.balanced,
             "step: order 1": self.of_first_order,
             "step: balance": self.balanced,
-            "lanes": self.lanes < mixtures.AS_ALONE,
+            "lanes": self.lanes == 0.0,
             "held": self.note == "",
         }
 

@@ -1,7 +1,8 @@
 """Digests of what machines, fleets and servos compute, the same for every compiler and processor.
 
-`python test/portable_bits.py` prints them as test/portable_bits.json keeps them: they change with
-each change of the physics, and of nothing else.
+`FULL=1 python test/portable_bits.py` writes test/portable_bits.json anew, which is due with each
+change of the physics, and of nothing else. With a target and a level, such as `native -O1`, the
+digests of code that is compiled so are printed.
 """
 
 from __future__ import annotations
@@ -11,92 +12,219 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from draws import FULL, some
+from own_firmware import builder, code
+from test_faults import everything
+from test_fleet_calls import SENSED
 
 import arm_emulator.machine.compiler as of_machines
-from arm_emulator import Diverged, Fleet, Plant, Scene, load_scene
+from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Scene, load_scene
 from arm_emulator.build.unit import compile_units
+from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
-from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.runs.table_run import load_table_run
 from oracles.mixtures import write_mixture
 
 KEPT = Path(__file__).with_suffix(".json")
-SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")
-STEPS, ARMS = 1000, 3
+ROWS, STEPS, ARMS = 100, 100, 3  # rows of commands, steps under each, arms of a fleet
+UNPOWERED, CHANGED, WOUND_BACK = range(20, 30), 40, 60  # rows
+TICKS = 1000  # of servos
+
+# Somebody's: voltages by what the encoders lack, held back by the currents.
+OWN_SERVO = code(
+    """
+  for (int j = 0; in->q_target && j < 3; ++j) {
+    const double lacks = in->q_target[j] - 1e-5 * (double)in->measured->joint[j].encoder;
+    out->joint[j].value = 5.0 * lacks - 0.3 * in->measured->joint[j].current;
+  }"""
+)
+
+Drawing = Callable[[dict[str, Any]], Scene]
 
 
-def cases(folder: Path) -> dict[str, Scene]:
-    """Return scenes by name: shipped ones, every scheme, random mixtures of all parts."""
-    found = {name: load_scene(name) for name in some(SHIPPED, 3)}
-    for scheme in SCHEMES if FULL else ():
-        events = "located" if scheme in LOCATING_SCHEMES else "step"
-        integrator = {"integrator.scheme": scheme, "integrator.events": events}
-        for name in SHIPPED:
-            found[f"{name} {scheme}"] = load_scene(name, overrides=integrator)
-    for seed in some(range(8), 1):
-        (folder / str(seed)).mkdir()
-        found[f"mixture {seed}"] = load_scene(write_mixture(folder / str(seed), seed))
-    return found
+def drawings(folder: Path) -> dict[str, Drawing]:
+    """Return scenes by name, the short run's first: shipped ones, and mixtures of all parts."""
+
+    def mixture(seed: int, overrides: dict[str, Any]) -> Scene:
+        place = folder / str(seed)
+        place.mkdir(exist_ok=True)
+        return load_scene(write_mixture(place, seed), overrides)
+
+    def faulty(overrides: dict[str, Any]) -> Scene:
+        possible = [one.name for one in everything(folder, faults=[]).possible_faults]
+        possible.remove("wrist_link.mass_at_joint")  # of the link that carries the payload
+        return load_scene(folder / "scene.yaml", overrides | {"faults": possible})
+
+    def sensed(overrides: dict[str, Any]) -> Scene:
+        return load_scene("three_axis", SENSED | overrides)
+
+    shipped = {name: partial(load_scene, name) for name in ("ur5", "panda", "manutec_r3")}
+    return {
+        "sensed": sensed,
+        "ur5": shipped["ur5"],
+        "mixture 0": partial(mixture, 0),
+        **shipped,
+        "kuka_kr300": partial(load_scene, "kuka_kr300"),
+        **{f"mixture {seed}": partial(mixture, seed) for seed in (2, 3, 5)},
+        "faulty": faulty,
+    }
 
 
-def measured_bytes(measured: Any) -> bytes:
-    """Return counts and currents; the sign of zero is of no importance."""
-    counts, currents = np.asarray(measured.encoder_counts), np.asarray(measured.current)
-    return counts.tobytes() + (currents + 0.0).tobytes()
+def cases(folder: Path) -> Iterator[tuple[str, Scene]]:
+    """Yield scenes with their names, in all schemes that they admit."""
+    for name, drawn in some(drawings(folder).items(), 3):
+        yield name, drawn({})
+        for scheme in SCHEMES if FULL else ():
+            for events in ("step", "located") if scheme in LOCATING_SCHEMES else ("step",):
+                integrator = {"integrator.scheme": scheme, "integrator.events": events}
+                yield f"{name}, {scheme}, {events}", drawn(integrator)
 
 
-def digest_of_machine(scene: Scene, fleet: bool) -> str:
-    """Return a digest of states and measurements along a run under random commands."""
-    rng = np.random.default_rng(7)
-    digest = hashlib.sha256()
-    arms = Fleet(scene, ARMS) if fleet else Plant(scene)
-    for _ in range(25):
-        commands = rng.uniform(-3.0, 3.0, (ARMS, len(scene.joints)))
+class Digest:
+    """Of numbers; the sign of zero is of no importance."""
+
+    def __init__(self) -> None:
+        self._digest = hashlib.sha256()
+
+    def put(self, *rows: Any) -> None:
+        """Add numbers."""
+        for row in rows:
+            self._digest.update((np.asarray(row) + 0).tobytes())
+
+    def put_text(self, text: str) -> None:
+        """Add words."""
+        self._digest.update(text.encode())
+
+    def __str__(self) -> str:
+        return self._digest.hexdigest()[:16]
+
+
+def commands_of(scene: Scene) -> np.ndarray:
+    """Return random commands (ROWS, ARMS, N)."""
+    return np.random.default_rng(7).uniform(-3.0, 3.0, (ROWS, ARMS, len(scene.joints)))
+
+
+def disturb(arms: Plant | Fleet, row: int) -> None:
+    """Let faults act, switch the power, change a number, push: each in its row, for every arm."""
+    scene = arms.scene
+    if row in (UNPOWERED.start, UNPOWERED.stop):
+        arms.powered = row == UNPOWERED.stop
+    for k, fault in enumerate(scene.faults):
+        if k % ROWS in (row, row - 1):  # a few in each row, until the next
+            now = float(fault.varied.number.default or 0.0) if k % ROWS == row else 0.0
+            arms.set_parameter(fault.varied.name, now)
+    if row == CHANGED and scene.varied and not scene.faults:
+        arms.set_parameter(scene.varied[0].name, 1.1 * scene.varied[0].value)
+    if row == CHANGED and scene.external_wrench:
+        push = ExternalWrench((1.0, -2.0, 3.0), (0.1, 0.2, -0.3), axes="world")
+        arms.set_external_wrench(scene.chain.joints[-1].link, push)
+
+
+def digest_of_machine(scene: Scene, arm: int = 0) -> str:
+    """Return a digest along a run of one arm that is wound back on its way."""
+    plant, digest = Plant(scene), Digest()
+    commands, saved, row, has_returned = commands_of(scene)[:, arm], b"", 0, False
+    while row < ROWS:
+        disturb(plant, row)
+        if row == CHANGED + 1:
+            saved = plant.save()
         try:
-            arms.advance(commands if fleet else commands[0], STEPS // 25)
+            plant.advance(commands[row], STEPS)
         except Diverged as reason:
-            digest.update(str(reason).encode())
+            digest.put_text(str(reason))
             break
-        for rows in (arms.state.q, arms.state.v):
-            digest.update((np.asarray(rows) + 0.0).tobytes())
-    if isinstance(arms, Plant):
-        digest.update(measured_bytes(arms.measured))
-    return digest.hexdigest()[:16]
+        digest.put(plant.state.q, plant.state.v)
+        row += 1
+        if row == WOUND_BACK and not has_returned:
+            plant.restore(saved)
+            row, has_returned = CHANGED + 1, True
+    digest.put(plant.energy, *(getattr(plant.measured, name) for name in KNOWN))
+    return str(digest)
 
 
-def digest_of_loop(name: str) -> str:
-    """Return a digest of what a servo measures that holds the arm and follows its start."""
-    run, digest = load_offline_run(name), hashlib.sha256()
+def digests_of_fleet(scene: Scene) -> list[str]:
+    """Return those of `digest_of_machine` of every arm of a fleet."""
+    fleet, found = Fleet(scene, ARMS), [Digest() for _ in range(ARMS)]
+    commands, saved, row, has_returned = commands_of(scene), b"", 0, False
+    stopped: set[int] = set()
+    while row < ROWS:
+        disturb(fleet, row)
+        if row == CHANGED + 1:
+            saved = fleet.save()
+        fleet.advance(commands[row], STEPS)
+        for arm, reason in fleet.diverged.items():
+            if arm not in stopped:
+                found[arm].put_text(str(reason))
+        stopped |= set(fleet.diverged)
+        for arm in set(range(ARMS)) - stopped:
+            found[arm].put(fleet.state.q[arm], fleet.state.v[arm])
+        row += 1
+        if row == WOUND_BACK and not has_returned:
+            fleet.restore(saved)
+            row, has_returned = CHANGED + 1, True
+    for arm, digest in enumerate(found):
+        measured = fleet.measured
+        digest.put(fleet[arm].energy, *(getattr(measured, name)[arm] for name in KNOWN))
+    return [str(one) for one in found]
+
+
+def digest_of_servo(name: str, folder: Path, own: str = "") -> str:
+    """Return a digest of what a servo measures whose targets step to and fro.
+
+    Args:
+        name: the scene.
+        folder: for its files.
+        own: source of a servo; empty: ours.
+    """
+    scene, table = load_scene(name), folder / f"{name}.csv"
+    lines = [",".join(["t", *scene.joint_names])]
+    for t, swing in ((0.0, 0.0), (0.05, 0.1), (0.3, -0.1)):
+        lines.append(",".join(map(repr, [t, *(scene.start + swing).tolist()])))
+    table.write_text("\n".join(lines))
+    run, _ = load_table_run(name, table, builder(folder)(own) if own else None)
+    digest = Digest()
     for _ in range(20):
-        run.advance(25)
-        digest.update(measured_bytes(run.session.measured))
-    return digest.hexdigest()[:16]
+        run.advance(TICKS // 20)
+        digest.put(run.session.measured.encoder_counts, run.session.measured.current)
+    return str(digest)
 
 
 def digests(target: str, level: str) -> dict[str, str]:
-    """Return all digests, of code that is compiled for a target at a level such as -O1."""
+    """Return all digests, of code that is compiled for a target at a level such as -O1.
+
+    Raises:
+        AssertionError: an arm of a fleet has other bits than an arm by itself.
+    """
     of_machines.FLAGS = tuple(level if one == "-O3" else one for one in of_machines.FLAGS)
     found = {}
     with tempfile.TemporaryDirectory() as folder:
-        for name, scene in cases(Path(folder)).items():
+        for name, scene in cases(Path(folder)):
+            has_fleet = FULL or name in ("sensed", "ur5")
             units = [of_machines.machine_unit(scene)]
-            has_fleet = FULL or name in ("three_axis", "ur5")
             units += [of_machines.fleet_unit(scene)] if has_fleet else []
             if target != "native":
                 compile_units(units, target, None)
-            found[name] = digest_of_machine(scene, fleet=False)
+            found[name] = digest_of_machine(scene)
             if has_fleet:
-                found[f"{name}, fleet"] = digest_of_machine(scene, fleet=True)
-    for name in some(("three_axis", "ur5", "panda"), 1):
-        found[f"{name}, servo"] = digest_of_loop(name)
+                alone = [found[name], *(digest_of_machine(scene, k) for k in range(1, ARMS))]
+                assert digests_of_fleet(scene) == alone, f"lanes of {name}"
+        for name in some(("three_axis", "ur5", "panda"), 1):
+            found[f"{name}, servo"] = digest_of_servo(name, Path(folder))
+        found["three_axis, own servo"] = digest_of_servo("three_axis", Path(folder), OWN_SERVO)
     return found
 
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    given = [*sys.argv[1:], "native", "-O3"][:2]
-    print(json.dumps(digests(*given), indent=1))
+    if len(sys.argv) > 1:
+        print(json.dumps(digests(*sys.argv[1:]), indent=1))
+    elif not FULL:
+        sys.exit("with FULL=1, which every digest takes")
+    else:
+        KEPT.write_text(json.dumps(digests("native", "-O3"), indent=1) + "\n")

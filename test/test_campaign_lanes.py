@@ -19,8 +19,6 @@ from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.fleet_way import FleetWay
 
-# Lanes round otherwise, by some 1e-16 a step; torques are 1e2 N m and more at 1e-14 rad.
-NEAR, SHARE = 1e-12, 1e-13
 CHECKS = "def margin(trace):\n    return 2.0 - abs(trace['v.waist']).max() + trace['t'][-1]\n"
 TARGETS = "t,elbow,waist,shoulder\n0.01,0.9,0.1,0.6\n0.05,0.8,0.2,0.5\n0.1,0.9,0.3,0.6\n"
 JUDGED: dict[str, Any] = {
@@ -109,7 +107,7 @@ def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, na
     for index in some(range(count), 6):
         one = alone.run(index)
         single = [*one.robustness.values(), *one.measures.values(), one.diverged]
-        np.testing.assert_allclose(whole[index], single, SHARE, NEAR, err_msg=f"run {index}")
+        np.testing.assert_array_equal(whole[index], single, err_msg=f"run {index}")
     order = np.random.default_rng(1).permutation(count)
     again = rows_of(Outcomes.joined(list(runs.runs(cases_of(campaign, order)))))
     assert np.array_equal(again, whole[order], equal_nan=True)
@@ -132,7 +130,7 @@ def test_arms_that_stick_and_drawn_gains_alike(tmp_path: Path) -> None:
     for index in (0, 5, 11):
         one = alone.run(index)
         single = [*one.robustness.values(), *one.measures.values(), one.diverged]
-        np.testing.assert_allclose(whole[index], single, SHARE, NEAR, err_msg=f"run {index}")
+        np.testing.assert_array_equal(whole[index], single, err_msg=f"run {index}")
 
 
 @pytest.mark.skipif(not FULL, reason="FULL=1: another scene")
@@ -147,7 +145,7 @@ def test_a_run_that_diverges_does_not_disturb_the_others(tmp_path: Path) -> None
         assert one.failed == found.failed[index]
         assert np.array_equal(one.diverged, diverged, equal_nan=True)
         rest = [*one.robustness.values()]
-        np.testing.assert_allclose(found.robustness[index], rest, SHARE, NEAR)
+        np.testing.assert_array_equal(found.robustness[index], rest)
     assert 0 < np.count_nonzero(found.diverged > 0) < 12
 
 

@@ -44,14 +44,10 @@ def assert_alike(fleet: Fleet, plants: list[Plant]) -> None:
     for arm, plant in enumerate(plants):
         for name in KNOWN:
             of_arm, of_plant = getattr(measured, name)[arm], getattr(plant.measured, name)
-            if of_plant.dtype.kind == "i":
-                assert np.array_equal(of_arm, of_plant), f"{name} of arm {arm}"
-            # Lanes are rounded otherwise, by some 1e-16 a step, and a gear's torque is a small
-            # difference of angles times 1e4 N m/rad.
-            np.testing.assert_allclose(of_arm, of_plant, rtol=1e-9, atol=1e-8, err_msg=name)
+            np.testing.assert_array_equal(of_arm, of_plant, err_msg=f"{name} of arm {arm}")
         for name in ("t", "q", "v", "current", "theta_m", "omega_m"):
             of_arm, of_plant = getattr(state, name)[arm], getattr(plant.state, name)
-            np.testing.assert_allclose(of_arm, of_plant, rtol=1e-9, atol=1e-9, err_msg=name)
+            np.testing.assert_array_equal(of_arm, of_plant, err_msg=f"{name} of arm {arm}")
         assert fleet.powered[arm] == plant.powered
 
 

@@ -149,8 +149,7 @@ def test_trees_in_lanes_move_as_single_ones(tmp_path: Path) -> None:
     fleet.run(rows[:, np.newaxis] * shares[:, np.newaxis], scene.steps_per_period)
     for k, share in enumerate(shares):
         q = Plant(scene).run(share * rows, scene.steps_per_period)[-1]
-        # Vectors of lanes round in another order; some hundred steps.
-        assert fleet.state.q[k] == pytest.approx(q, abs=1e-12), f"arm {k}"
+        assert np.array_equal(fleet.state.q[k], q), f"arm {k}"
 
 
 @pytest.mark.skipif(not FULL, reason="dual numbers are compiled once more: make test-in-full")

@@ -156,14 +156,14 @@ struct Drive {
   }
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
-    if constexpr (kWidth<X> > 1 && only_gear_bends) {
-      DriveRates<states, X> of_gear = {};
-      of_gear.g = gear.beyond_linear(x.z[tm], x.q);
-      of_gear.f[wm] = -on_rotor(x, of_gear.g);
-      return of_gear;
-    } else {
-      return rest(x, held, linear());
-    }
+    if constexpr (only_gear_bends && !kDifferentiates)
+      if (held == 0) {
+        DriveRates<states, X> of_gear = {};
+        of_gear.g = gear.beyond_linear(x.z[tm], x.q);
+        of_gear.f[wm] = -on_rotor(x, of_gear.g);
+        return of_gear;
+      }
+    return rest(x, held, linear());
   }
 
   // Dry friction at the link, with that of a rotor that turns with it. Load friction follows the

@@ -87,10 +87,7 @@ class Located {
     const Dynamics links = memo_.at(n_, x);
     State<S> end = y;
     if (modes.margin(end, u, memo_) < 0.0) {
-      instant_ = kInstantInLanes;
-      cut(x, end, u, modes, links);
-      instant_ = kInstant;
-      return;
+      return cut(x, end, u, modes, links);
     }
     modes.settle(end, u);
     x = end;
@@ -101,8 +98,8 @@ class Located {
   static constexpr int kMostEvents = 4 * N + 8;
   static constexpr int kMostTrials = 150;
   // Of a step: how well an event's time is known. Conditions are rounded so that a better one takes
-  // trials without progress; single machines keep it, since their last places hang on it.
-  static constexpr double kInstant = 1e-11, kInstantInLanes = 1e-10;
+  // trials without progress.
+  static constexpr double kInstant = 1e-10;
 
   // A step from x to y of which not all modes hold.
   void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {
@@ -169,7 +166,7 @@ class Located {
     Real share = first < 0 ? 0.5 : last.share(other, first);
     for (int trial = 0; trial < kMostTrials; ++trial) {
       const Real width = other.t - last.t;  // of either sign
-      const Real least = 0.5 * instant_ * h_ / magnitude(width);
+      const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
       // A little beyond the zero, so that the trial that meets it is one that fails.
       if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
@@ -187,7 +184,7 @@ class Located {
       first = last.holds() ? other.first_after(last) : last.first_after(other);
       // The zero lies within an instant before a trial that fails.
       if (first >= 0 && !last.holds() &&
-          magnitude(last.share(other, first) * (other.t - last.t)) <= instant_ * h_)
+          magnitude(last.share(other, first) * (other.t - last.t)) <= kInstant * h_)
         break;
       share = first < 0 ? 0.5 : next_share(last, other, before, first);
     }
@@ -241,7 +238,6 @@ class Located {
   Method whole_;
   Part part_;  // of a step
   LinksMemo<S> memo_;
-  double instant_ = kInstant;
   EnergyMeter<S>* meter_ = nullptr;
   struct Noted {
     Pieces* in = nullptr;
