@@ -142,9 +142,15 @@ def compiled_bytes(unit: Unit, target: str) -> bytes:
     return file.read_bytes()[: -library_cache.SEAL_SIZE]
 
 
-def fingerprint(unit: Unit, target: str) -> str:
-    """Return a digest of sources and flags of what a unit saves, as a number of C."""
-    return f"0x{_digest(unit.saves_as or unit, target)[:16]}u"
+def fingerprint(unit: Unit) -> str:
+    """Return a digest of what decides how a saved unit goes on, as a number of C.
+
+    It is of sources and flags, but not of compiler, level of optimisation and target: all of these
+    give the same bits.
+    """
+    saved = unit.saves_as or unit
+    flags = [flag for flag in saved.flags if not flag.startswith("-O")]
+    return f"0x{_digest_of_parts(saved, flags)[:16]}u"
 
 
 def sources_digest(unit: Unit) -> str:
@@ -220,7 +226,7 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
             source.write_text(unit.source, encoding="utf-8")
             command = [*compiler, *unit.flags, f"-march={target}"]
             command += [f"-I{folder}" for folder in unit.folders]
-            command.append(f"-DARM_FINGERPRINT={fingerprint(unit, target)}")
+            command.append(f"-DARM_FINGERPRINT={fingerprint(unit)}")
             if unit.beside:
                 beside = scratch / "beside.cpp"
                 beside.write_text(unit.beside, encoding="utf-8")
@@ -288,12 +294,16 @@ def _stem(unit: Unit, target: str) -> str:
 
 
 def _digest(unit: Unit, target: str) -> str:
+    processor = _processor() if target == "native" else ""
+    return _digest_of_parts(unit, (" ".join(unit.flags), target, processor))
+
+
+def _digest_of_parts(unit: Unit, more: Iterable[str]) -> str:
     digest = hashlib.sha256(library_cache.SEAL)
     for folder in unit.folders:
         digest.update(_digest_of(folder))
-    processor = _processor() if target == "native" else ""
     sources = (unit.source, unit.beside) if unit.beside else (unit.source,)
-    for part in (*sources, " ".join(unit.flags), target, processor):
+    for part in (*sources, *more):
         digest.update(part.encode())
         digest.update(b"\0")
     return digest.hexdigest()

@@ -58,7 +58,7 @@ def export(
     library = compiled_bytes(unit, target)
     name = identifier(scene.name)
     options = shlex.join([*unit.flags, f"-march={target}"])
-    definition = f"ARM_FINGERPRINT={fingerprint(unit, target)}"
+    definition = f"ARM_FINGERPRINT={fingerprint(unit)}"
     command = f"g++ {options} -I. -D{definition} {' '.join(_SOURCES)} -o {name}.so"
     sources = dict(zip(_SOURCES, (unit.source, unit.beside), strict=True))
     sources |= _included(*sources.values())

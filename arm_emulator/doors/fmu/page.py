@@ -45,7 +45,7 @@ steps and inputs give equal bits.</p>
 <h2>Sources</h2>
 <p>In the folder <code>sources</code>:</p>
 <pre>{html_text(command)}</pre>
-<p>Another compiler, other options or another processor may round otherwise.</p>
+<p>With these options every compiler and processor gives the same bits.</p>
 <p>The emulator is under the Apache License 2.0, see <a href="licenses/license.txt">license.txt</a>.
 The robot's description and its numbers are their author's.</p>
 </body></html>

@@ -42,7 +42,7 @@ def windows_binary(unit: Unit) -> bytes:
             *(flag for flag in unit.flags if flag not in NOT_THERE),
             *OWN,
             f"-march={TARGET}",
-            f"-DARM_FINGERPRINT={fingerprint(unit, TARGET)}",
+            f"-DARM_FINGERPRINT={fingerprint(unit)}",
             *(f"-I{folder}" for folder in unit.folders),
             *(str(folder / name) for name in ("machine.cpp", "unit.cpp")),
             "-o",
