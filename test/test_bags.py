@@ -30,6 +30,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.scene import load_scene
@@ -153,6 +154,20 @@ def test_a_recorded_run_is_equal_to_the_last_bit(
     # The test is of something: the arm moved, and the power was off for a while.
     assert len({m.encoder_counts.tobytes() for m in states}) > 20
     assert {m.powered for m in states} == {True, False}
+
+
+def test_a_bag_of_another_arithmetic_is_named(
+    recording: tuple[Path, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag, other = recording[0], tmp_path / "other"
+    assert Bag(bag).about["arithmetic"] == ARITHMETIC
+    assert check_bag(bag) == 0 and "arithmetic" not in capfd.readouterr().out
+    shutil.copytree(bag, other)
+    metadata = other / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace(ARITHMETIC, "portable 0"))
+    check_bag(other)
+    line = f"recorded in another arithmetic, portable 0; this is {ARITHMETIC}\n"
+    assert capfd.readouterr().out.count(line) == 1
 
 
 def messages(bag: Path) -> list[Any]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from arm_emulator.build.c_header import Header, Library
-from arm_emulator.build.flags import SHARED
+from arm_emulator.build.flags import CPP_FLAGS
 from arm_emulator.build.unit import Unit, compile_units, library
 from arm_emulator.core import CORE
 from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET, REAL_TIME, SENSITIVITY
@@ -18,15 +18,9 @@ from arm_emulator.machine.scene_unit import scene_unit
 # there are, one direction takes twice as long.
 DIRECTIONS = 8
 
-# Sums and products are computed as they are written, so that every compiler and processor gives
-# the same bits. The stepping code never asks for errno, traps, infinities or the sign of zero:
-# products with constants that are 0 vanish. Finiteness is checked on bit patterns
-# (core/numerics/finite.hpp).
-FLAGS = (
-    *"-std=c++20 -O3 -fvisibility=hidden -fno-math-errno -fno-trapping-math -pthread".split(),
-    *"-fno-signed-zeros -ffinite-math-only -ffp-contract=off".split(),
-    *SHARED,
-)
+# The stepping code never asks for infinities: products with constants that are 0 vanish. Finiteness
+# is checked on bit patterns (core/numerics/finite.hpp).
+FLAGS = (*CPP_FLAGS, "-ffinite-math-only", "-fvisibility=hidden", "-pthread")
 
 
 # The same machine of plain numbers in a library for sensitivities, under names of its own.

@@ -20,6 +20,7 @@ from rclpy.qos import (
 METADATA_VERSION = 9  # of rosbag2 in Jazzy
 NANOSECONDS = 1_000_000_000
 PARENT, FORKED_AT = "parent", "forked at tick"  # further facts of a bag
+ARITHMETIC_OF = "arithmetic"  # likewise: in which its machine was computed
 ABOUT = "arm_emulator"  # metadata record of an MCAP file with them
 SCENE = "scene.yaml"  # in a bag's folder, if its machine is that of no other file
 _POLICIES: dict[str, type[IntEnum]] = {

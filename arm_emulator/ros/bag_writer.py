@@ -20,8 +20,10 @@ from arm_emulator.base.mcap_end import NO_ROOM, flush_to_disk, give_end, write_a
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.unbuffered_file import UnbufferedFile
 from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.ros.bag_metadata import (
     ABOUT,
+    ARITHMETIC_OF,
     NANOSECONDS,
     Span,
     Topic,
@@ -53,7 +55,7 @@ class BagWriter:
 
     def __init__(self, folder: Path, about: Mapping[str, str] | None = None) -> None:
         self.folder = folder
-        self._about = dict(about or {})
+        self._about = {ARITHMETIC_OF: ARITHMETIC, **(about or {})}
         self.whole = False
         self._file = folder / f"{folder.resolve().name}_0.mcap"
         self._topics: dict[int, Topic] = {}
@@ -72,8 +74,8 @@ class BagWriter:
             self._stream = UnbufferedFile(self._file)
             self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
             self._mcap.start("ros2", "arm_emulator")
-            if self._about:  # a killed writer leaves no other place for them
-                self._mcap.add_metadata(ABOUT, self._about)
+            # A killed writer leaves no other place for them.
+            self._mcap.add_metadata(ABOUT, self._about)
             self.flush()
         except OSError as error:
             shutil.rmtree(folder, ignore_errors=True)  # which is ours, and empty

@@ -18,6 +18,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
+from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.crew import Crew, Pool, Progress
@@ -46,10 +47,10 @@ BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shr
 @command(
     keys=(
         "`count`, `per_run`, `estimate` (s of all runs), `bytes`; after the runs `shares`, "
-        "`quantiles`, `confidence`, `digest`, `results`; with the option replay `index`, "
-        "`values`, `robustness`, `measures`, `failed`, `missed`; with shrink `index`, "
-        "`requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`, `scene`, "
-        "`record`, `bag`"
+        "`quantiles`, `confidence`, `digest`, `results`, `arithmetic`; with the option "
+        "replay `index`, `values`, `robustness`, `measures`, `failed`, `missed`; with shrink "
+        "`index`, `requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`, "
+        "`scene`, `record`, `bag`"
     ),
 )
 def campaign(
@@ -232,6 +233,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     output.facts({
         "count": summary.count, "shares": summary.shares, "quantiles": summary.quantiles,
         "confidence": summary.confidence, "digest": digest, "results": str(folder),
+        "arithmetic": ARITHMETIC,
     })  # fmt: skip
 
 

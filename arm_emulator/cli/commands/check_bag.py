@@ -6,10 +6,11 @@ import dataclasses
 from pathlib import Path
 
 from arm_emulator.bags.comparison import compare
+from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
+from arm_emulator.ros.bag_metadata import ARITHMETIC_OF, FORKED_AT, PARENT
 
 
 @command(
@@ -34,6 +35,9 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
     output.line(f"scene {found.scene}{clock}: {tally.compared}")
     if parent := found.about.get(PARENT):
         output.line(f"forked from {parent} at tick {found.about.get(FORKED_AT)}")
+    recorded_in = found.about.get(ARITHMETIC_OF, ARITHMETIC)  # other recorders name none
+    if recorded_in != ARITHMETIC:
+        output.line(f"recorded in another arithmetic, {recorded_in}; this is {ARITHMETIC}")
     output.line(f"compared: {'; '.join(f'{name} ({of})' for name, of in found.fields.items())}")
     for line in left_out:
         output.line(f"not compared: {line}")

@@ -25,6 +25,7 @@ from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given
 from arm_emulator.build.c_header import CData
+from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.cli.command import command
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
@@ -46,7 +47,8 @@ from arm_emulator.view.viewer_command import viewer_command
 
 @command(
     keys=(
-        "`scene`, `logical_time`, `wall_time`, `ticks`, `tool_off`, `energy`, `q`, `diverged`, "
+        "`scene`, `arithmetic` (version of the rounding), `logical_time`, `wall_time`, `ticks`, "
+        "`tool_off`, `energy`, `q`, `diverged`, "
         "`missed` (why the goal was not reached)"
     ),
 )
@@ -246,6 +248,7 @@ def report(
     output.facts(
         {
             "scene": scene.name,
+            "arithmetic": ARITHMETIC,
             "logical_time": logical,
             "wall_time": wall,
             "ticks": ticks,

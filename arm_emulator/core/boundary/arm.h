@@ -26,7 +26,7 @@
 extern "C" {
 #endif
 
-#define ARM_VERSION 6
+#define ARM_VERSION 7
 
 typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
@@ -52,7 +52,7 @@ typedef struct arm_description {
   uint32_t version; /* ARM_VERSION of the library */
   int32_t joints;
   int32_t parameters;    /* that are varied */
-  uint64_t fingerprint;  /* of scene, core and compiler flags: equal bits need equal ones */
+  uint64_t fingerprint;  /* of scene and core: equal ones give equal bits, whatever compiled them */
   double supply_voltage; /* V */
   int32_t imus;          /* inertial measurement units; since version 2 */
   int32_t readings;      /* rows of arm_measurement.readings; since version 4 */
@@ -62,7 +62,9 @@ typedef struct arm_description {
   double step;              /* s, of the integrator */
   int64_t steps_per_period; /* of a servo period */
   int32_t inputs;           /* rows of arm_command.further; since version 5 */
-  int32_t reserved;
+  /* Of the rounding: libraries with the same number give the same bits of the same scene, whatever
+   * compiled them and for which processor. Since version 7. */
+  int32_t arithmetic;
 } arm_description;
 
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };

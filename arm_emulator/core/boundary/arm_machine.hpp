@@ -14,6 +14,10 @@
 #ifndef ARM_FINGERPRINT
 #define ARM_FINGERPRINT 0
 #endif
+// Version of the arithmetic, likewise (build/flags.py).
+#ifndef ARM_ARITHMETIC
+#define ARM_ARITHMETIC 0
+#endif
 
 namespace arm {
 

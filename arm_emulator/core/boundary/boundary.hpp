@@ -30,6 +30,7 @@ int arm_describe(arm_description* out) {
   all.imus = arm_machine::Sensors::M;
   all.readings = Scene::readings;
   all.inputs = Scene::inputs;
+  all.arithmetic = ARM_ARITHMETIC;
   if (arm_scene_periods.steps_per_period > 0) {
     all.servo_period = arm_scene_periods.servo_period;
     all.step = arm_scene_periods.step;

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 
+#include "numerics/sincos.hpp"
 #include "way.h"
 
 namespace way {
@@ -48,7 +49,8 @@ inline Matrix matrix(const double* a) {
 
 // Rotation by an angle about a unit vector (Rodrigues).
 inline Matrix turn(const Vector& u, double angle) {
-  const double s = std::sin(angle), c = std::cos(angle), d = 1.0 - c;
+  const auto [s, c] = arm::sincos(angle);
+  const double d = 1.0 - c;
   return {c + d * u[0] * u[0],        d * u[0] * u[1] - s * u[2], d * u[0] * u[2] + s * u[1],
           d * u[0] * u[1] + s * u[2], c + d * u[1] * u[1],        d * u[1] * u[2] - s * u[0],
           d * u[0] * u[2] - s * u[1], d * u[1] * u[2] + s * u[0], c + d * u[2] * u[2]};

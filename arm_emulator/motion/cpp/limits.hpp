@@ -7,6 +7,7 @@
 #include <cstdint>
 
 #include "chain.hpp"
+#include "numerics/exponential.hpp"
 #include "way.h"
 
 namespace way {
@@ -208,7 +209,7 @@ struct Excess {
       jerk = std::max(jerk, std::sqrt(c) * std::fabs(third));
     }
     if (jerk_margin * jerk > 1.0)
-      excess = std::max(excess, std::pow(jerk_margin * jerk, 2.0 / 3.0));
+      excess = std::max(excess, arm::exponential(2.0 / 3.0 * arm::logarithm(jerk_margin * jerk)));
     keeps[piece] = std::min(keeps[piece], 1.0 / excess);
   }
 };

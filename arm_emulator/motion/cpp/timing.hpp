@@ -11,6 +11,7 @@
 #include <cmath>
 #include <cstdint>
 
+#include "numerics/exponential.hpp"
 #include "way.h"
 
 namespace way {
@@ -78,7 +79,8 @@ struct Timing {
         if (first_c[i] != 0.0) c = std::min(c, side / std::fabs(first_c[i]));
       }
       for (int64_t i = p * thirds; i < (p + 1) * thirds; ++i)
-        if (third_c[i] != 0.0) c = std::min(c, std::pow(std::fabs(third_c[i]), -2.0 / 3.0));
+        if (third_c[i] != 0.0)
+          c = std::min(c, arm::exponential(-2.0 / 3.0 * arm::logarithm(std::fabs(third_c[i]))));
     }
     return c;
   }
@@ -95,7 +97,7 @@ struct Timing {
   // Take the logarithm of a product that has grown or shrunk far.
   static void drain(double* product, double* sum) {
     if (*product > 1e-100 && *product < 1e100) return;
-    *sum -= std::log(std::max(*product, 1e-300));
+    *sum -= arm::logarithm(std::max(*product, 1e-300));
     *product = 1.0;
   }
 
@@ -111,7 +113,7 @@ struct Timing {
         const double d = w1[0] * y[m] + w1[1] * y[m + 1] + w1[2] * y[m + 2];
         const double e = w2[0] * y[m] + w2[1] * y[m + 1] + w2[2] * y[m + 2];
         if (!(c > 0.0) || !(c < top[p])) return INFINITY;
-        sum += t * SHARE[k] / intervals / std::sqrt(c) - std::log(top[p] - c);
+        sum += t * SHARE[k] / intervals / std::sqrt(c) - arm::logarithm(top[p] - c);
         double product = 1.0, least = 1.0;
         const double *f0 = f_0 + p * firsts, *fc = f_c + p * firsts, *fd = f_d + p * firsts;
         for (int32_t i = 0; i < firsts;) {
@@ -139,7 +141,7 @@ struct Timing {
           drain(&product, &sum);
         }
         if (!(least > 0.0)) return INFINITY;
-        sum -= std::log(std::max(product, 1e-300));
+        sum -= arm::logarithm(std::max(product, 1e-300));
       }
     }
     return sum;
