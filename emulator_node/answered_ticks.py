@@ -58,20 +58,15 @@ class AnsweredTicks:
         self._pace = own.pace
         self._topic = subscription.topic_name
         plant, scene = own.session.plant, own.session.scene
-        N = len(scene.joints)
-        self._before = np.zeros(N)
+        self._before = np.zeros(len(scene.joints))
         self._log = MIDDLEWARE.new("ros_log")
         self._logged: CData = NULL
         code = answered_ticks()
         self._struct = ANSWERED_TICKS.new(
             "answered_ticks",
-            joints=N,
-            machine=plant.machine,
-            exchange=plant.core.arm_exchange,
-            get_truth=plant.core.arm_get_truth,
+            at=plant.ticks,
             joint=plant.command.joint,
             command=plant.command,
-            measurement=plant.measurement,
             truth=reports.truth,
             before=self._before,
             publish=middleware().ros_publish,
@@ -80,7 +75,6 @@ class AnsweredTicks:
             clock=reports.clock.struct,
             report_ticks=reports.ticks,
             log=self._log,
-            period=own.session.period_ns,
         )
         struct = ANSWERED_TICKS.ffi.addressof(self._struct, "commands")
         self._commands = CommandReader(scene, struct, len(reports.outgoing))
@@ -91,8 +85,8 @@ class AnsweredTicks:
     def begin(self) -> None:
         """Prepare, see `HotPath`."""
         ticks, session = self._struct, self._session
-        ticks.tick = ticks.last = session.tick
-        ticks.result, ticks.stop = 0, self._breaks.stop
+        ticks.last = self._begun = session.tick
+        ticks.result = 0
         if self._view.open or session.last_tick == session.tick or session.held[1:].any():
             return
         room = min(self._gate.room(), self._pace.room(session.tick))
@@ -103,11 +97,11 @@ class AnsweredTicks:
 
     def end(self) -> None:
         """Take over the results of C, see `HotPath`."""
-        ticks, before = self._struct, self._session.tick
-        if ticks.tick == before and not ticks.result:
+        passed = self._session.tick - self._begun
+        if not passed and not self._struct.result:
             return
-        self._session.take_over(ticks.tick, self._before)
-        self._gate.count(ticks.tick - before)
+        self._session.take_over(self._before)
+        self._gate.count(passed)
         self._reports.published_at = self._reports.repeated_at = time.monotonic()
         if self._outbox.record is not None:
             record_log(self._outbox.record, self._log, self.outgoing, self._topic)

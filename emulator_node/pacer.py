@@ -149,7 +149,6 @@ class LoopPacer:
 
     def changed(self) -> None:
         """Go on from the machine as it is now."""
-        self.ticks.break_at(self._breaks.stop)
         self.ticks.put()
 
     def close(self) -> None:

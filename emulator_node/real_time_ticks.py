@@ -61,6 +61,7 @@ class RealTimeTicks:
             "real_time_ticks",
             joints=N,
             loop=clock.loop.handle,
+            at=own.session.plant.ticks,
             take=loop.arm_real_time_take,
             give=loop.arm_real_time_command,
             descriptor=clock.loop.descriptor,
@@ -131,10 +132,6 @@ class RealTimeTicks:
         log.used = log.dropped = 0
         self._calls.real_time_ticks_exchange_log(self.at, log)
         record_log(record, log, self._messages, topic)
-
-    def break_at(self, stop: CData) -> None:
-        """Let Python look where an ``int32_t`` is not 0; NULL: nowhere."""
-        self.at.stop = stop
 
     def open(self, in_c: bool) -> None:
         """Have commands held by C from now on, or not, behind those that the session has."""

@@ -20,8 +20,7 @@ from arm_emulator.doors.fieldbus.drives_unit import DRIVES
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.call_arguments import options_of
 from arm_emulator.machine.compiler import equations_library_of, fleet_library_of, real_time_library
-from arm_emulator.machine.core_calls import ARM, EQUATIONS, FIRMWARE_LOOP, FLEET, REAL_TIME
-from arm_emulator.machine.firmware_loop import firmware_loop
+from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET
 from arm_emulator.machine.formula_library import (
     BREAKPOINT,
     CONDITION,
@@ -32,6 +31,7 @@ from arm_emulator.machine.formula_library import (
 from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
 from arm_emulator.servo.drives import Drives as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
+from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls
 
 ROOM = 1 << 16  # bytes behind any pointer
 KEPT: list[object] = []
@@ -65,7 +65,8 @@ def main() -> None:
         "arm_measurement *": plant.measurement,
         "drives *": segment.drives.pointer,
         "servo *": servo.arm,
-        "firmware_loop *": None,  # calls the functions that it names
+        "tick_machine *": None,  # calls the functions that it names
+        "tick_controller *": None,
         "arm_real_time *": None,  # runs a thread
         "ethercat_segment *": segment.pointer,
         "listeners *": LISTENERS.new("listeners"),
@@ -83,7 +84,8 @@ def main() -> None:
         (FLEET, fleet_library),
         (EQUATIONS, equations_library_of(scene)),
         (REAL_TIME, real_time_library()),
-        (FIRMWARE_LOOP, firmware_loop()),
+        (TICK, tick_calls()),
+        (FIRMWARE_CONTROLLER, tick_calls()),
         (RING, record_ring()),
         (LISTENERS, record_ring()),
         (FORMULA, formula_library()),

@@ -17,11 +17,10 @@ from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import library
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.servo_header import header_text
-from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_law import servo_law
+from arm_emulator.tick.c import FOLDERS
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -36,7 +35,7 @@ WARNINGS = "-Wall -Wextra -pedantic -Werror".split()
 
 def compile_c(out: Path, *words: str) -> None:
     """Compile as our own C is compiled, and fail on any warning."""
-    folders = [f"-I{folder}" for folder in (FOLDER, BOUNDARY, out.parent)]
+    folders = [f"-I{folder}" for folder in (FOLDER, *FOLDERS, out.parent)]
     run_c([*find_compiler(), *C_FLAGS, *WARNINGS, *folders, *words, "-o", str(out)])
 
 
@@ -89,7 +88,7 @@ def command(
 
     Return its exit code and what was printed, but for what is compiled once.
     """
-    Plant(SCENE), firmware_loop(), servo_law(), library(servo_step_unit())
+    Plant(SCENE), servo_law(), library(servo_step_unit())
     capfd.readouterr()
     monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
     with pytest.raises(SystemExit) as end:

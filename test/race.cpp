@@ -7,7 +7,7 @@
 #include <thread>
 #include <vector>
 
-#include "boundary/real_time.cpp"
+#include "real_time.cpp"
 
 int main() {
   constexpr int N = Scene::N;
@@ -27,11 +27,13 @@ int main() {
   arm_reset(machine, q, v);
 
   // The real-time loop, its commands, its snapshots and its figures, from two more threads.
+  const tick_machine at = {.size = sizeof at,
+                           .joints = N,
+                           .machine = machine,
+                           .exchange = arm_exchange,
+                           .get_truth = arm_get_truth};
   const arm_real_time_options loop_options = {.size = sizeof loop_options,
-                                              .joints = N,
-                                              .machine = machine,
-                                              .exchange = arm_exchange,
-                                              .get_truth = arm_get_truth,
+                                              .at = &at,
                                               .join_schedule = arm_join_schedule,
                                               .period = 200'000,
                                               .core = -1,

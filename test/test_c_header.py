@@ -23,13 +23,27 @@ from arm_emulator.doors.fieldbus.ethercat import SEGMENT
 from arm_emulator.doors.microcontroller import FOLDER as MICROCONTROLLER
 from arm_emulator.doors.microcontroller.board_struct import RUNNER
 from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP, FLEET, REAL_TIME
+from arm_emulator.machine.core_calls import ARM, FIRMWARE, FLEET
 from arm_emulator.runs.servo_step import HERE, STEP
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.servo.servo_law import SERVO
+from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK
+from arm_emulator.tick.c import FOLDER as TICK_FOLDER
 
-HEADERS = (ARM, FLEET, REAL_TIME, FIRMWARE, FIRMWARE_LOOP, SERVO, STEP, DRIVES, SEGMENT, RUNNER)
-FOLDERS = (BOUNDARY, SERVO_FOLDER, HERE, DRIVES_CORE, MICROCONTROLLER)
+HEADERS = (
+    ARM,
+    FLEET,
+    FIRMWARE,
+    TICK,
+    FIRMWARE_CONTROLLER,
+    REAL_TIME,
+    SERVO,
+    STEP,
+    DRIVES,
+    SEGMENT,
+    RUNNER,
+)
+FOLDERS = (BOUNDARY, TICK_FOLDER, SERVO_FOLDER, HERE, DRIVES_CORE, MICROCONTROLLER)
 IMPORT = "import arm_emulator.machine.core_calls as c; print(c.ARM.functions)"
 
 

@@ -21,7 +21,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.core_calls import ARM, REAL_TIME
+from arm_emulator.machine.core_calls import ARM
+from arm_emulator.tick.c import REAL_TIME
 
 __all__ = ["cache", "sound"]  # fixtures
 

@@ -35,7 +35,6 @@ from sensor_msgs.msg import JointState
 from arm_emulator.build.c_header import pointer
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.firmware import Firmware
 from arm_emulator.machine.session import Session
 from arm_emulator.runs.servo_step import ServoStep
@@ -44,6 +43,7 @@ from arm_emulator.runs.target_table import load_target_table
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_law import servo_law
+from arm_emulator.tick.c import FOLDERS
 
 MORE_WARNINGS = ["-Wconversion", "-Wdouble-promotion"]
 
@@ -82,9 +82,8 @@ def test_the_servo_needs_nothing_but_itself(kind: str, level: str, tmp_path: Pat
 
 
 def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
-    for number, source in enumerate(
-        [BOUNDARY / "firmware_loop.c", ROOT / "arm_emulator/runs/servo_step.c"]
-    ):
+    ours = [*FOLDERS[0].glob("*.c"), ROOT / "arm_emulator/runs/servo_step.c"]
+    for number, source in enumerate(ours):
         compile_c(tmp_path / f"{number}.so", *MORE_WARNINGS, "-c", str(source))
 
 

@@ -193,7 +193,7 @@ def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
     monkeypatch.setattr(guarded, "REPORT_STALL", 0.1)
 
     def work(progress: CData) -> int:
-        progress.doing, progress.loop.tick = Doing.STEP, 12
+        progress.doing, progress.controller.tick = Doing.STEP, 12
         while True:
             time.sleep(1.0)
 

@@ -16,12 +16,12 @@ from arm_emulator.campaign.program import judges_unit
 from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.formula_library import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
+from arm_emulator.tick.c import tick_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from servo_node.c import answered_states_unit
 
@@ -76,7 +76,7 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         drives_unit("drives"),
         servo_unit(),
     )
-    units += servo_step_unit(), firmware_loop_unit(), real_time_unit(), record_ring_unit()
+    units += servo_step_unit(), tick_unit(), real_time_unit(), record_ring_unit()
     units += (
         formula_unit(),
         judges_unit(),
@@ -86,7 +86,7 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
         answered_states_unit(),
     )
     names = sorted(set().union(*map(names_of, units)))
-    assert {"arm_advance", "servo_measure", "firmware_loop_step"} < set(names)
+    assert {"arm_advance", "servo_measure", "firmware_controller_step"} < set(names)
     source, others = tmp_path / "others.c", tmp_path / "others.so"
     lines = [f"void {name}(void) {{ abort(); }}\n" for name in names]
     source.write_text("#include <stdlib.h>\n" + "".join(lines))

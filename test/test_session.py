@@ -206,7 +206,7 @@ def test_reset_begins_anew() -> None:
 
 def test_logical_time_ends_where_the_stamps_of_messages_end() -> None:
     one = session()
-    one._tick = 2**31 * 1000 - 3  # servo periods of 1 ms
+    one.plant.ticks.tick = 2**31 * 1000 - 3  # servo periods of 1 ms
     for tick in range(one.tick, one.tick + 2):
         one.offer(tick, NAMES, [1.0, 0.0, 0.0])
         one.advance()

@@ -21,6 +21,7 @@ from arm_emulator.core import CORE
 from arm_emulator.machine.compiler import FLAGS
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.tick.c import FOLDERS
 
 # Table 1 of the paper: difference between one and two threads after 1 s [rad].
 PAPER_TABLE_1 = {
@@ -184,7 +185,7 @@ def test_no_data_race(tmp_path: Path, depth: int) -> None:
     source, program = tmp_path / "race.cpp", tmp_path / "race"
     source.write_text(unit + (Path(__file__).parent / "race.cpp").read_text())
     flags = [flag for flag in FLAGS if flag not in ("-O3", "-fvisibility=hidden", *SHARED)]
-    sanitize = ["-O1", "-g", "-fsanitize=thread", f"-I{CORE}"]
+    sanitize = ["-O1", "-g", "-fsanitize=thread", *(f"-I{folder}" for folder in (CORE, *FOLDERS))]
     command = [*find_compiler(), *flags, *sanitize, str(source), "-o", str(program)]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     if "cannot find" in built.stderr and "tsan" in built.stderr:

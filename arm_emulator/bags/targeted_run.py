@@ -105,7 +105,7 @@ class TargetedRun(OfflineRun):
             raise session.fault
 
     def _instruct(self) -> None:
-        self._step.measure(self._loop, self.session.tick)
+        self._step.measure(self.session.plant)
         target = self._targets.get(self.session.tick)
         if target is not None:
             self.aimed = target.q

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
@@ -79,9 +78,6 @@ class Clock:
 
     def go_on(self) -> None:
         """Continue as if time had not been stopped."""
-
-    def break_at(self, stop: CData) -> None:
-        """Stop behind the period after which an ``int32_t`` in C is not 0; NULL: never."""
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick."""

@@ -10,9 +10,10 @@ from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import CPP_FLAGS
 from arm_emulator.build.unit import Unit, compile_units, library
 from arm_emulator.core import CORE
-from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET, REAL_TIME, SENSITIVITY
+from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET, SENSITIVITY
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.tick.c import FOLDERS, REAL_TIME
 
 # Directions of derivatives that one run follows. With 16, whose numbers fill more registers than
 # there are, one direction takes twice as long.
@@ -97,7 +98,7 @@ def sensitivity_library_of(scene: Scene) -> Library:
 
 
 def real_time_library() -> Library:
-    """Return the compiled loop of core/boundary/real_time.h, see `library_of`."""
+    """Return the compiled loop of tick/c/real_time.h, see `library_of`."""
     return library(real_time_unit())
 
 
@@ -137,8 +138,9 @@ def fleet_unit(scene: Scene) -> Unit:
 
 def real_time_unit() -> Unit:
     """Return the sources of `real_time_library`."""
-    source = '#include "boundary/real_time.cpp"\n'
-    return _unit("real_time", source, (REAL_TIME,), "real time", "the real-time loop")
+    source, about = '#include "real_time.cpp"\n', "the real-time loop"
+    headers, where, part = (REAL_TIME,), "real time", "real_time.cpp"
+    return Unit("real_time", source, FLAGS, FOLDERS, headers, where, about, part)
 
 
 def _unit(name: str, source: str, headers: tuple[Header, ...], where: str, about: str) -> Unit:

@@ -1,4 +1,4 @@
-"""Control code in C as a step of `arm_emulator.machine.firmware_loop`."""
+"""Control code in C as a controller of `arm_emulator.machine.firmware_loop`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class ControlCode:
 
     Attributes:
         name: for refusals.
-        step: the function that core/boundary/firmware_loop.h calls in every period.
+        step: the function that tick/c/firmware_controller.h calls in every period.
         with_: pointer that it gets.
         stop: where a number lies that is not 0 after a step that ends the run; NULL: nowhere.
-        struct: a ``firmware_loop`` where others can see the tick.
+        struct: a ``firmware_controller`` where others can see the tick.
     """
 
     name: str

@@ -14,10 +14,10 @@ from arm_emulator.base.text_file import read_bytes
 from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.build.elf import why_no_library
 from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP
-from arm_emulator.machine.firmware_loop import firmware_loop
+from arm_emulator.machine.core_calls import ARM, FIRMWARE
 from arm_emulator.machine.library_memory import LibraryMemory
 from arm_emulator.machine.plant import Plant
+from arm_emulator.tick.c import FIRMWARE_CONTROLLER, tick_calls
 
 ENTRY = "arm_firmware"
 VERSION = FIRMWARE.constant("FIRMWARE_VERSION")
@@ -52,8 +52,8 @@ class Doing(enum.IntEnum):
 def new_progress(memory: mmap.mmap | None = None) -> CData:
     """Return a ``firmware_progress``, in memory that others share if some is given."""
     if memory is None:
-        return FIRMWARE_LOOP.new("firmware_progress")
-    return FIRMWARE_LOOP.ffi.from_buffer("firmware_progress *", memory)
+        return FIRMWARE_CONTROLLER.new("firmware_progress")
+    return FIRMWARE_CONTROLLER.ffi.from_buffer("firmware_progress *", memory)
 
 
 class Firmware(ControlCode):
@@ -97,9 +97,9 @@ class Firmware(ControlCode):
             raise Refusal(self.name, "version", f"be {VERSION}, that of firmware.h", at.version)
         if not at.step:
             raise Refusal(self.name, "step", "be a function", "a null pointer")
-        self.step = firmware_loop().firmware_loop_step
+        self.step = tick_calls().firmware_controller_step
         self._firmware, self.with_ = at, FIRMWARE.ffi.cast("void *", at)
-        self.struct = FIRMWARE_LOOP.ffi.addressof(self.progress, "loop")
+        self.struct = FIRMWARE_CONTROLLER.ffi.addressof(self.progress, "controller")
 
     def start(self, plant: Plant, period_ns: int) -> None:
         """Pass the machine's description to the code.

@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, Reached, RealTimeFigures
 from arm_emulator.machine.plant import Plant
@@ -74,10 +73,6 @@ class LoopClock(Clock):
         """Continue as if time had not been stopped; missed deadlines are lateness."""
         self.running = True
         self.loop.go_on()
-
-    def break_at(self, stop: CData) -> None:
-        """Stop behind the period after which an ``int32_t`` in C is not 0; NULL: never."""
-        self.loop.break_at(stop)
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick, without Python's lock."""

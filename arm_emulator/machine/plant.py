@@ -36,6 +36,7 @@ from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
+from arm_emulator.tick.c import TICK, tick_calls
 
 # Where people look for what a machine has elsewhere.
 INSIDE: Mapping[str, Iterable[str]] = {
@@ -55,9 +56,10 @@ class Plant(CoreMachine):
         scene: the machine.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
         bounds: how large what is set may be, by its name in `PlantState`.
-        core: the compiled core (core/boundary/arm.h); this and the next two are for doors in C.
+        core: the compiled core (core/boundary/arm.h); this and the next four are for doors in C.
         machine: the core's handle of this machine.
         command, measurement: what `exchange` hands to the core.
+        ticks: ``tick_machine`` of tick/c/tick.h, by which doors in C go through servo periods.
 
     Args:
         scene: from `load_scene`, or what that takes: a name or a file.
@@ -92,6 +94,17 @@ class Plant(CoreMachine):
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
         self.measurement = ARM.new("arm_measurement", **self._place.arrays)
+        self.ticks = TICK.new(
+            "tick_machine",
+            joints=N,
+            machine=self.machine,
+            measure=self.core.arm_measure,
+            exchange=self.core.arm_exchange,
+            get_truth=self.core.arm_get_truth,
+            period=round(scene.servo_period * 1e9),
+            measurement=self.measurement,
+        )
+        self._exchange = tick_calls().tick_exchange
         self.link_angle_per_count = link_angle_per_count(scene)
         self._start_bounds = start_bounds(scene)
         if of:
@@ -118,11 +131,12 @@ class Plant(CoreMachine):
 
     @in_turn
     def __getstate__(self) -> tuple[Any, ...]:
-        return self.save(), self._added, self._reset_to, self._held.copy(), self.commanded
+        count = self.ticks.tick
+        return self.save(), count, self._added, self._reset_to, self._held.copy(), self.commanded
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.restore(state[0])
-        self._added, self._reset_to, self._held[:], commands = state[1:]
+        self.ticks.tick, self._added, self._reset_to, self._held[:], commands = state[1:]
         self._commands["value"], self._further[:] = commands[0], commands[1:]
 
     @in_turn
@@ -144,6 +158,7 @@ class Plant(CoreMachine):
         at = of_q.row(where, self.scene.start if q is None else q, N)
         speed = np.zeros(N) if v is None else of_v.row(where, v, N)
         self._reset_to = at.copy(), speed.copy()
+        self.ticks.tick = 0
         self.core.arm_reset(self.machine, pointer(at), pointer(speed))
 
     def advance(self, command: Commands, steps: int) -> None:
@@ -207,7 +222,7 @@ class Plant(CoreMachine):
             if self._has_further:
                 self._further[:] = 0.0 if others is None else others
             self.command.tick, self.command.came = tick, came
-            result = self.core.arm_exchange(self.machine, self.command, self.measurement)
+            result = self._exchange(self.ticks, self.command)
             if result == REFUSED:
                 commands, inputs = before
                 self._commands[:] = np.frombuffer(commands, self._commands.dtype)
@@ -231,10 +246,10 @@ class Plant(CoreMachine):
         return ANY_COMMAND.named(name).row(where, by_joint(given, self.scene, where), self._N)
 
     def exchange_in(self, loop: Callable[[], int]) -> None:
-        """Go through servo periods in a loop in C, over `command` and `measurement`.
+        """Go through servo periods in a loop in C, over `ticks`.
 
         Args:
-            loop: returns what ``arm_exchange`` returned last.
+            loop: returns what ``tick_exchange`` returned last.
 
         Raises:
             Refusal: a command was refused; the machine is where it was then.

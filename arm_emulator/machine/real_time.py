@@ -1,4 +1,4 @@
-"""The thread that owns time in real time: core/boundary/real_time.h, called from Python."""
+"""The thread that owns time in real time: tick/c/real_time.h, called from Python."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns
-from arm_emulator.build.c_header import NULL, CData
+from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.call_arguments import LARGEST_STEPS, commands_of
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
-from arm_emulator.machine.core_calls import ARM, PLACES, REAL_TIME
+from arm_emulator.machine.core_calls import ARM, PLACES
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
+from arm_emulator.tick.c import REAL_TIME
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023
@@ -63,10 +64,7 @@ class RealTimeLoop(Turns):
         self._calls = real_time_library()
         options = REAL_TIME.new(
             "arm_real_time_options",
-            joints=N,
-            machine=plant.machine,
-            exchange=plant.core.arm_exchange,
-            get_truth=plant.core.arm_get_truth,
+            at=plant.ticks,
             join_schedule=plant.core.arm_join_schedule,
             period=period_ns,
             core=core,
@@ -115,10 +113,6 @@ class RealTimeLoop(Turns):
     def go_on(self) -> None:
         """Continue as if it had not stopped; missed deadlines are lateness and lost periods."""
         self._calls.arm_real_time_go_on(self.handle)
-
-    def break_at(self, stop: CData) -> None:
-        """End behind the period after which an ``int32_t`` in C is not 0; NULL: never."""
-        self._calls.arm_real_time_break(self.handle, stop)
 
     def command(self, answered: int, command: Array, further: Array | None = None) -> None:
         """Set the commands (N,) [V, N m, A] for the periods to come; -1 answers no tick.

@@ -34,7 +34,7 @@ from arm_emulator.machine.tick_readings import TickReadings
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
-_PLACE = ("_tick", "fault", "_powered", "_paused")  # of a session in its run, but for its commands
+_PLACE = ("fault", "_powered", "_paused")  # of a session in its run, but for its commands
 STARTS = ("free_run", "first_answer", "paused")
 
 
@@ -95,7 +95,6 @@ class Session(Turns):
         self._goes_on = False  # after which a loop continues
         self._start, self._standing = start, standing
         self._answers = Answers(scene, self.lockstep)
-        self._tick = -1
         self.reset()
 
     @in_turn
@@ -147,9 +146,8 @@ class Session(Turns):
     def reset(self) -> None:
         """Restart at tick 0, as after construction. Power is unchanged."""
         with self.between_ticks():
-            self.plant.reset()
             self._answers.begin(self.tick)
-            self._tick = 0
+            self.plant.reset()
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
             self._read.forget()
@@ -229,7 +227,8 @@ class Session(Turns):
         """Return all that decides how the session goes on, its tick included, for `return_to`."""
         with self.between_ticks():
             kept = {name: getattr(self, name) for name in _PLACE}
-            return kept | {"machine": self.plant.save(), "answers": self._answers.save()}
+            saved = {"machine": self.plant.save(), "answers": self._answers.save()}
+            return kept | saved | {"tick": self.tick}
 
     @in_turn
     def return_to(self, saved: dict[str, Any]) -> None:
@@ -240,12 +239,14 @@ class Session(Turns):
         Raises:
             Refusal: it is something else; nothing has changed.
         """
-        if not isinstance(saved, dict) or not {"machine", "answers", *_PLACE} <= saved.keys():
+        keys = {"machine", "answers", "tick", *_PLACE}
+        if not isinstance(saved, dict) or not keys <= saved.keys():
             raise Refusal("Session.return_to", "saved", "be what `save` has returned", type(saved))
         with self.between_ticks():
             self.plant.restore(saved["machine"])
             self._take_machine()
             self._answers.restore(saved["answers"])
+            self.plant.ticks.tick = saved["tick"]
             for name in _PLACE:
                 setattr(self, name, saved[name])
 
@@ -325,8 +326,8 @@ class Session(Turns):
 
     @property
     def tick(self) -> int:
-        """Number of this servo period, from 0; only `advance` and `reset` change it."""
-        return self._tick
+        """Number of this servo period, from 0."""
+        return int(self.plant.ticks.tick)
 
     @property
     def logical_ns(self) -> int:
@@ -415,9 +416,6 @@ class Session(Turns):
         except Diverged as fault:
             self.fault = fault
         self._read.forget()
-        if self.fault is not None:
-            return
-        self._tick += 1
 
     @in_turn
     def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
@@ -431,15 +429,14 @@ class Session(Turns):
         self._check_open()
         left = (END_OF_TIME - 1 - self.logical_ns) // self.period_ns
         try:
-            loop.run(self.tick, min(ticks, left))
+            loop.run(min(ticks, left))
             if ticks > left:
                 self.fault = EndOfTime()
         except Diverged as fault:
             self.fault = fault
         finally:
             self._read.forget()
-            self._answers.put(loop.tick - 1, self.plant.commanded)
-            self._tick = loop.tick
+            self._answers.put(self.tick - 1, self.plant.commanded)
 
     @property
     def last_tick(self) -> int:
@@ -448,19 +445,17 @@ class Session(Turns):
         return (END_OF_TIME - 1) // self.period_ns if waits else self.tick
 
     @in_turn
-    def take_over(self, tick: int, before: Array) -> None:
-        """Take over that code in C has exchanged the answers to all ticks up to `tick`.
+    def take_over(self, before: Array) -> None:
+        """Take over that code in C has exchanged the answers to all ticks before this one.
 
         Args:
-            tick: where the machine is, behind the one last answered unless it diverged there.
             before: commands (N,) before the newest ones.
         """
         self.fault = self.plant.diverged
         self._read.forget()
         newest = self.plant.commanded
         rows = np.vstack([before, np.zeros_like(newest[1:])])
-        self._answers.put(tick if self.fault else tick - 1, newest, rows)
-        self._tick = tick
+        self._answers.put(self.tick if self.fault else self.tick - 1, newest, rows)
 
     @in_turn
     def take_over_held(self, newest: tuple[int, Array], before: tuple[int, Array]) -> None:
@@ -503,15 +498,13 @@ class Session(Turns):
 
     @in_turn
     def break_at(self, stop: CData) -> None:
-        """Let a loop stop behind the period after which an ``int32_t`` in C is not 0.
-
-        Where the owner lets time pass, that looks itself.
+        """Let loops in C stop behind the period after which an ``int32_t`` in C is not 0.
 
         Args:
             stop: pointer to it; NULL: it stops nowhere.
         """
         with self.between_ticks():
-            self._clock.break_at(stop)
+            self.plant.ticks.stop = stop
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick of a loop."""
@@ -523,7 +516,7 @@ class Session(Turns):
         reached = self._clock.take(newest=newest)
         if reached is None:
             return False
-        self._tick = reached.tick
+        self.plant.ticks.tick = reached.tick
         state = self._read.take(reached)
         if reached.fault >= 0:
             given = reached.measured.applied

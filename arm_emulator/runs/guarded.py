@@ -21,8 +21,8 @@ from typing import IO, NoReturn, TypeVar
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.core_calls import FIRMWARE_LOOP
 from arm_emulator.machine.firmware import Doing, new_progress
+from arm_emulator.tick.c import FIRMWARE_CONTROLLER
 
 Outcome = TypeVar("Outcome")
 
@@ -45,7 +45,7 @@ def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
     """
     if _debugged():
         return work(new_progress())
-    progress = new_progress(mmap.mmap(-1, FIRMWARE_LOOP.sizeof("firmware_progress")))
+    progress = new_progress(mmap.mmap(-1, FIRMWARE_CONTROLLER.sizeof("firmware_progress")))
     sys.stdout.flush()
     sys.stderr.flush()
     watcher = os.getpid()
@@ -56,7 +56,7 @@ def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
         try:
             status = _wait(child, name, progress)
         except KeyboardInterrupt:
-            print(f"{name}, tick {progress.loop.tick}: ended by a signal", file=sys.stderr)
+            print(f"{name}, tick {progress.controller.tick}: ended by a signal", file=sys.stderr)
             raise
         code = os.waitstatus_to_exitcode(status)
         if progress.doing == Doing.ENDED and code == 0:
@@ -66,7 +66,7 @@ def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
                 raise result
             return result
     got = f"exit with code {code}" if code >= 0 else _name(-code)
-    where = f"{name}, tick {progress.loop.tick}" if progress.doing == Doing.STEP else name
+    where = f"{name}, tick {progress.controller.tick}" if progress.doing == Doing.STEP else name
     raise Refusal(where, *Doing(progress.doing).must, got)
 
 
@@ -96,8 +96,8 @@ def _wait(child: int, name: str, progress: CData) -> int:
     with open(os.pidfd_open(child)) as end:
         try:
             while not select.select([end], [], [], LOOK)[0]:
-                stands = progress.doing != Doing.OURS and progress.loop.tick == tick
-                looks, tick = looks + 1 if stands else 0, progress.loop.tick
+                stands = progress.doing != Doing.OURS and progress.controller.tick == tick
+                looks, tick = looks + 1 if stands else 0, progress.controller.tick
                 if looks == round(REPORT_STALL / LOOK):
                     quantity = Doing(progress.doing).must[0]
                     print(

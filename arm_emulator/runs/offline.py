@@ -79,7 +79,7 @@ class OfflineRun(Uncopied, Closed):
         self._from_motion = _index(_places("joint_targets", names, servo.joint_names))
         self._step = ServoStep(self.drives, places)
         session = self.session
-        self._loop = FirmwareLoop(session.plant, session.period_ns, self._step)
+        self._loop = FirmwareLoop(session.plant, self._step)
 
     def __repr__(self) -> str:
         return f"<OfflineRun of {self.session.scene.name} at tick {self.session.tick}>"
@@ -145,7 +145,7 @@ class OfflineRun(Uncopied, Closed):
         """Let the motion controller answer what the servo has measured."""
         session, drives = self.session, self.drives
         now = session.logical_ns
-        self._step.measure(self._loop, session.tick)
+        self._step.measure(session.plant)
         q = drives.servo.q_measured[self._to_motion]
         v = drives.servo.v_measured[self._to_motion]
         tau = drives.servo.tau_measured[self._to_motion]

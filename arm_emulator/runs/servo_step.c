@@ -15,9 +15,9 @@ static void take(servo_step* one, int64_t now, const arm_measurement* measured) 
   servo_brakes(one->arm, one->closed);
 }
 
-void servo_step_measure(servo_step* one, firmware_loop* loop) {
-  loop->measure(loop->machine, loop->measurement);
-  take(one, loop->tick * loop->period, loop->measurement);
+void servo_step_measure(servo_step* one, tick_machine* at) {
+  tick_measure(at);
+  take(one, at->tick * at->period, at->measurement);
   one->measured = 1;
 }
 

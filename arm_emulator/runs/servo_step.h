@@ -1,8 +1,8 @@
-/* Our servo in the loop with a machine: a step of firmware_loop.h. C99. */
+/* Our servo in the loop with a machine: a step of firmware_controller.h. C99. */
 #ifndef SERVO_STEP_H
 #define SERVO_STEP_H
 
-#include "firmware_loop.h"
+#include "firmware_controller.h"
 #include "servo.h"
 
 typedef struct servo_step {
@@ -15,8 +15,8 @@ typedef struct servo_step {
 } servo_step;
 
 /* Take the measurement of the coming period before its step, for whoever sets a target by it. */
-void servo_step_measure(servo_step* one, firmware_loop* loop);
-/* firmware_loop's step; `with` is a servo_step. */
+void servo_step_measure(servo_step* one, tick_machine* at);
+/* firmware_controller's step; `with` is a servo_step. */
 void servo_step_step(void* with, const firmware_input* in, firmware_output* out);
 
 #endif

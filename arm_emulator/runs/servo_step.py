@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
-from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.firmware_loop import FirmwareLoop
+from arm_emulator.machine.plant import Plant
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.drives import Drives
+from arm_emulator.tick import c as tick
 
 HERE = Path(__file__).resolve().parent
-STEP = Header(HERE / "servo_step.h", (BOUNDARY, FOLDER))
+STEP = Header(HERE / "servo_step.h", (*tick.FOLDERS, FOLDER))
 
 
 def servo_step_unit() -> Unit:
     """Return servo and step as what is compiled."""
-    source = '#include "servo.c"\n#include "servo_step.c"\n'
-    folders = (FOLDER, BOUNDARY, HERE)
+    source = '#include "tick.c"\n#include "servo.c"\n#include "servo_step.c"\n'
+    folders = (FOLDER, *tick.FOLDERS, HERE)
     about = "the servo for runs without a network"
     return Unit("servo_step", source, C_FLAGS, folders, (STEP,), "servo", about, "servo.c")
 
@@ -83,7 +83,6 @@ class ServoStep(ControlCode):
         drives, self._closed[:], self.with_.measured = pickle.loads(saved)
         self._drives.restore(drives)
 
-    def measure(self, loop: FirmwareLoop, tick: int) -> None:
-        """Take the measurement of a tick before its step, so that a target can follow from it."""
-        loop.begin(tick)
-        self._calls.servo_step_measure(self.with_, loop.pointer)
+    def measure(self, plant: Plant) -> None:
+        """Take the measurement of this tick before its step, for a target that follows from it."""
+        self._calls.servo_step_measure(self.with_, plant.ticks)

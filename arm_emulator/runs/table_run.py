@@ -69,7 +69,7 @@ class TableRun:
         self._servo = servo  # it must not go before the loop
         servo.start(session.plant, session.period_ns)
         targets = None if table is None else self._targets(table)
-        self._loop = FirmwareLoop(session.plant, session.period_ns, servo, targets)
+        self._loop = FirmwareLoop(session.plant, servo, targets)
 
     def _targets(self, table: TargetTable) -> tuple[list[int], FloatArray]:
         """Return the ticks from which on rows hold, and the rows."""

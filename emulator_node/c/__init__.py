@@ -5,11 +5,11 @@ from pathlib import Path
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit
-from arm_emulator.core import BOUNDARY
 from arm_emulator.ros.c import FOLDER as ROS_FOLDER
+from arm_emulator.tick.c import FOLDERS as TICK_FOLDERS
 
 FOLDER = Path(__file__).resolve().parent
-FOLDERS = (FOLDER, ROS_FOLDER, BOUNDARY)
+FOLDERS = (FOLDER, ROS_FOLDER, *TICK_FOLDERS)
 MOTOR_COMMANDS = Header(FOLDER / "motor_commands.h", FOLDERS)
 ANSWERED_TICKS = Header(FOLDER / "answered_ticks.h", FOLDERS)
 REAL_TIME_TICKS = Header(FOLDER / "real_time_ticks.h", FOLDERS)
@@ -26,6 +26,6 @@ def real_time_ticks_unit() -> Unit:
 
 
 def _unit(name: str, header: Header, about: str) -> Unit:
-    parts = ("messages.c", "message_reader.c", "motor_commands.c", f"{name}.c")
+    parts = ("messages.c", "message_reader.c", "motor_commands.c", "tick.c", f"{name}.c")
     source = "".join(f'#include "{one}"\n' for one in parts)
     return Unit(name, source, C_FLAGS, FOLDERS, (header,), "emulator", about, f"{name}.c")

@@ -3,8 +3,8 @@
 #ifndef ANSWERED_TICKS_H
 #define ANSWERED_TICKS_H
 
-#include "arm.h"
 #include "motor_commands.h"
+#include "tick.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -12,14 +12,10 @@ extern "C" {
 
 typedef struct answered_ticks {
   uint32_t size;
-  int32_t joints;
-  /* The machine, and the functions of its library. */
-  arm_machine* machine;
-  int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
-  int (*get_truth)(const arm_machine*, arm_truth*);
+  int32_t reserved;
+  tick_machine* at;
   arm_joint_command* joint; /* of the command */
   arm_command* command;
-  arm_measurement* measurement;
   arm_truth* truth;
   motor_commands commands;
   /* Published at each tick, and at each tick that is a multiple of `report_ticks`. */
@@ -27,13 +23,10 @@ typedef struct answered_ticks {
   ros_message *motor_state, *joint_state, *clock;
   int64_t report_ticks;
   ros_log* log;
-  int64_t period; /* ns */
   /* The run. Python sets them while no message is taken. */
-  int64_t tick;
-  int64_t last;        /* tick that is not left: the command that answers it is Python's */
-  double* before;      /* commands before the newest ones */
-  int64_t result;      /* of the newest exchange */
-  const int32_t* stop; /* not 0: the tick that was reached is not left; may be null */
+  int64_t last;   /* tick that is not left: the command that answers it is Python's */
+  double* before; /* commands before the newest ones */
+  int64_t result; /* of the newest exchange */
 } answered_ticks;
 
 /* `take` of a ros_topic: go through a servo period, unless the message or the time is unusual. */

@@ -55,7 +55,7 @@ int real_time_ticks_catch_up(real_time_ticks* ticks) {
       for_python = 1; /* it has not reached another tick */
     else
       publish(ticks);
-    if (ticks->stop && __atomic_load_n(ticks->stop, __ATOMIC_ACQUIRE)) for_python = 1;
+    if (tick_stops(ticks->at)) for_python = 1;
   }
   pthread_mutex_unlock(&ticks->locks->publishing);
   return for_python;

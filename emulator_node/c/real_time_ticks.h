@@ -29,8 +29,8 @@ typedef struct real_time_ticks {
   motor_commands commands;
   arm_joint_command* joint; /* of the command */
   arm_command* command;
-  const int32_t* stop; /* not 0: the loop has stopped, which is Python's; may be null */
-  int32_t closing;     /* 1: `run` returns */
+  const tick_machine* at; /* where the loop stops, Python has to look */
+  int32_t closing;        /* 1: `run` returns */
   /* Guarded by the locks. */
   real_time_locks* locks;
   int64_t open;                      /* 0: all commands are Python's */

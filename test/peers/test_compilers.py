@@ -25,13 +25,13 @@ from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.formula_library import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
+from arm_emulator.tick.c import tick_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from oracles.mixtures import write_mixture
 from servo_node.c import answered_states_unit
@@ -80,7 +80,7 @@ def units(folder: Path) -> Iterator[Unit]:
         yield machine_unit(scene)
         yield equations_unit(scene)
         yield fleet_unit(scene)
-    yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
+    yield from (servo_unit(), servo_step_unit(), tick_unit(), real_time_unit())
     yield from (record_ring_unit(), formula_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
     yield from (

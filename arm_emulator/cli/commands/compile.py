@@ -17,7 +17,6 @@ from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.formula_library import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
@@ -25,6 +24,7 @@ from arm_emulator.motion.way_library import way_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
+from arm_emulator.tick.c import tick_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from servo_node.c import answered_states_unit
 
@@ -51,7 +51,7 @@ def compile_scene(
         servo: compile our servo with the scene's gains, too.
     """
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
-    code = [servo_unit(), way_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
+    code = [tick_unit(), servo_unit(), way_unit(), servo_step_unit(), record_ring_unit()]
     code += [formula_unit(), judges_unit(), sampler_unit()]
     code += [
         middleware_unit(),

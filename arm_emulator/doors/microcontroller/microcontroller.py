@@ -1,4 +1,4 @@
-"""A microcontroller with firmware as a step of `arm_emulator.machine.firmware_loop`: runner.h."""
+"""A microcontroller with firmware as control code of a `FirmwareLoop`: runner.h."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ void mcu_debug(mcu_runner* runner, int socket);
 /* Let the debugger halt the processor before its next instruction when a flag is not 0, which is 0
  * again then; null: never. */
 void mcu_break(mcu_runner* runner, int32_t* flag);
-/* firmware_loop's step; `with` is the runner. */
+/* firmware_controller's step; `with` is the runner. */
 void mcu_step(void* with, const firmware_input* in, firmware_output* out);
 /* Reason for which no checkpoint can be made now, or null. */
 const char* mcu_unkept(const mcu_runner* runner);

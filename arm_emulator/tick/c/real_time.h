@@ -3,7 +3,7 @@
 #ifndef ARM_REAL_TIME_H
 #define ARM_REAL_TIME_H
 
-#include "arm.h"
+#include "tick.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -11,20 +11,18 @@ extern "C" {
 
 typedef struct arm_real_time arm_real_time;
 
-/* The machine, and the functions of its library. The machine must outlive the loop. */
+/* The machine, which must outlive the loop. */
 typedef struct arm_real_time_options {
   uint32_t size;
-  int32_t joints;
-  arm_machine* machine;
-  int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
-  int (*get_truth)(const arm_machine*, arm_truth*);
-  int (*join_schedule)(arm_machine*);
-  int64_t period;   /* ns */
-  int32_t core;     /* processor core of the thread; -1: any */
-  int32_t imus;     /* inertial measurement units, arm_description.imus */
-  int32_t readings; /* rows of them, arm_description.readings */
-  int32_t inputs;   /* rows of further inputs, arm_description.inputs */
-  int32_t readers;  /* threads that take snapshots, each all of them; 0: one, at most 2 */
+  int32_t reserved;
+  const tick_machine* at;
+  int (*join_schedule)(arm_machine*); /* of its library */
+  int64_t period;                     /* ns, may be another one than the machine's */
+  int32_t core;                       /* processor core of the thread; -1: any */
+  int32_t imus;                       /* inertial measurement units, arm_description.imus */
+  int32_t readings;                   /* rows of them, arm_description.readings */
+  int32_t inputs;                     /* rows of further inputs, arm_description.inputs */
+  int32_t readers; /* threads that take snapshots, each all of them; 0: one, at most 2 */
 } arm_real_time_options;
 
 /* Result of a period: the machine at the tick that ends it. Every pointer may be null, in `truth`
@@ -59,8 +57,8 @@ typedef struct arm_real_time_figures {
 /* Return a loop that does not run yet, or null if the options make no sense. */
 arm_real_time* arm_real_time_new(const arm_real_time_options* options);
 void arm_real_time_delete(arm_real_time* loop);
-/* Run from `tick`, the machine's, until stopped or diverged. While it runs, no other thread may use
- * the machine. */
+/* Run from `tick`, the machine's, until stopped or diverged, or where tick_machine.stop ends loops,
+ * as it was at the start. While it runs, no other thread may use the machine. */
 void arm_real_time_start(arm_real_time* loop, int64_t tick);
 /* Stop within a period. The machine may be changed until the loop starts or continues. */
 void arm_real_time_stop(arm_real_time* loop);
@@ -68,10 +66,6 @@ void arm_real_time_stop(arm_real_time* loop);
 void arm_real_time_go_on(arm_real_time* loop);
 /* The newest command wins. It may be given and replaced at any time, by one thread. */
 void arm_real_time_command(arm_real_time* loop, const arm_command* command);
-/* End behind the period after which `*stop` is not 0, as a breakpoint.h sets it at the end of an
- * exchange; null: never. The loop must not run meanwhile, and starts or continues as after a stop.
- */
-void arm_real_time_break(arm_real_time* loop, const int32_t* stop);
 /* Copy the oldest snapshot that a reader, from 0 on, has not taken yet; 0 if it has taken all, or
  * if a size is not that of its struct. */
 int arm_real_time_take(arm_real_time* loop, int32_t reader, arm_snapshot* out);

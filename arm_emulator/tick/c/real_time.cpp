@@ -1,6 +1,6 @@
 // Real time: a thread of its own that wakes at absolute deadlines, one per servo period, and takes
-// the machine through the period that has just passed. A client of arm.h, in a library of its own:
-// one serves the machines of every scene.
+// the machine through the period that has just passed: the clock of tick.h for real time, in a
+// library of its own. One serves the machines of every scene.
 //
 // It shares no lock. Commands arrive through a sequence-checked cell in which the newest wins;
 // states leave through a ring with one writer and one reader. Periods whose deadline has passed are
@@ -19,6 +19,8 @@
 #include <iterator>
 #include <thread>
 #include <vector>
+
+#include "tick.c"
 
 namespace arm_loop {
 
@@ -222,11 +224,11 @@ using namespace arm_loop;
 struct arm_real_time {
   static constexpr std::int64_t kOldAfter = 2;  // servo periods
 
-  explicit arm_real_time(const arm_real_time_options& options)
-      : arm(options),
+  explicit arm_real_time(const arm_real_time_options& given)
+      : options(given),
         bell(eventfd(0, EFD_NONBLOCK)),
-        cell(options.joints, options.inputs),
-        ring(options.joints, options.imus, options.readings, options.inputs, options.readers) {}
+        cell(options.at->joints, options.inputs),
+        ring(options.at->joints, options.imus, options.readings, options.inputs, options.readers) {}
 
   ~arm_real_time() {
     stop();
@@ -243,20 +245,22 @@ struct arm_real_time {
   void go_on() {
     stop();
     stopping.store(false);
-    thread = std::jthread([this] { run(); });
+    tick_machine at = *options.at;
+    at.tick = tick.load();
+    thread = std::jthread([this, at] { run(at); });
   }
 
   void stop() {
     stopping.store(true);
     if (!thread.joinable()) return;
     thread.join();
-    arm.join_schedule(arm.machine);
+    options.join_schedule(options.at->machine);
   }
 
-  void run() {
+  void run(tick_machine at) {
     become_real_time();
-    const auto joints = static_cast<std::size_t>(arm.joints);
-    const std::size_t further = joints * static_cast<std::size_t>(arm.inputs);
+    const auto joints = static_cast<std::size_t>(options.at->joints);
+    const std::size_t further = joints * static_cast<std::size_t>(options.inputs);
     const Cell::Entries none = {std::vector<arm_joint_command>(joints),
                                 std::vector<double>(further)};
     Cell::Entries wanted = none, scratch = none;
@@ -265,60 +269,60 @@ struct arm_real_time {
     command.size = sizeof command, command.tick = -1, command.joint = wanted.joints.data();
     command.further = wanted.further.data();
     std::vector<arm_joint_sensors> sensors(joints);
-    std::vector<arm_imu_measurement> units(static_cast<std::size_t>(arm.imus));
+    std::vector<arm_imu_measurement> units(static_cast<std::size_t>(options.imus));
     arm_measurement measurement = {};
     measurement.size = sizeof measurement, measurement.answered = -1;
     measurement.joint = measured.data(), measurement.sensors = sensors.data();
     measurement.imu = units.data();
     std::vector<double> current_d(joints);
-    std::vector<double> readings(joints * static_cast<std::size_t>(arm.readings));
+    std::vector<double> readings(joints * static_cast<std::size_t>(options.readings));
     std::vector<double> got(further);
     measurement.current_d = current_d.data(), measurement.readings = readings.data();
     measurement.further = got.data();
+    at.measurement = &measurement;
     while (!stopping.load(std::memory_order_relaxed)) {
-      due += arm.period;
+      due += options.period;
       sleep_until(due);
       const std::int64_t lateness = now() - due;
       late.note(lateness);
-      if (lateness >= arm.period) {
-        const std::int64_t lost = lateness / arm.period;
+      if (lateness >= options.period) {
+        const std::int64_t lost = lateness / options.period;
         lost_periods.fetch_add(lost);
-        due += lost * arm.period;
+        due += lost * options.period;
       }
       cell.read(command, wanted, scratch);
-      const std::int64_t k = tick.load(std::memory_order_relaxed);
-      if (command.tick >= 0 && k - command.tick > kOldAfter) old_commands.fetch_add(1);
+      if (command.tick >= 0 && at.tick - command.tick > kOldAfter) old_commands.fetch_add(1);
       const std::int64_t began = now();
-      int result = arm.exchange(arm.machine, &command, &measurement);
+      int result = tick_exchange(&at, &command);
       if (result == ARM_REFUSED) {  // an invalid command: nothing is applied
         for (arm_joint_command& joint : wanted.joints) joint.enable = 0;
         command.tick = -1;
-        result = arm.exchange(arm.machine, &command, &measurement);
+        result = tick_exchange(&at, &command);
       }
-      const bool sound = result == ARM_OK;
       const std::int64_t spent = now() - began;
-      if (sound) tick.store(k + 1);
-      publish(sound ? k + 1 : k, command.tick, lateness, spent, measurement);
-      if (!sound || (breaks && __atomic_load_n(breaks, __ATOMIC_ACQUIRE))) return;
+      tick.store(at.tick);
+      publish(at, command.tick, lateness, spent);
+      if (result != ARM_OK || tick_stops(&at)) return;
     }
   }
 
-  void publish(std::int64_t at, std::int64_t answered, std::int64_t lateness, std::int64_t spent,
-               const arm_measurement& measured) {
+  void publish(const tick_machine& at, std::int64_t answered, std::int64_t lateness,
+               std::int64_t spent) {
     arm_snapshot* const out = ring.free();
     if (!out) {
       unread.fetch_add(1);
       return;
     }
-    out->tick = at, out->answered = answered;
+    out->tick = at.tick, out->answered = answered;
     out->lateness = lateness, out->spent = spent;
-    arm.get_truth(arm.machine, &out->truth);
-    std::copy_n(measured.joint, arm.joints, out->joint);
-    std::copy_n(measured.sensors, arm.joints, out->sensors);
-    std::copy_n(measured.imu, arm.imus, out->imu);
-    std::copy_n(measured.current_d, arm.joints, out->current_d);
-    std::copy_n(measured.readings, arm.readings * arm.joints, out->readings);
-    std::copy_n(measured.further, arm.inputs * arm.joints, out->further);
+    at.get_truth(at.machine, &out->truth);
+    const arm_measurement& measured = *at.measurement;
+    std::copy_n(measured.joint, at.joints, out->joint);
+    std::copy_n(measured.sensors, at.joints, out->sensors);
+    std::copy_n(measured.imu, options.imus, out->imu);
+    std::copy_n(measured.current_d, at.joints, out->current_d);
+    std::copy_n(measured.readings, options.readings * at.joints, out->readings);
+    std::copy_n(measured.further, options.inputs * at.joints, out->further);
     ring.publish();
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
@@ -329,25 +333,24 @@ struct arm_real_time {
     sched_param priority = {};
     priority.sched_priority = 50;
     const bool permitted = pthread_setschedparam(pthread_self(), SCHED_FIFO, &priority) == 0;
-    fifo.store(arm.join_schedule(arm.machine) && permitted);
+    fifo.store(options.join_schedule(options.at->machine) && permitted);
 #ifdef MCL_ONFAULT
     locked.store(mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0);
 #endif
-    if (arm.core < 0) return;
+    if (options.core < 0) return;
     cpu_set_t cores;
     CPU_ZERO(&cores);
-    CPU_SET(static_cast<unsigned>(arm.core), &cores);
+    CPU_SET(static_cast<unsigned>(options.core), &cores);
     pthread_setaffinity_np(pthread_self(), sizeof cores, &cores);
   }
 
-  const arm_real_time_options arm;
+  const arm_real_time_options options;
   const int bell;
   Cell cell;
   Ring ring;
   Lateness late;
   std::atomic<bool> stopping = false;
-  const std::int32_t* breaks = nullptr;  // flag that ends the loop
-  std::int64_t due = 0;                  // ns, when the newest period ended or should have
+  std::int64_t due = 0;  // ns, when the newest period ended or should have
   std::atomic<std::int64_t> tick = 0, lost_periods = 0, old_commands = 0, unread = 0;
   std::atomic<std::int64_t> fifo = 0, locked = 0;
   std::jthread thread;  // last: it uses all of the above
@@ -356,11 +359,12 @@ struct arm_real_time {
 #pragma GCC visibility push(default)
 
 arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
-  const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
-                     options->machine && options->exchange && options->get_truth &&
-                     options->join_schedule && options->period > 0 && options->core >= -1 &&
-                     options->imus >= 0 && options->readings >= 0 && options->inputs >= 0 &&
-                     options->readers >= 0 && options->readers <= 2;
+  const tick_machine* at = options ? options->at : nullptr;
+  const bool sound = at && options->size >= sizeof *options && at->joints > 0 && at->machine &&
+                     at->exchange && at->get_truth && options->join_schedule &&
+                     options->period > 0 && options->core >= -1 && options->imus >= 0 &&
+                     options->readings >= 0 && options->inputs >= 0 && options->readers >= 0 &&
+                     options->readers <= 2;
   return sound ? new arm_real_time(*options) : nullptr;
 }
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }
@@ -375,9 +379,6 @@ void arm_real_time_go_on(arm_real_time* loop) {
 }
 void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
   if (loop && command && command->joint) loop->cell.write(*command);
-}
-void arm_real_time_break(arm_real_time* loop, const std::int32_t* stop) {
-  if (loop) loop->breaks = stop;
 }
 int arm_real_time_take(arm_real_time* loop, std::int32_t reader, arm_snapshot* out) {
   return loop && out && out->size >= sizeof *out && out->truth.size >= sizeof out->truth &&

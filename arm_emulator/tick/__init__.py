@@ -1,0 +1,1 @@
+"""One servo period of a machine, for every door; what imports what is in CONTRIBUTING.md."""

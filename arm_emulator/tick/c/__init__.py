@@ -1,0 +1,24 @@
+"""The tick layer: a period of two calls, loops, clocks; its headers and what is compiled."""
+
+from pathlib import Path
+
+from arm_emulator.build.c_header import Header
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit, compiled_once
+from arm_emulator.core import BOUNDARY
+
+FOLDER = Path(__file__).resolve().parent
+FOLDERS = (FOLDER, BOUNDARY)
+TICK = Header(FOLDER / "tick.h", FOLDERS)
+FIRMWARE_CONTROLLER = Header(FOLDER / "firmware_controller.h", FOLDERS)
+REAL_TIME = Header(FOLDER / "real_time.h", FOLDERS)
+
+
+def tick_unit() -> Unit:
+    """Return periods, their loop and control code as what is compiled."""
+    source = '#include "tick.c"\n#include "firmware_controller.c"\n'
+    headers, about = (TICK, FIRMWARE_CONTROLLER), "servo periods"
+    return Unit("tick", source, C_FLAGS, FOLDERS, headers, "tick", about, "tick.c")
+
+
+tick_calls = compiled_once(tick_unit)
