@@ -20,10 +20,8 @@ from arm_emulator.doors.fieldbus.object_dictionary import (
     entries_of,
     modes,
 )
-from arm_emulator.machine.inputs import modes_of
+from arm_emulator.machine.inputs import further_inputs, modes_of
 from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.measured import rows_of
-from arm_emulator.machine.parts.output import FURTHER, READINGS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig
@@ -82,26 +80,19 @@ class Drives:
             self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode.number - 1
         names = [_text(name) for name in (*scene.joint_names, scene.name)]
         self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
-        rows = rows_of(scene)
         places, inputs = declared.places(scene, UNITS), declared.input_rows(scene)
         faults = [_text(one.varied.name) for one in scene.faults]
         fault = DRIVES.ffi.new("char *[]", faults)
         self._kept = names, places, inputs, faults, fault  # they must outlive the drives
         self._machine = DRIVES.new(
             "drives_machine",
-            joints=len(self._joints),
             bus=bus,
             home_offset=_HOME_OFFSETS[scene.home_offset],
-            machine=plant.machine,
-            measure=plant.core.arm_measure,
-            exchange=plant.core.arm_exchange,
-            period=round(scene.servo_period * 1e9),
+            at=plant.ticks,
             supply_voltage=scene.supply_voltage,
             device_name=names[-1],
             joint=self._joints,
-            readings=len(rows[READINGS]),
-            further=len(rows[FURTHER]),
-            units=len(scene.imus),
+            further=len(further_inputs(scene)),
             outputs=len(declared.REPORTED),
             inputs=len(declared.TAKEN),
             place=places,
@@ -166,15 +157,7 @@ class Drives:
             Refusal: the machine refused a command.
             Diverged: the machine did; the drives are in Fault.
         """
-
-        def go() -> int:
-            result = int(self.calls.drives_periods(self.pointer, periods))
-            # The drives have measurements of their own; the plant has its newest one.
-            plant = self.plant
-            plant.core.arm_measure(plant.machine, plant.measurement)
-            return result
-
-        self.plant.exchange_in(go)
+        self.plant.exchange_in(lambda: int(self.calls.drives_periods(self.pointer, periods)))
 
     def upload(self, drive: int, index: int, sub: int = 0) -> bytes:
         """Return the bytes of an entry, little-endian.

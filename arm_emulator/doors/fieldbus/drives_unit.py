@@ -7,9 +7,9 @@ from pathlib import Path
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, compiled_once
-from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus import declared
 from arm_emulator.servo.c import FOLDER
+from arm_emulator.tick import c as tick
 
 DRIVES_CORE = Path(__file__).resolve().parent / "core"
 
@@ -19,9 +19,9 @@ DRIVES_FLAGS = (
     *"-fno-semantic-interposition -pthread".split(),
     *SHARED,
 )
-SOURCE = f'#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
+SOURCE = f'#include "tick.c"\n#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
 
-DRIVES = Header(DRIVES_CORE / "drives.h", (BOUNDARY, FOLDER))
+DRIVES = Header(DRIVES_CORE / "drives.h", (*tick.FOLDERS, FOLDER))
 ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
 UNITS = DRIVES.constant("DRIVES_UNITS")
 
@@ -44,7 +44,7 @@ def drives_unit(
         name,
         SOURCE + source,
         DRIVES_FLAGS,
-        (DRIVES_CORE, FOLDER, BOUNDARY),
+        (DRIVES_CORE, FOLDER, *tick.FOLDERS),
         (DRIVES, *headers),
         "fieldbus",
         about,

@@ -8,18 +8,18 @@ import os
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, Header, Library
 from arm_emulator.build.unit import Unit, compiled_once
-from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus.drives import Drives
 from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
+from arm_emulator.tick import c as tick
 
 MEMORY = 0x3000  # bytes of a slave
 LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 
-SEGMENT = Header(DRIVES_CORE / "ethercat.h", (BOUNDARY, FOLDER))
+SEGMENT = Header(DRIVES_CORE / "ethercat.h", (*tick.FOLDERS, FOLDER))
 
 
 def ethercat_unit() -> Unit:

@@ -38,8 +38,8 @@ struct Axis {
   Axis(const drives_joint& of, const drives_machine& machine)
       : joint(of),
         units(of.servo),
-        period(machine.period),
-        dt(1e-9 * static_cast<double>(machine.period)),
+        period(machine.at->period),
+        dt(1e-9 * static_cast<double>(machine.at->period)),
         home_to_zero(machine.home_offset == DRIVES_HOME_TO_ZERO),
         values(static_cast<Bus>(machine.bus)) {}
 

@@ -10,18 +10,19 @@ namespace fieldbus {
 
 class DeclaredValues {
  public:
-  DeclaredValues(const drives_machine& machine, int joint, const arm_measurement& all) : all_(all) {
+  DeclaredValues(const drives_machine& machine, int joint) : all_(*machine.at->measurement) {
+    const int joints = machine.at->joints;
     const int* row = machine.place + joint * machine.outputs * DRIVES_UNITS;
     for (const Reported& one : kReported)
       for (int unit = 0; unit < DRIVES_UNITS; ++unit, ++row)
         for (int axis = 0; axis < (one.per_unit ? kAxes : 1) && *row >= 0; ++axis) {
           const int sub = one.per_unit ? 1 + kAxes * unit + axis : 0;
           const int slot = slot_of(one.index, static_cast<std::uint8_t>(sub));
-          reported_.push_back({slot, one.value, {machine.joints, joint, *row, axis}});
+          reported_.push_back({slot, one.value, {joints, joint, *row, axis}});
         }
     row = machine.input + joint * machine.inputs;
     for (const Taken& one : kTaken)
-      taken_.push_back({slot_of(one.index, 0), *row * machine.joints + joint, *row++ >= 0});
+      taken_.push_back({slot_of(one.index, 0), *row * joints + joint, *row++ >= 0});
   }
 
   void publish(Values& values) const {

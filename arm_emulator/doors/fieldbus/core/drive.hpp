@@ -19,13 +19,11 @@ namespace fieldbus {
 
 class Drive {
  public:
-  // `joint` and `all`, which has the newest measurement, must outlive the drive, and the drive its
-  // place.
-  Drive(const drives_joint& joint, const drives_machine& machine, int number,
-        const arm_measurement& all)
+  // `joint` and `machine` must outlive the drive, and the drive its place.
+  Drive(const drives_joint& joint, const drives_machine& machine, int number)
       : axis_(joint, machine),
         loops_(joint.servo),
-        declared_(machine, number, all),
+        declared_(machine, number),
         faults_(machine),
         supply_(machine.supply_voltage),
         number_(number) {

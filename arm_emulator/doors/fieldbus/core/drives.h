@@ -12,6 +12,7 @@
 
 #include "arm.h"
 #include "servo.h"
+#include "tick.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -40,23 +41,19 @@ typedef struct drives_joint {
   uint32_t motor_type;     /* of 0x6402 */
 } drives_joint;
 
-/* The machine, the functions of its library, and the joints base to tool. */
+/* The machine, functions of its library, and the joints base to tool. */
 typedef struct drives_machine {
   uint32_t size;
-  int32_t joints;
   int32_t bus;         /* enum drives_bus */
   int32_t home_offset; /* enum drives_home_offset */
-  arm_machine* machine;
-  int (*measure)(const arm_machine*, arm_measurement*);
-  int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
-  int64_t period;            /* ns, servo period */
-  double supply_voltage;     /* V */
-  const char* device_name;   /* of the scene */
-  const drives_joint* joint; /* an entry per joint */
-  /* Rows of arm_measurement.readings and of .further, and entries of .imu. */
-  int32_t readings, further, units;
+  int32_t reserved;
+  tick_machine* at;              /* with all arrays of its measurement */
+  double supply_voltage;         /* V */
+  const char* device_name;       /* of the scene */
+  const drives_joint* joint;     /* an entry per joint */
+  int32_t further, reserved_too; /* rows of arm_command.further */
   /* Declared by parts, as objects: outputs, inputs of motors. */
-  int32_t outputs, inputs, reserved_too;
+  int32_t outputs, inputs;
   /* Where each output is, by joint, output and unit on its link: its row, or the unit; -1: the
    * joint has no such value, which is 0. */
   const int32_t* place;
@@ -88,10 +85,10 @@ int drives_restore(drives* all, const drives_state* state);
 /* Bytes of a state. */
 uint64_t drives_state_size(const drives* all);
 
-/* Advance by one servo period: every drive's loops, one arm_exchange. Returns its result; once it
+/* Advance by one servo period: every drive's loops, one tick_exchange. Returns its result; once it
  * is not ARM_OK the drives are in Fault. */
 int drives_period(drives* all);
-/* The same for so many periods, or fewer where one is not ARM_OK. */
+/* The same for so many periods, or fewer, see tick_run. */
 int drives_periods(drives* all, int64_t periods);
 /* Number of the present tick. */
 int64_t drives_tick(const drives* all);

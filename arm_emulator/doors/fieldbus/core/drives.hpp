@@ -11,54 +11,50 @@
 struct drives {
   explicit drives(const drives_machine& of)
       : machine(of),
-        command(static_cast<std::size_t>(of.joints)),
-        measured(static_cast<std::size_t>(of.joints)),
-        sensors(static_cast<std::size_t>(of.joints)),
-        imu(static_cast<std::size_t>(of.units)),
-        current_d(static_cast<std::size_t>(of.joints)),
-        readings(static_cast<std::size_t>(of.joints * of.readings)),
-        further(static_cast<std::size_t>(of.joints * of.further)),
-        further_command(further) {
-    for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine, j, measurement);
+        joints(static_cast<std::size_t>(of.at->joints)),
+        further(joints.size() * static_cast<std::size_t>(of.further)) {
+    for (int j = 0; j < count(); ++j) one.emplace_back(of.joint[j], machine, j);
     for (fieldbus::Drive& drive : one) sdo.emplace_back(drive);
-    measurement.size = sizeof measurement;
-    measurement.joint = measured.data();
-    measurement.sensors = sensors.data();
-    measurement.imu = imu.data();
-    measurement.current_d = current_d.data();
-    measurement.readings = readings.data();
-    measurement.further = further.data();
+    command.size = sizeof command;
+    command.joint = joints.data();
+    command.further = further.data();
   }
 
-  int count() const { return machine.joints; }
+  int count() const { return machine.at->joints; }
   fieldbus::Drive& at(int j) { return one[static_cast<std::size_t>(j)]; }
   const fieldbus::Drive& at(int j) const { return one[static_cast<std::size_t>(j)]; }
-  std::int64_t tick() const { return measurement.tick; }
+  const arm_measurement& measurement() const { return *machine.at->measurement; }
+  std::int64_t tick() const { return measurement().tick; }
 
   // Restart at the machine's present state.
   void begin() {
-    machine.measure(machine.machine, &measurement);
-    for (int j = 0; j < count(); ++j) {
-      const auto k = static_cast<std::size_t>(j);
-      at(j).begin(measured[k], sensors[k], measurement.powered != 0);
-    }
+    tick_measure(machine.at);
+    const arm_measurement& now = measurement();
+    for (int j = 0; j < count(); ++j) at(j).begin(now.joint[j], now.sensors[j], now.powered != 0);
   }
-  // One servo period of every drive and the machine. Returns the result of arm_exchange.
-  int period() {
-    for (int j = 0; j < count(); ++j) command[static_cast<std::size_t>(j)] = at(j).begin_period();
-    arm_command all = {};
-    all.size = sizeof all;
-    all.tick = tick();
-    all.joint = command.data();
-    for (const fieldbus::Drive& drive : one) drive.put_further(further_command.data());
-    all.further = further_command.data();
-    const int result = machine.exchange(machine.machine, &all, &measurement);
-    for (int j = 0; j < count(); ++j) {
-      const auto k = static_cast<std::size_t>(j);
-      if (result != ARM_OK) at(j).diverged();
-      at(j).end_period(measured[k], sensors[k], measurement.powered != 0);
+  // Servo periods of every drive and the machine.
+  int periods(std::int64_t count) {
+    const tick_controller controller = {this, begin_period, end_period};
+    return tick_run(machine.at, &controller, count);
+  }
+  static const arm_command* begin_period(void* with, const tick_machine*) {
+    drives& all = *static_cast<drives*>(with);
+    arm_joint_command* joint = all.joints.data();
+    for (fieldbus::Drive& drive : all.one) {
+      *joint++ = drive.begin_period();
+      drive.put_further(all.further.data());
     }
-    return result;
+    all.command.tick = all.tick();
+    return &all.command;
+  }
+  static void end_period(void* with, const tick_machine* at, int result) {
+    const arm_joint_measurement* joint = at->measurement->joint;
+    const arm_joint_sensors* sensors = at->measurement->sensors;
+    const bool powered = at->measurement->powered != 0;
+    for (fieldbus::Drive& drive : static_cast<drives*>(with)->one) {
+      if (result != ARM_OK) drive.diverged();
+      drive.end_period(*joint++, *sensors++, powered);
+    }
   }
   // body(drive) for a drive, -1: for all.
   template <class Does>
@@ -70,12 +66,9 @@ struct drives {
   drives_machine machine;
   std::deque<fieldbus::Drive> one;
   std::deque<fieldbus::CanopenSdo> sdo;
-  std::vector<arm_joint_command> command;
-  std::vector<arm_joint_measurement> measured;
-  std::vector<arm_joint_sensors> sensors;
-  std::vector<arm_imu_measurement> imu;
-  std::vector<double> current_d, readings, further, further_command;
-  arm_measurement measurement = {};
+  std::vector<arm_joint_command> joints;  // of the command
+  std::vector<double> further;            // of the command
+  arm_command command = {};
 };
 
 struct drives_state {
@@ -95,10 +88,11 @@ bool has(const drives* all, std::int32_t drive) {
 
 drives* drives_new(const drives_machine* machine) {
   const bool sound =
-      machine && machine->size >= sizeof *machine && machine->joints >= 0 && machine->machine &&
-      machine->measure && machine->exchange && machine->period > 0 &&
-      (machine->joint || !machine->joints) && machine->readings >= 0 && machine->further >= 0 &&
-      machine->units >= 0 && machine->outputs == std::ssize(fieldbus::kReported) &&
+      machine && machine->size >= sizeof *machine && machine->at && machine->at->joints >= 0 &&
+      machine->at->machine && machine->at->measure && machine->at->exchange &&
+      machine->at->period > 0 && machine->at->measurement &&
+      (machine->joint || !machine->at->joints) && machine->further >= 0 &&
+      machine->outputs == std::ssize(fieldbus::kReported) &&
       machine->inputs == std::ssize(fieldbus::kTaken) && machine->place && machine->input &&
       machine->get_parameter && machine->set_parameter && machine->faults >= 0 &&
       machine->faults <= 0xFFFF && (machine->fault || !machine->faults) &&
@@ -125,17 +119,15 @@ int drives_restore(drives* all, const drives_state* state) {
     std::construct_at(&all->one[j], state->one[j]);
   }
   for (int j = 0; j < all->count(); ++j) drives_sdo_begin(all, j);
-  all->machine.measure(all->machine.machine, &all->measurement);
+  tick_measure(all->machine.at);
   return ARM_OK;
 }
 std::uint64_t drives_state_size(const drives* all) {
   return all ? all->one.size() * sizeof(fieldbus::Drive) : 0;
 }
-int drives_period(drives* all) { return all ? all->period() : int{ARM_REFUSED}; }
+int drives_period(drives* all) { return drives_periods(all, 1); }
 int drives_periods(drives* all, std::int64_t periods) {
-  int result = all ? ARM_OK : ARM_REFUSED;
-  for (; periods > 0 && result == ARM_OK; --periods) result = all->period();
-  return result;
+  return all ? all->periods(periods) : int{ARM_REFUSED};
 }
 std::int64_t drives_tick(const drives* all) { return all ? all->tick() : 0; }
 

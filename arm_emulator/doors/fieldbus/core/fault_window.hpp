@@ -31,15 +31,15 @@ class FaultWindow {
   std::uint32_t set(const Values& values, std::int64_t magnitude) const {
     const std::int64_t number = values.get<kNumber>();
     if (!number) return abort_code::state;
-    const int result =
-        machine_.set_parameter(machine_.machine, name(number), std::bit_cast<double>(magnitude));
+    const int result = machine_.set_parameter(machine_.at->machine, name(number),
+                                              std::bit_cast<double>(magnitude));
     return result == ARM_OK ? abort_code::none : abort_code::out_of_range;
   }
   // Take the present magnitude, which any door may have set, into its entry.
   void show(Values& values) const {
     double magnitude = 0.0;
     const std::int64_t number = values.get<kNumber>();
-    if (number) machine_.get_parameter(machine_.machine, name(number), &magnitude);
+    if (number) machine_.get_parameter(machine_.at->machine, name(number), &magnitude);
     values.set<kMagnitude>(std::bit_cast<std::int64_t>(magnitude));
   }
 
