@@ -1,4 +1,4 @@
-"""Cost of a step through FMI 3.0 beside `arm_exchange`, from C.
+"""Cost of a step through FMI 3.0 beside `tick_run`, from C.
 
     python -m bench.fmu [SCENE ...]
 
@@ -22,20 +22,20 @@ from arm_emulator import Plant, load_scene
 from arm_emulator.build.c_header import Header, Library, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
-from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.unit import FOLDER
 from arm_emulator.machine.core_calls import ARM
+from arm_emulator.tick.c import FOLDERS
 
 PERIODS = 20_000  # of a repetition
-LOOP = Header(Path(__file__).with_name("fmu_loop.h"), (BOUNDARY,))
+LOOP = Header(Path(__file__).with_name("fmu_loop.h"), FOLDERS)
 
 
 def cost(name: str) -> dict[str, float]:
     """Return the median time of a servo period by what was timed [ns]."""
     scene = load_scene(name)
     source = (Path(__file__).parent / "fmu_loop.c").read_text(encoding="utf-8")
-    folders = (BOUNDARY, FOLDER, Path(__file__).parent)
+    folders = (*FOLDERS, FOLDER, Path(__file__).parent)
     unit = Unit("fmu_loop", source, C_FLAGS, folders, (LOOP,), "bench", "a loop", "fmu_loop.c")
     loop = library(unit)
     with tempfile.TemporaryDirectory() as scratch:
@@ -65,11 +65,10 @@ def cost(name: str) -> dict[str, float]:
         assert at >= 0.0, "every step is taken"
 
     def by_arm() -> None:
-        structs = plant.command, plant.measurement
-        assert loop.run_arm(core.arm_exchange, plant.machine, *structs, PERIODS) == 0, "taken"
+        assert loop.run_arm(plant.ticks, plant.command, PERIODS) == 0, "taken"
 
     ways: dict[str, Callable[[], object]] = {
-        "arm_exchange": by_arm,
+        "tick_run": by_arm,
         "set, fmi3DoStep, get": lambda: by_fmi(1),
         "the same, steps of 10 periods": lambda: by_fmi(10),
     }

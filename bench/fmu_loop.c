@@ -3,6 +3,7 @@
 #include <dlfcn.h>
 
 #include "fmi3.h"
+#include "tick.c"
 
 static void* binary;
 
@@ -37,11 +38,12 @@ double run_fmi(void* instance, double time, double period, int64_t periods, int6
 
 void end_fmi(void* instance) { CALL(fmi3FreeInstance)(instance); }
 
-int run_arm(int (*exchange)(arm_machine*, const arm_command*, arm_measurement*),
-            arm_machine* machine, const arm_command* command, arm_measurement* out,
-            int64_t periods) {
-  int result = ARM_OK;
-  for (int64_t k = 0; k < periods && result == ARM_OK; ++k)
-    result = exchange(machine, command, out);
-  return result;
+static const arm_command* held(void* with, const tick_machine* at) {
+  (void)at;
+  return with;
+}
+
+int run_arm(tick_machine* at, const arm_command* command, int64_t periods) {
+  const tick_controller controller = {(void*)command, held, NULL};
+  return tick_run(at, &controller, periods);
 }

@@ -1,8 +1,8 @@
-/* Servo period of an importer of FMI 3.0, and the same through arm.h, for fmu.py. C99. */
+/* Servo period of an importer of FMI 3.0, and the same through tick.h, for fmu.py. C99. */
 #ifndef FMU_LOOP_H
 #define FMU_LOOP_H
 
-#include "arm.h"
+#include "tick.h"
 
 /* Load the unit's binary and bring an instance of a token to step mode; 0 if anything fails. */
 void* begin_fmi(const char* binary, const char* token);
@@ -12,8 +12,6 @@ double run_fmi(void* instance, double time, double period, int64_t periods, int6
                int64_t joints);
 void end_fmi(void* instance);
 
-int run_arm(int (*exchange)(arm_machine*, const arm_command*, arm_measurement*),
-            arm_machine* machine, const arm_command* command, arm_measurement* out,
-            int64_t periods);
+int run_arm(tick_machine* at, const arm_command* command, int64_t periods);
 
 #endif

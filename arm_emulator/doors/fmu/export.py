@@ -14,7 +14,7 @@ from pathlib import Path
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.unit import compiled_bytes, fingerprint
-from arm_emulator.core import BOUNDARY, CORE
+from arm_emulator.core import CORE
 from arm_emulator.doors.fmu.model_description import build_description, model_description
 from arm_emulator.doors.fmu.model_description_2 import model_description_2
 from arm_emulator.doors.fmu.names import identifier
@@ -23,6 +23,7 @@ from arm_emulator.doors.fmu.unit import FOLDER, unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.doors.fmu.windows import windows_binary
 from arm_emulator.machine.scene import Scene
+from arm_emulator.tick.c import FOLDERS
 
 # That most machines have; "native" is faster, and gives other bits.
 TARGET = "x86-64-v2" if platform.machine() == "x86_64" else "native"
@@ -94,7 +95,7 @@ def _included(*sources: str) -> dict[str, str]:
             if name not in found:
                 file = next(
                     folder / name
-                    for folder in (FOLDER, CORE, BOUNDARY)
+                    for folder in (FOLDER, CORE, *FOLDERS)
                     if (folder / name).is_file()
                 )
                 found[name] = file.read_text(encoding="utf-8")

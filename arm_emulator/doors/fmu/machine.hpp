@@ -8,6 +8,7 @@
 
 #include "data.hpp"
 #include "numerics/finite.hpp"
+#include "tick.h"
 #include "variable.hpp"
 
 namespace fmu {
@@ -15,7 +16,7 @@ namespace fmu {
 class Machine {
  public:
   explicit Machine(Data& data) : data_(data) {}
-  ~Machine() { arm_delete(machine_); }
+  ~Machine() { arm_delete(at_.machine); }
   Machine(const Machine&) = delete;
   Machine& operator=(const Machine&) = delete;
 
@@ -39,8 +40,8 @@ class Machine {
     options.step = kIntegrationStep;
     options.steps_per_period = kStepsPerPeriod;
     options.parameters = kParameterStart;
-    machine_ = arm_new(&options);
-    return machine_;
+    at_.machine = arm_new(&options);
+    return at_.machine;
   }
 
   std::uint64_t fingerprint() const { return fingerprint_; }
@@ -50,16 +51,16 @@ class Machine {
   }
   void set_parameters(const double* values) {
     for (int k = 0; k < kParameters; ++k)
-      arm_set_parameter(machine_, parameters_[k].name, values[k]);
+      arm_set_parameter(at_.machine, parameters_[k].name, values[k]);
   }
   void put_at(bool power, const double* q, const double* v) {
-    arm_power(machine_, power);
-    arm_reset(machine_, q, v);
+    arm_power(at_.machine, power);
+    arm_reset(at_.machine, q, v);
   }
 
-  // Go on by one tick; returns what arm_exchange does.
+  // Go on by one tick; returns what tick_exchange does.
   int exchange(const Inputs& held) {
-    arm_power(machine_, held.power);
+    arm_power(at_.machine, held.power);
     if (put_external_wrenches(held) != ARM_OK) return ARM_REFUSED;
     arm_joint_command commands[N];
     for (int j = 0; j < N; ++j) {
@@ -70,10 +71,10 @@ class Machine {
       commands[j].value = held.command[j];
     }
     const arm_command command = {sizeof command, 0, -1, commands, held.further};
-    return arm_exchange(machine_, &command, &measurement_);
+    return tick_exchange(&at_, &command);
   }
   void measure() {
-    arm_measure(machine_, &measurement_);
+    tick_measure(&at_);
     data_.shown.powered = measurement_.powered;
   }
   void measure_truth() {
@@ -87,21 +88,21 @@ class Machine {
     truth.q = to.q;
     truth.v = to.v;
     truth.gear_torque = to.gear_torque;
-    arm_get_truth(machine_, &truth);
-    arm_get_winding_temperatures(machine_, to.winding_temperature);
+    arm_get_truth(at_.machine, &truth);
+    arm_get_winding_temperatures(at_.machine, to.winding_temperature);
   }
 
   arm_refusal why() const {
     arm_refusal why = {};
     why.size = sizeof why;
-    arm_why(machine_, &why);
+    arm_why(at_.machine, &why);
     return why;
   }
   // Its time and its fault.
   arm_truth clock() const {
     arm_truth truth = {};
     truth.size = sizeof truth;
-    arm_get_truth(machine_, &truth);
+    arm_get_truth(at_.machine, &truth);
     return truth;
   }
   // Why a value is not taken; null if it is.
@@ -130,9 +131,9 @@ class Machine {
   }
 
   static std::size_t saved_size() { return static_cast<std::size_t>(arm_saved_size()); }
-  void save(unsigned char* bytes) const { arm_save(machine_, bytes, arm_saved_size()); }
+  void save(unsigned char* bytes) const { arm_save(at_.machine, bytes, arm_saved_size()); }
   bool restore(const unsigned char* bytes) {
-    return arm_restore(machine_, bytes, arm_saved_size()) == ARM_OK;
+    return arm_restore(at_.machine, bytes, arm_saved_size()) == ARM_OK;
   }
 
  private:
@@ -147,13 +148,12 @@ class Machine {
           wrench.moment[k] = in.external_moment[3 * j + k];
           wrench.point[k] = in.external_point[3 * j + k];
         }
-        if (arm_set_external_wrench(machine_, j, &wrench) != ARM_OK) return ARM_REFUSED;
+        if (arm_set_external_wrench(at_.machine, j, &wrench) != ARM_OK) return ARM_REFUSED;
       }
     return ARM_OK;
   }
 
   Data& data_;
-  arm_machine* machine_ = nullptr;
   std::uint64_t fingerprint_ = 0;
   arm_parameter parameters_[kParameters + 1] = {};
   arm_joint_description joints_[N] = {};
@@ -167,6 +167,8 @@ class Machine {
                                   data_.shown.current_d,
                                   data_.shown.readings,
                                   data_.shown.further};
+  tick_machine at_ = {sizeof at_,    N, nullptr,       arm_measure, arm_exchange,
+                      arm_get_truth, 0, &measurement_, 0,           nullptr};
 };
 
 }  // namespace fmu

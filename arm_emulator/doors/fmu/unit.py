@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import VELOCITY
 from arm_emulator.build.unit import Unit
-from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.compiler import machine_unit
 from arm_emulator.machine.cxx_literals import number
@@ -20,6 +19,7 @@ from arm_emulator.machine.inputs import further_inputs, input_at, modes_of
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant_state import largest_position
 from arm_emulator.machine.scene import Scene
+from arm_emulator.tick import c as tick
 
 FOLDER = Path(__file__).resolve().parent
 VERSIONS = ("3", "2")  # of FMI
@@ -42,8 +42,8 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
         machine,
         name=f"{scene.name}-fmu{version}",
         beside=f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
-        f'#include "fmi{version}.cpp"\n',
-        folders=(*machine.folders, BOUNDARY, FOLDER),
+        f'#include "tick.c"\n#include "fmi{version}.cpp"\n',
+        folders=(*machine.folders, *tick.FOLDERS, FOLDER),
         more=(f"fmi{version}GetVersion",),
         about=f"{machine.about} for FMI {version}.0",
     )
