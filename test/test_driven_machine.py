@@ -14,10 +14,10 @@ from arm_emulator import load_scene, load_servo_config
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
-from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.tick.c import FOLDERS
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "arm_emulator_hardware/src"
@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     at = tmp_path_factory.mktemp("driven")
     compile_ahead(load_scene("three_axis", SENT["set"]), "native", at)
     compile_units([servo_data_unit("three_axis")], "native", at)
-    includes = [f"-I{one}" for one in (SOURCES, BOUNDARY, FOLDER)]
+    includes = [f"-I{one}" for one in (SOURCES, *FOLDERS, FOLDER)]
     files = [str(ROOT / "test/driven_machine.cpp"), str(SOURCES / "driven_machine.cpp")]
     command = [*find_compiler(), *FLAGS, *includes, *files, "-ldl", "-o", str(at / "client")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

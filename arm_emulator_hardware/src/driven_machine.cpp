@@ -6,6 +6,8 @@
 #include <limits>
 #include <sstream>
 
+#include "tick.c"
+
 namespace arm_emulator_hardware {
 namespace {
 
@@ -66,10 +68,10 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period,
       machine_library_.find("arm_get_parameter", get_parameter_) &&
       machine_library_.find("arm_set_parameter", set_parameter_) &&
       machine_library_.find("arm_delete", delete_) &&
-      machine_library_.find("arm_exchange", exchange_) &&
-      machine_library_.find("arm_measure", measure_) &&
+      machine_library_.find("arm_exchange", at_.exchange) &&
+      machine_library_.find("arm_measure", at_.measure) &&
       machine_library_.find("arm_reset", reset_) && machine_library_.find("arm_power", power_) &&
-      machine_library_.find("arm_get_truth", truth_) &&
+      machine_library_.find("arm_get_truth", at_.get_truth) &&
       machine_library_.find("arm_get_winding_temperatures", temperatures_) &&
       servo_library_.find("servo_get_data", get_data) &&
       servo_library_.find("servo_reset", servo_reset_) &&
@@ -115,6 +117,12 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period,
   servo_.state = states_.data();
   measurement_.size = sizeof measurement_;
   measurement_.joint = measured_.data();
+  command_.size = sizeof command_;
+  command_.joint = commands_.data();
+  at_.size = sizeof at_;
+  at_.joints = data_.joints;
+  at_.period = servo_period_;
+  at_.measurement = &measurement_;
   for (std::int32_t k = 0; k < about.parameters; ++k) {
     parameters_.push_back({sizeof(arm_parameter), 0, nullptr, 0.0, 0.0});
     describe_parameter(k, &parameters_.back());
@@ -126,17 +134,17 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period,
   options.parameters = numbers.data();
   options.step = about.step;
   options.steps_per_period = about.steps_per_period;
-  machine_ = make(&options);
-  if (!machine_) throw Refused(scene + ": scene must make a machine, got none");
+  at_.machine = make(&options);
+  if (!at_.machine) throw Refused(scene + ": scene must make a machine, got none");
   try {
     reset(std::vector<double>(n, 0.0));
   } catch (const Refused&) {
-    delete_(machine_);
+    delete_(at_.machine);
     throw;
   }
 }
 
-DrivenMachine::~DrivenMachine() { delete_(machine_); }
+DrivenMachine::~DrivenMachine() { delete_(at_.machine); }
 
 int DrivenMachine::joint(const std::string& name) const {
   std::string valid;
@@ -182,12 +190,12 @@ std::string DrivenMachine::bounds(int k) const {
 
 double DrivenMachine::vary(int k) const {
   double value = kUnknown;
-  get_parameter_(machine_, parameters_[at(k)].name, &value);
+  get_parameter_(at_.machine, parameters_[at(k)].name, &value);
   return value;
 }
 
 bool DrivenMachine::vary(int k, double value) {
-  return set_parameter_(machine_, parameters_[at(k)].name, value) == ARM_OK;
+  return set_parameter_(at_.machine, parameters_[at(k)].name, value) == ARM_OK;
 }
 
 void DrivenMachine::reset(const std::vector<double>& q) {
@@ -195,12 +203,13 @@ void DrivenMachine::reset(const std::vector<double>& q) {
                        return std::abs(one) <= kLargest;
                      });
   const std::vector<double> still(states_.size(), 0.0);
-  if (!sound || reset_(machine_, q.data(), still.data()) != ARM_OK)
+  if (!sound || reset_(at_.machine, q.data(), still.data()) != ARM_OK)
     throw Refused(std::string(data_.scene) + ": initial positions must be " +
                   std::to_string(joints()) + " numbers within " + within(-kLargest, kLargest) +
                   " and the stops");
   servo_reset_(&servo_);
-  measure_(machine_, &measurement_);
+  at_.tick = 0;
+  tick_measure(&at_);
   for (Demand& one : demands_) one = Demand{one.loop};
   enabled_ = false;
   observe();
@@ -215,7 +224,7 @@ void DrivenMachine::enable(bool on) {
 }
 
 void DrivenMachine::power(bool on) {
-  power_(machine_, on);
+  power_(at_.machine, on);
   powered_ = on;
 }
 
@@ -233,15 +242,16 @@ bool DrivenMachine::command(int j, double value) {
 }
 
 Outcome DrivenMachine::advance() {
-  Outcome outcome = Outcome::advanced;
-  for (std::int64_t k = 0; k < periods_ && outcome != Outcome::diverged; ++k)
-    outcome = std::max(outcome, exchange(k));
+  outcome_ = Outcome::advanced;
+  period_ = 0;
+  const tick_controller controller = {this, answer, take};
+  tick_run(&at_, &controller, periods_);
   read();
-  return outcome;
+  return outcome_;
 }
 
-// The command of a joint in servo period k of the controllers' period.
-void DrivenMachine::demand_now(std::size_t j, std::int64_t k) {
+// The command of a joint in the servo period to come of the controllers' period.
+void DrivenMachine::demand_now(std::size_t j) {
   Demand& one = demands_[j];
   const servo_joint& joint = data_.joint[j];
   arm_joint_command& out = commands_[j];
@@ -261,10 +271,10 @@ void DrivenMachine::demand_now(std::size_t j, std::int64_t k) {
     wish.q_target = one.from;
   } else if (one.loop == Loop::position) {
     if (!one.moves) one.from = one.value;  // the first position has no speed
-    const double part = static_cast<double>(k + 1) / static_cast<double>(periods_);
+    const double part = static_cast<double>(period_ + 1) / static_cast<double>(periods_);
     wish.q_target = one.from + (one.value - one.from) * part;
     wish.v_target = (one.value - one.from) / (1e-9 * static_cast<double>(periods_ * servo_period_));
-    if (k + 1 == periods_) one.from = one.value;
+    if (period_ + 1 == periods_) one.from = one.value;
   } else if (one.loop == Loop::velocity) {
     wish.wants = SERVO_SPEED;
     wish.omega = one.value * joint.motor_turns;
@@ -277,14 +287,21 @@ void DrivenMachine::demand_now(std::size_t j, std::int64_t k) {
   out.value = servo_drive_(&servo_, static_cast<std::int32_t>(j), &wish);
 }
 
-Outcome DrivenMachine::exchange(std::int64_t k) {
-  for (std::size_t j = 0; j < demands_.size(); ++j) demand_now(j, k);
-  arm_command all = {};
-  all.size = sizeof all;
-  all.tick = tick_;
-  all.joint = commands_.data();
-  const int result = exchange_(machine_, &all, &measurement_);
-  observe();
+const arm_command* DrivenMachine::answer(void* with, const tick_machine* at) {
+  DrivenMachine& one = *static_cast<DrivenMachine*>(with);
+  for (std::size_t j = 0; j < one.demands_.size(); ++j) one.demand_now(j);
+  ++one.period_;
+  one.command_.tick = at->tick;
+  return &one.command_;
+}
+
+void DrivenMachine::take(void* with, const tick_machine*, int result) {
+  DrivenMachine& one = *static_cast<DrivenMachine*>(with);
+  one.observe();
+  one.outcome_ = std::max(one.outcome_, one.outcome_of(result));
+}
+
+Outcome DrivenMachine::outcome_of(int result) const {
   if (result == ARM_DIVERGED) return Outcome::diverged;
   if (result != ARM_OK) return Outcome::refused;
   if (enabled_ && !measurement_.powered) return Outcome::no_power;
@@ -294,7 +311,6 @@ Outcome DrivenMachine::exchange(std::int64_t k) {
 }
 
 void DrivenMachine::observe() {
-  tick_ = measurement_.tick;
   for (std::size_t j = 0; j < measured_.size(); ++j) {
     counts_[j] = measured_[j].encoder;
     currents_[j] = measured_[j].current;
@@ -309,8 +325,8 @@ void DrivenMachine::read() {
   truth.q = q_.data();
   truth.v = v_.data();
   truth.gear_torque = torque_.data();
-  truth_(machine_, &truth);
-  temperatures_(machine_, temperature_.data());
+  at_.get_truth(at_.machine, &truth);
+  temperatures_(at_.machine, temperature_.data());
   for (std::size_t j = 0; j < readings_.size(); ++j) {
     const servo_joint& joint = data_.joint[j];
     const servo_state& state = states_[j];

@@ -10,6 +10,7 @@
 #include "arm.h"
 #include "servo_data.h"
 #include "shared_library.hpp"
+#include "tick.h"
 
 namespace arm_emulator_hardware {
 
@@ -55,7 +56,7 @@ class DrivenMachine {
   int joints() const { return static_cast<int>(states_.size()); }
   // Throws Refused where the scene has no such joint.
   int joint(const std::string& name) const;
-  std::int64_t time() const { return tick_ * servo_period_; }  // ns
+  std::int64_t time() const { return at_.tick * servo_period_; }  // ns
   bool powered() const { return powered_; }
 
   // Go to rest at `q`, at tick 0, drives disabled. Throws Refused.
@@ -88,20 +89,20 @@ class DrivenMachine {
   };
 
   std::vector<double> begin_with(const std::map<std::string, double>& varied) const;
-  void demand_now(std::size_t j, std::int64_t k);
-  Outcome exchange(std::int64_t k);
+  void demand_now(std::size_t j);
+  static const arm_command* answer(void* with, const tick_machine* at);
+  static void take(void* with, const tick_machine* at, int result);
+  Outcome outcome_of(int result) const;
   void observe();
   void read();
 
   SharedLibrary machine_library_, servo_library_;
   servo_data data_ = {};
-  std::int64_t servo_period_ = 0, periods_ = 1, tick_ = 0;
+  std::int64_t servo_period_ = 0, periods_ = 1, period_ = 0;
+  Outcome outcome_ = Outcome::advanced;  // of the controllers' period
   bool enabled_ = false, powered_ = true;
 
-  int (*exchange_)(arm_machine*, const arm_command*, arm_measurement*) = nullptr;
-  int (*measure_)(const arm_machine*, arm_measurement*) = nullptr;
   int (*reset_)(arm_machine*, const double*, const double*) = nullptr;
-  int (*truth_)(const arm_machine*, arm_truth*) = nullptr;
   void (*temperatures_)(const arm_machine*, double*) = nullptr;
   void (*power_)(arm_machine*, int) = nullptr;
   int (*get_parameter_)(const arm_machine*, const char*, double*) = nullptr;
@@ -113,13 +114,14 @@ class DrivenMachine {
   decltype(&servo_release) servo_release_ = nullptr;
   decltype(&servo_wish_within) wish_within_ = nullptr;
 
-  arm_machine* machine_ = nullptr;
+  tick_machine at_ = {};
   servo servo_ = {};
   arm_measurement measurement_ = {};
   std::vector<arm_parameter> parameters_;
   std::vector<servo_state> states_;
   std::vector<std::int32_t> modes_;
   std::vector<Demand> demands_;
+  arm_command command_ = {};
   std::vector<arm_joint_command> commands_;
   std::vector<arm_joint_measurement> measured_;
   std::vector<std::int64_t> counts_;
