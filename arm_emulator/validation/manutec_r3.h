@@ -1,8 +1,8 @@
-/* The loop of manutec_r3.hpp around the machine of arm.h. C99. */
+/* The loop of manutec_r3.hpp around the machine of tick.h. C99. */
 #ifndef MANUTEC_R3_H
 #define MANUTEC_R3_H
 
-#include "arm.h"
+#include "tick.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -21,8 +21,8 @@ typedef struct manutec_path {
 
 /* Go `periods` of `period` s. After each of them current, motor angle and speed, q and v, 6 of
  * each, go to `out`, which begins with those at the start. Returns ARM_OK, or how it ended. */
-int manutec_run(arm_machine* machine, const manutec_axis* axes, const manutec_path* path,
-                double period, int64_t periods, double* out);
+int manutec_run(tick_machine* at, const manutec_axis* axes, const manutec_path* path, double period,
+                int64_t periods, double* out);
 
 #ifdef __cplusplus
 }

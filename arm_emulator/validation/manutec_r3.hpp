@@ -14,6 +14,7 @@
 #include <cstdint>
 
 #include "manutec_r3.h"
+#include "tick.c"
 
 namespace manutec {
 
@@ -33,43 +34,59 @@ void at(const manutec_path& path, double t, double& s, double& v) {
     s = 1.0, v = 0.0;
 }
 
-}  // namespace manutec
-
-extern "C" __attribute__((visibility("default"))) int manutec_run(
-    arm_machine* machine, const manutec_axis* axes, const manutec_path* path, double period,
-    std::int64_t periods, double* out) {
-  using namespace manutec;
-  constexpr double kp = 5.0, ks = 0.5, Ts = 0.05;
-  double x[kAxes], C[kAxes], dx[kAxes] = {}, dC[kAxes] = {};
-  for (int j = 0; j < kAxes; ++j) x[j] = axes[j].x, C[j] = axes[j].C;
-  arm_joint_command joints[kAxes] = {};
-  for (arm_joint_command& joint : joints) joint = {ARM_VOLTAGE, 1, 0.0};
-  arm_joint_measurement measured[kAxes];
-  arm_command command = {};
-  command.size = sizeof command, command.tick = -1, command.joint = joints;
-  arm_measurement measurement = {};
-  measurement.size = sizeof measurement, measurement.joint = measured;
-  arm_truth truth = {};
-  truth.size = sizeof truth;
-  for (std::int64_t k = 0;; ++k, out += 5 * kAxes) {
+struct Controllers {
+  // Write the present state to `out`, and return its rows.
+  int look(const tick_machine& at) {
+    truth.size = sizeof truth;
     truth.current = out, truth.motor_angle = out + kAxes, truth.motor_speed = out + 2 * kAxes;
     truth.q = out + 3 * kAxes, truth.v = out + 4 * kAxes;
-    if (const int result = arm_get_truth(machine, &truth)) return result;
-    if (k == periods) return ARM_OK;
+    out += 5 * kAxes;
+    return at.get_truth(at.machine, &truth);
+  }
+
+  const arm_command* answer(const tick_machine& at) {
+    constexpr double kp = 5.0, ks = 0.5, Ts = 0.05;
+    look(at);
     double s, v;
-    at(*path, static_cast<double>(k) * period, s, v);
+    manutec::at(*path, static_cast<double>(at.tick) * period, s, v);
     for (int j = 0; j < kAxes; ++j) {
       const manutec_axis& axis = axes[j];
       const double u = axis.n * axis.way * v +
                        kp * (axis.n * (axis.begin + axis.way * s) - truth.motor_angle[j]) -
                        truth.motor_speed[j];
-      if (k > 0) x[j] += 0.5 * period * (dx[j] + u / Ts);
+      if (at.tick > 0) x[j] += 0.5 * period * (dx[j] + u / Ts);
       dx[j] = u / Ts;
       const double slope = 25.0 * axis.w / axis.D * (truth.current[j] - ks * (x[j] + u));
-      if (k > 0) C[j] += 0.5 * period * (dC[j] + slope);
+      if (at.tick > 0) C[j] += 0.5 * period * (dC[j] + slope);
       dC[j] = slope;
       joints[j].value = -5.0 * (C[j] + 0.5 * period * slope);
     }
-    if (const int result = arm_exchange(machine, &command, &measurement)) return result;
+    return &command;
   }
+
+  const manutec_axis* axes;
+  const manutec_path* path;
+  double period, *out;
+  double x[kAxes] = {}, C[kAxes] = {}, dx[kAxes] = {}, dC[kAxes] = {};
+  arm_joint_command joints[kAxes] = {};
+  arm_command command = {sizeof command, 0, -1, joints, nullptr};
+  arm_truth truth = {};
+};
+
+}  // namespace manutec
+
+extern "C" __attribute__((visibility("default"))) int manutec_run(
+    tick_machine* at, const manutec_axis* axes, const manutec_path* path, double period,
+    std::int64_t periods, double* out) {
+  manutec::Controllers all = {.axes = axes, .path = path, .period = period, .out = out};
+  for (int j = 0; j < manutec::kAxes; ++j) {
+    all.x[j] = axes[j].x, all.C[j] = axes[j].C;
+    all.joints[j] = {ARM_VOLTAGE, 1, 0.0};
+  }
+  const auto answer = [](void* with, const tick_machine* now) {
+    return static_cast<manutec::Controllers*>(with)->answer(*now);
+  };
+  const tick_controller controller = {&all, answer, nullptr};
+  const int result = tick_run(at, &controller, periods);
+  return result == ARM_OK ? all.look(*at) : result;
 }

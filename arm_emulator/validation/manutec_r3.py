@@ -12,13 +12,13 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.build.c_header import Header, pointer
-from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import library_with
 from arm_emulator.machine.core_calls import OK
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator.tick.c import FOLDERS
 
 AXES = 6
 END = 1.8560450019  # s
@@ -88,7 +88,7 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
     """
     integrator = {"scheme": scheme, "dt": period, "events": events}
     scene = load_scene("manutec_r3", {"servo_period": period, "integrator": integrator})
-    header = Header(CONTROLLERS.with_suffix(".h"), (BOUNDARY,))
+    header = Header(CONTROLLERS.with_suffix(".h"), FOLDERS)
     plant = Plant(scene, core=library_with(scene, "controllers", CONTROLLERS.read_text(), header))
     truth, _, x, C = solution()
     plant.put("manutec_r3", {
@@ -112,7 +112,7 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
     out = np.empty((periods + 1, 5, AXES))
     began = time.perf_counter()
     result = plant.core.manutec_run(
-        plant.machine, header.pointer("manutec_axis", axes), path, period, periods, pointer(out)
+        plant.ticks, header.pointer("manutec_axis", axes), path, period, periods, pointer(out)
     )
     seconds = time.perf_counter() - began
     if result != OK:
