@@ -11,7 +11,6 @@ from arm_emulator.ros.message_reader import MessageReader, Row
 from arm_emulator.ros.middleware import Outgoing, middleware
 from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator.servo.servo_law import servo_law
 from arm_emulator_msgs.msg import MotorState
 from servo_node.c import ANSWERED_STATES, answered_states_unit
 
@@ -45,7 +44,7 @@ class AnsweredStates:
         motion_ticks: int,
         report_ticks: int,
     ) -> None:
-        law, servo, names = servo_law(), drives.servo, config.joint_names
+        servo, names = drives.servo, config.joint_names
         N = len(names)
         counts, brake = np.zeros((2, N), np.int64)
         current, applied, q, v, tau = np.zeros((5, N))
@@ -56,10 +55,6 @@ class AnsweredStates:
             "answered_states",
             lockstep=lockstep,
             arm=servo.arm,
-            measure=law.servo_measure,
-            brakes=law.servo_brakes,
-            aim=law.servo_aim,
-            command=law.servo_command,
             publish=middleware().ros_publish,
             counts=counts,
             brake=brake,

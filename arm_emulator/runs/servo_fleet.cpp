@@ -189,18 +189,14 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
   const Numbers since = aims ? abreast::aim_now(&group.clock, targets.come) : Numbers{};
   const auto powered = __builtin_convertvector(load<Bytes>(rows->powered), Counts) != 0;
   const abreast::servo_turn turn = abreast::turn_of(&group.clock, powered);
-  const bool cuts = abreast::any(turn.cut);
   for (int32_t j = 0; j < fleet.joints; ++j) {
     const abreast::servo_joint* numbers = &joint[j].numbers;
     abreast::servo_state* state = &joint[j].state;
     const int32_t at = fleet.place[j] * L;
     Numbers command;
-    abreast::expect_load(numbers, state, &past);
-    Mask lost =
-        abreast::observe(numbers, state, load<Counts>(rows->encoder + at),
-                         load<Numbers>(rows->current + at), load<Numbers>(rows->applied + at));
-    abreast::learn(numbers, state, &past);
-    state->braked = load<Counts>(rows->brake + at);
+    Mask lost = abreast::measure_joint(
+        numbers, state, &past, load<Counts>(rows->encoder + at), load<Numbers>(rows->current + at),
+        load<Numbers>(rows->applied + at), load<Counts>(rows->brake + at) != 0);
     if (aims) {
       Numbers q = state->q_target, v = {}, tau = {};
       if (fresh) {
@@ -210,14 +206,7 @@ void servo_fleet_step(void* with, const arm_fleet_rows* rows) {
       }
       abreast::take_target(state, targets.come, q, v, tau, since);
     }
-    lost |= abreast::pursue(numbers, state, &turn, &command) & ~turn.cut;
-    if (cuts) {
-      const Numbers none = {};
-      command = turn.cut ? none : command;
-      state->integral = turn.cut ? none : state->integral;
-      state->voltage = turn.cut ? none : state->voltage;
-      state->stood |= abreast::flag_of(turn.cut, 1);
-    }
+    lost |= abreast::command_joint(numbers, state, &turn, &command);
     std::memcpy(rows->value + at, &command, sizeof command);
     if (abreast::any(lost))
       for (int l = 0; l < rows->arms; ++l) fleet.arm[rows->first + l].restarts += lost[l] != 0;

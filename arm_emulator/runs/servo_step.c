@@ -11,8 +11,7 @@ static void take(servo_step* one, int64_t now, const arm_measurement* measured) 
     one->current[j] = joint->current;
     one->applied[j] = joint->applied;
   }
-  servo_measure(one->arm, now, one->counts, one->current, one->applied);
-  servo_brakes(one->arm, one->closed);
+  servo_measure(one->arm, now, one->counts, one->current, one->applied, one->closed);
 }
 
 void servo_step_measure(servo_step* one, tick_machine* at) {

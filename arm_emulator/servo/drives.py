@@ -100,17 +100,14 @@ class Drives:
         if closed is not None:
             closed = servo.vector(closed, BRAKE_CLOSED).astype(np.int64)
         brakes = NULL if closed is None else pointer(closed)
-        self._law.servo_measure(servo.arm, time_ns, *places)
-        self._law.servo_brakes(servo.arm, brakes)
+        self._law.servo_measure(servo.arm, time_ns, *places, brakes)
 
     def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
         """Return which joints can be moved (N,), and could since the newest target.
 
         They cannot without power or with a closed brake.
         """
-        can = (self.servo.state["braked"] == 0) & (self.servo.state["stood"] == 0)
-        cut = self._watchdog.state is WatchdogState.CUT
-        return np.asarray(can & powered & (not cut))
+        return self.servo.movable(powered)
 
     def aim(self, target: Target) -> None:
         """Take new joint targets, from this period on.

@@ -74,13 +74,13 @@ class Servo(Turns):
         self.state: Rows = SERVO.rows("servo_state", self._N)
         self.arm = SERVO.new("servo", joints=self._N, joint=self._joint, state=self.state)
         self._counts = config.counts.named("counts")
-        self._theta_measured, self._omega = self.state["theta_measured"], self.state["omega"]
-        self._is_known, self._ratio = self.state["known"], self._joint["ratio"]
-        self._load, self._motor_turns = self.state["load"], self._joint["motor_turns"]
+        self._is_known = self.state["known"]
         # Fixed arrays for the law's inputs and outputs: finding an array's address costs time.
         self._whole = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
         self.places = (pointer(self._whole), *map(pointer, self._rows))
+        self._measured, self._movable = np.zeros((3, self._N)), np.zeros(self._N, np.int64)
+        self._reported = (*map(pointer, self._measured), pointer(self._movable))
         self._law.servo_reset(self.arm)
 
     def __repr__(self) -> str:
@@ -145,23 +145,29 @@ class Servo(Turns):
     @in_turn
     def q_measured(self) -> FloatArray:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
-        return self._known(self._theta_measured)
+        return self._at_links(0)
 
     @property
     @in_turn
     def v_measured(self) -> FloatArray:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
-        return self._known(self._omega)
+        return self._at_links(1)
 
     @property
     @in_turn
     def tau_measured(self) -> FloatArray:
         """Loads of the motors by the observer, at the links, (N,) [N m]; NaN before any count."""
-        load: FloatArray = self._load * self._motor_turns
-        return load if self._is_known[0] else load * np.nan
+        return self._at_links(2)
 
-    def _known(self, of_motors: FloatArray) -> FloatArray:
-        return of_motors * (self._ratio if self._is_known[0] else np.nan)
+    def _at_links(self, row: int) -> FloatArray:
+        self._law.servo_report(self.arm, 1, *self._reported)
+        measured: FloatArray = self._measured[row]
+        return measured.copy() if self._is_known[0] else measured * np.nan
+
+    def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
+        """Return which joints can be moved, see `Drives.movable`."""
+        self._law.servo_report(self.arm, powered, *self._reported)
+        return np.asarray(self._movable != 0)
 
     @in_turn
     def update(
@@ -244,12 +250,6 @@ class Servo(Turns):
     def commanded(self) -> FloatArray:
         """The newest commands (N,), as the memory into which the law writes them."""
         row: FloatArray = self._rows[5]
-        return row
-
-    @property
-    def targeted(self) -> FloatArray:
-        """The newest target angles (N,), as the memory where the law finds them."""
-        row: FloatArray = self._rows[2]
         return row
 
     @property

@@ -14,7 +14,7 @@ ANSWERED_STATES = Header(FOLDER / "answered_states.h", (SERVO_FOLDER, ROS_FOLDER
 
 def answered_states_unit() -> Unit:
     """Return answered_states.h as what is compiled."""
-    source = '#include "message_reader.c"\n#include "answered_states.c"\n'
+    source = '#include "servo.c"\n#include "message_reader.c"\n#include "answered_states.c"\n'
     folders, headers = (FOLDER, ROS_FOLDER, SERVO_FOLDER), (ANSWERED_STATES,)
     about, part = "the servo's messages", "answered_states.c"
     return Unit("answered_states", source, C_FLAGS, folders, headers, "servo", about, part)

@@ -6,15 +6,8 @@
 static int is_in_turns(const answered_states* own) { return own->lockstep && own->motion_ticks; }
 
 static void report(answered_states* own, int64_t time) {
-  const servo* arm = own->arm;
-  const int on = own->powered && arm->watchdog.does != SERVO_CUT;
-  for (int32_t j = 0; j < arm->joints; ++j) {
-    const servo_state* state = arm->state + j;
-    own->movable[j] = on && !state->braked && !state->stood;
-    own->q_measured[j] = state->theta_measured * arm->joint[j].ratio;
-    own->v_measured[j] = state->omega * arm->joint[j].ratio;
-    own->tau_measured[j] = state->load * arm->joint[j].motor_turns;
-  }
+  servo_report(own->arm, (int32_t)own->powered, own->q_measured, own->v_measured, own->tau_measured,
+               own->movable);
   own->publish(own->servo_state, time, 0, NULL);
   own->publish(own->joint_state, time, 0, NULL);
 }
@@ -29,7 +22,7 @@ static void answer(answered_states* own) {
   servo* arm = own->arm;
   const int32_t does = arm->does;
   const uint32_t restarts = arm->restarts;
-  own->command(arm, (int32_t)own->powered, own->volts);
+  servo_command(arm, (int32_t)own->powered, own->volts);
   ++own->answers;
   publish_command(own);
   if (arm->does != does || arm->restarts != restarts) own->open = 0;
@@ -61,9 +54,9 @@ void answered_states_go_on(answered_states* own) {
   own->powered = own->state_powered;
   own->silent = 0;
   ++own->states;
-  own->measure(own->arm, time, own->counts, own->current,
-               own->applied_came->came ? own->applied : NULL);
-  own->brakes(own->arm, own->brake_came->came ? own->brake : NULL);
+  servo_measure(own->arm, time, own->counts, own->current,
+                own->applied_came->came ? own->applied : NULL,
+                own->brake_came->came ? own->brake : NULL);
   const int begins = is_in_turns(own) && own->tick % own->motion_ticks == 0;
   if (begins) {
     own->waiting = 1;
@@ -109,8 +102,8 @@ int32_t answered_states_judge_target(answered_states* own, const uint8_t* data, 
 
 void answered_states_aim(answered_states* own) {
   memcpy(own->aimed, own->q, (size_t)own->arm->joints * sizeof *own->q);
-  own->aim(own->arm, own->q, own->v_came->came ? own->v : NULL,
-           own->tau_came->came ? own->tau : NULL);
+  servo_aim(own->arm, own->q, own->v_came->came ? own->v : NULL,
+            own->tau_came->came ? own->tau : NULL);
   if (!own->waiting) return;
   own->waiting = 0;
   answer(own);

@@ -37,10 +37,6 @@ typedef struct answered_states {
   uint32_t size;
   int32_t lockstep;
   servo* arm;
-  void (*measure)(servo*, int64_t, const int64_t*, const double*, const double*);
-  void (*brakes)(servo*, const int64_t*);
-  void (*aim)(servo*, const double*, const double*, const double*);
-  void (*command)(servo*, int32_t, double*);
   int (*publish)(ros_message*, int64_t time, int64_t tick, ros_log* log);
   /* Readers of motor states and joint targets, and their fields that may be empty. */
   message_reader *state, *target;

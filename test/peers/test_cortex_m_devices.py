@@ -93,7 +93,7 @@ void ADC_Handler(void) {
     current[j] = NUMBER(0x40000210 + 4 * j);
     q[j] = NUMBER(0x40000304 + 4 * j);
   }
-  servo_measure(&arm, now, counts, current, voltage);
+  servo_measure(&arm, now, counts, current, voltage, 0);
   servo_aim(&arm, q, 0, 0);
   servo_command(&arm, 1, voltage);
   for (int j = 0; j < SERVO_JOINTS; ++j) NUMBER(0x40000100 + 4 * j) = voltage[j];

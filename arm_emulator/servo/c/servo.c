@@ -227,6 +227,35 @@ SERVO_INLINE servo_mask pursue(const servo_joint* joint, servo_state* state, con
                  moves ? load + joint->rotor * way.a : (turn->follows ? load : zero), command);
 }
 
+/* ------------------------------------------------------------- a period of a joint in an arm */
+
+/* Take its measurement. Returns where it began anew. */
+SERVO_INLINE servo_mask measure_joint(const servo_joint* joint, servo_state* state,
+                                      const servo_past* past, servo_count counts,
+                                      servo_real current, servo_real applied, servo_mask closed) {
+  if (any(past->changed > 0)) expect_load(joint, state, past);
+  const servo_mask lost = observe(joint, state, counts, current, applied);
+  if (any(past->learns)) learn(joint, state, past);
+  state->braked = flag_of(closed, 1);
+  return lost;
+}
+
+/* Give its command. Returns where it began anew. */
+SERVO_INLINE servo_mask command_joint(const servo_joint* joint, servo_state* state,
+                                      const servo_turn* turn, servo_real* command) {
+  const servo_real zero = {0};
+  servo_mask lost = {0};
+  *command = zero;
+  if (any(turn->cut == 0)) lost = pursue(joint, state, turn, command) & (turn->cut == 0);
+  if (any(turn->cut)) {
+    *command = turn->cut ? zero : *command;
+    state->integral = turn->cut ? zero : state->integral;
+    state->voltage = turn->cut ? zero : state->voltage;
+    state->stood |= flag_of(turn->cut, 1);
+  }
+  return lost;
+}
+
 #ifndef SERVO_LANES
 
 void servo_joint_reset(servo_state* state) {
@@ -331,19 +360,28 @@ void servo_release(servo* arm) {
 }
 
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
-                   const servo_real* applied) {
+                   const servo_real* applied, const int64_t* closed) {
   if (!complete(arm) || !counts || !current) return;
   const servo_past past = measure_at(arm, now);
-  for (int32_t j = 0; past.changed > 0 && j < arm->joints; ++j)
-    expect_load(&arm->joint[j], &arm->state[j], &past);
-  servo_observe(arm, counts, current, applied);
-  for (int32_t j = 0; past.learns && j < arm->joints; ++j)
-    learn(&arm->joint[j], &arm->state[j], &past);
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    servo_state* state = &arm->state[j];
+    const servo_real voltage = applied ? applied[j] : state->voltage;
+    arm->restarts += (uint32_t)measure_joint(&arm->joint[j], state, &past, counts[j], current[j],
+                                             voltage, closed && closed[j]);
+  }
 }
 
-void servo_brakes(servo* arm, const int64_t* closed) {
-  if (!complete(arm)) return;
-  for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].braked = closed && closed[j];
+void servo_report(const servo* arm, int32_t powered, servo_real* q, servo_real* v, servo_real* tau,
+                  int64_t* movable) {
+  if (!complete(arm) || !q || !v || !tau || !movable) return;
+  const int on = powered && arm->watchdog.does != SERVO_CUT;
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    const servo_state* state = &arm->state[j];
+    q[j] = state->theta_measured * arm->joint[j].ratio;
+    v[j] = state->omega * arm->joint[j].ratio;
+    tau[j] = state->load * arm->joint[j].motor_turns;
+    movable[j] = on && !state->braked && !state->stood;
+  }
 }
 
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau) {
@@ -356,14 +394,8 @@ void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo
 void servo_command(servo* arm, int32_t powered, servo_real* command) {
   if (!complete(arm) || !command) return;
   const servo_turn turn = turn_of(arm, powered != 0);
-  if (turn.cut) servo_release(arm);
-  for (int32_t j = 0; j < arm->joints; ++j) {
-    command[j] = 0;
-    if (turn.cut)
-      arm->state[j].stood = 1;
-    else
-      arm->restarts += (uint32_t)pursue(&arm->joint[j], &arm->state[j], &turn, &command[j]);
-  }
+  for (int32_t j = 0; j < arm->joints; ++j)
+    arm->restarts += (uint32_t)command_joint(&arm->joint[j], &arm->state[j], &turn, &command[j]);
 }
 
 #endif

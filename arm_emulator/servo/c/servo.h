@@ -212,13 +212,17 @@ void servo_reset(servo* arm);
 /* Per servo period: measure once, aim when a target comes, then ask for the commands. Arrays have
  * an entry per joint; times are ns of any clock that all calls share. Numbers must be finite. */
 
-/* `applied` is what the motors got in the period that ends now; null: what was asked for. */
+/* `applied` is what the motors got in the period that ends now; null: what was asked for. `closed`:
+ * which brakes are closed; null: all are open. A joint with a closed brake is held where it stands,
+ * with the torque of its target, so that no difference to a target adds up that would be released
+ * with the brake. */
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
-                   const servo_real* applied);
-/* Report which brakes are closed at the newest measurement, an entry per joint; null: all are open.
- * A joint with a closed brake is held where it stands, with the torque of its target, so that no
- * difference to a target adds up that would be released with the brake. */
-void servo_brakes(servo* arm, const int64_t* closed);
+                   const servo_real* applied, const int64_t* closed);
+/* Write what is measured at the links: angles by the encoders [rad], speeds [rad/s] and loads [N m]
+ * by the observer; and which joints can be moved, and could since the newest target, 1 or 0: not
+ * without power, not with a closed brake. */
+void servo_report(const servo* arm, int32_t powered, servo_real* q, servo_real* v, servo_real* tau,
+                  int64_t* movable);
 /* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
  * beforehand [N m]; speeds and torques may be null: 0.
  *

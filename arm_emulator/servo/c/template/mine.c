@@ -32,8 +32,7 @@ static void step(const firmware_input* in, firmware_output* out) {
     applied[j] = (servo_real)in->measured->joint[j].applied;
     q[j] = (servo_real)in->q_target[j];
   }
-  servo_measure(&arm, in->time, counts, current, applied);
-  servo_brakes(&arm, closed);
+  servo_measure(&arm, in->time, counts, current, applied, closed);
   if (in->new_targets) servo_aim(&arm, q, NULL, NULL);
   servo_command(&arm, (int32_t)in->measured->powered, command);
   for (int j = 0; j < SERVO_JOINTS; ++j) out->joint[j].value = (double)command[j];

@@ -24,7 +24,7 @@ void control_step(const int64_t* encoder, const uint32_t* adc, const float* q, i
                   uint32_t* compare) {
   servo_real current[SERVO_JOINTS], target[SERVO_JOINTS], voltage[SERVO_JOINTS];
   for (int j = 0; j < SERVO_JOINTS; ++j) current[j] = amperes(j, adc[j]);
-  servo_measure(&arm, now, encoder, current, applied);
+  servo_measure(&arm, now, encoder, current, applied, NULL);
   if (q) {
     for (int j = 0; j < SERVO_JOINTS; ++j) target[j] = q[j];
     servo_aim(&arm, target, NULL, NULL);
