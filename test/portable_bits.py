@@ -195,14 +195,13 @@ def digest_of_servo(name: str, folder: Path, own: str = "") -> str:
     return str(digest)
 
 
-def digests(target: str, level: str) -> dict[str, str]:
-    """Return all digests, of code that is compiled for a target at a level such as -O1.
+def digests(target: str, level: str) -> Iterator[tuple[str, str]]:
+    """Yield all digests by name, of code that is compiled for a target at a level such as -O1.
 
     Raises:
         AssertionError: an arm of a fleet has other bits than an arm by itself.
     """
     of_machines.FLAGS = tuple(level if one == "-O3" else one for one in of_machines.FLAGS)
-    found = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in cases(Path(folder)):
             has_fleet = FULL or name in ("sensed", "ur5")
@@ -210,21 +209,21 @@ def digests(target: str, level: str) -> dict[str, str]:
             units += [of_machines.fleet_unit(scene)] if has_fleet else []
             if target != "native":
                 compile_units(units, target, None)
-            found[name] = digest_of_machine(scene)
+            own = digest_of_machine(scene)
             if has_fleet:
-                alone = [found[name], *(digest_of_machine(scene, k) for k in range(1, ARMS))]
+                alone = [own, *(digest_of_machine(scene, arm) for arm in range(1, ARMS))]
                 assert digests_of_fleet(scene) == alone, f"lanes of {name}"
+            yield name, own
         for name in some(("three_axis", "ur5", "panda"), 1):
-            found[f"{name}, servo"] = digest_of_servo(name, Path(folder))
-        found["three_axis, own servo"] = digest_of_servo("three_axis", Path(folder), OWN_SERVO)
-    return found
+            yield f"{name}, servo", digest_of_servo(name, Path(folder))
+        yield "three_axis, own servo", digest_of_servo("three_axis", Path(folder), OWN_SERVO)
 
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if len(sys.argv) > 1:
-        print(json.dumps(digests(*sys.argv[1:]), indent=1))
+        print(json.dumps(dict(digests(*sys.argv[1:])), indent=1))
     elif not FULL:
         sys.exit("with FULL=1, which every digest takes")
     else:
-        KEPT.write_text(json.dumps(digests("native", "-O3"), indent=1) + "\n")
+        KEPT.write_text(json.dumps(dict(digests("native", "-O3")), indent=1) + "\n")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.couplings import Coupling
+from arm_emulator.base.products import applied, product
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,8 @@ class Frame:
     p: Array = field(default_factory=lambda: _ZERO)
 
     def __matmul__(self, other: Frame) -> Frame:
-        R = self.R if other.R is EYE else clean(self.R @ other.R)
-        return Frame(R, self.R @ other.p + self.p)
+        R = self.R if other.R is EYE else clean(product(self.R, other.R))
+        return Frame(R, applied(self.R, other.p) + self.p)
 
 
 @dataclass(frozen=True)
@@ -78,14 +79,15 @@ class Bodies:
     def from_center(cls, mass: Array, com: Array, inertia: Array) -> Bodies:
         """Return the bodies whose `inertia` (K, 3, 3) is given about their `com` (K, 3)."""
         c, m = cross(com), mass[:, None, None]
-        return cls(mass, mass[:, None] * com, inertia - m * c @ c)
+        return cls(mass, mass[:, None] * com, inertia - product(m * c, c))
 
     def seen_from(self, R: Array, p: Array) -> Bodies:
         """Return them in frames from which their own are seen as R (K, 3, 3), p (K, 3)."""
-        h = (R @ self.moment[:, :, None])[:, :, 0]
+        h = applied(R, self.moment)
         p_x, h_x = cross(p), cross(h)
-        shift = p_x @ h_x + h_x @ p_x + self.mass[:, None, None] * p_x @ p_x
-        inertia = R @ self.inertia @ R.transpose(0, 2, 1) - shift
+        shift = product(p_x, h_x) + product(h_x, p_x)
+        shift = shift + product(self.mass[:, None, None] * p_x, p_x)
+        inertia = product(R, self.inertia, R.transpose(0, 2, 1)) - shift
         return Bodies(self.mass, h + self.mass[:, None] * p, inertia)
 
     def one(self, index: int) -> Body:
@@ -145,8 +147,8 @@ class ChainJoint:
         C, S = math.cos(self.theta_0), math.sin(self.theta_0)
         turn = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
         c, s = self.cos_gamma, self.sin_gamma
-        R: Array = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ (tilt @ turn)
-        return R
+        leading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return product(leading, product(tilt, turn))
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,7 @@ def frame_of(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
     """Return the frame at `xyz` [m], turned by roll, pitch and yaw [rad] as in a URDF."""
     turns = (turn(axis, angle) for axis, angle in enumerate(rpy))
     roll, pitch, yaw = turns
-    return Frame(clean(yaw @ pitch @ roll), np.array(tuple(xyz)))
+    return Frame(clean(product(yaw, pitch, roll)), np.array(tuple(xyz)))
 
 
 def turn(axis: int, angle: float) -> Array:

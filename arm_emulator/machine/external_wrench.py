@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import FORCE, MOMENT, POINT
 from arm_emulator.base.number import Number
+from arm_emulator.base.products import applied
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array, Frame
 from arm_emulator.machine.scene import Scene
@@ -82,9 +83,9 @@ def _moved(where: str, wrench: ExternalWrench, frame: Frame) -> ExternalWrench:
         )
     ]  # fmt: skip
     if wrench.axes == "link":
-        vectors[:2] = [one if one is NONE else frame.R @ one for one in vectors[:2]]
+        vectors[:2] = [one if one is NONE else applied(frame.R, one) for one in vectors[:2]]
     f, m, p = vectors
-    at = frame.p if p is NONE else frame.R @ p + frame.p
+    at = frame.p if p is NONE else applied(frame.R, p) + frame.p
     return ExternalWrench(tuple(f), tuple(m), tuple(at), wrench.axes)
 
 
@@ -99,7 +100,7 @@ def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -
 
 
 def _turned(R: Array, rows: Array) -> Array:
-    return np.array([R @ row for row in rows])
+    return applied(R, rows)
 
 
 def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from arm_emulator.base.escape import c_string
+from arm_emulator.base.products import applied
 from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, vector
 from arm_emulator.machine.faults.scene_faults import put_faults
@@ -37,7 +38,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     kind = "OneThread" if scene.threads == 1 else "TwoThreads"
     places = _places(scene)
     R_BW = scene.chain.R_BW
-    gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
+    gravity = applied(R_BW, scene.gravity) if scene.gravity is not None else (0.0, 0.0, 0.0)
     links = ",\n".join(map(_link, scene.chain.links, _bodies(scene, places)))
     axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
@@ -147,7 +148,7 @@ def _surroundings(scene: Scene, places: Mapping[str, str]) -> str:
     """Return gravity and supply where faults change them."""
     text = ""
     if tilt := places.get("base.tilt"):
-        axis = vector(scene.chain.R_BW @ (1.0, 0.0, 0.0))
+        axis = vector(scene.chain.R_BW[:, 0])
         text += f"""\
   static constexpr arm::Vec3<arm::Real> field(const arm::Real* p) {{
     return arm::turned(gravity, {axis}, {tilt});

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.couplings import Coupling, coupling_of, followers
+from arm_emulator.base.products import applied, length, product
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import complete_limits
 from arm_emulator.machine.chain import (
@@ -259,7 +260,7 @@ def _moved(joint: UrdfJoint, position: float) -> Frame:
         return joint.placement @ Frame(p=position * joint.axis)
     a = cross(joint.axis)
     return joint.placement @ Frame(
-        np.eye(3) + math.sin(position) * a + (1.0 - math.cos(position)) * a @ a
+        np.eye(3) + math.sin(position) * a + product((1.0 - math.cos(position)) * a, a)
     )
 
 
@@ -279,26 +280,26 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
             gammas.append(0.0)
             continue
         one = moving[index + 1]
-        z_next = clean(here.T @ one.placement.R @ one.joint.axis)
+        z_next = clean(applied(product(here.T, one.placement.R), one.joint.axis))
         gammas.append(exact_atan2(float(z_next[0]), -float(z_next[1])))
-    turned = [clean(e @ turn(2, gamma)) for e, gamma in zip(E, gammas, strict=True)]
-    R_WB = clean(moving[0].placement.R @ E[0])
+    turned = [clean(product(e, turn(2, gamma))) for e, gamma in zip(E, gammas, strict=True)]
+    R_WB = clean(product(moving[0].placement.R, E[0]))
     joints = []
     for index, one in enumerate(moving):
         cos_gamma, sin_gamma = 1.0, 0.0
         if index == 0:
             # The base's turn is free: with z along the first joint, that joint needs no tilt.
-            R, p = turn(2, gammas[0]), R_WB.T @ one.placement.p
+            R, p = turn(2, gammas[0]), applied(R_WB.T, one.placement.p)
         else:
             before = turned[one.parent] if one.parent >= 0 else R_WB
-            R = clean(before.T @ one.placement.R @ turned[index])
-            p = before.T @ one.placement.p
+            R = clean(product(before.T, one.placement.R, turned[index]))
+            p = applied(before.T, one.placement.p)
             if one.parent != index - 1:
                 x, y = float(R[0, 2]), -float(R[1, 2])
                 if (length := math.hypot(x, y)) > 0.0:
                     cos_gamma, sin_gamma = y / length, x / length
                 back = ((cos_gamma, sin_gamma, 0.0), (-sin_gamma, cos_gamma, 0.0), (0.0, 0.0, 1.0))
-                R = clean(np.array(back) @ R)
+                R = clean(product(np.array(back), R))
         # R = Rx(alpha) Rz(theta_0): its third column is (0, -sin alpha, cos alpha), its first row
         # (cos theta_0, -sin theta_0, 0).
         joints.append(
@@ -357,6 +358,6 @@ def _frame_with_z(axis: Array) -> Array:
     """Return a rotation whose third column is `axis`, made of zeros and ones where possible."""
     z = axis
     helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = helper - (helper @ z) * z
-    x = x / np.linalg.norm(x)
+    x = helper - applied(helper[None], z) * z
+    x = x / length(x)
     return clean(np.column_stack([x, np.cross(z, x), z]))

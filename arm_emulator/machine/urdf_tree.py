@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.name_rule import check_joint_name
+from arm_emulator.base.products import length, product
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import EYE, X_AXIS, Array, Bodies, Frame, clean, turns
 
@@ -98,10 +99,10 @@ def _axis(element: ET.Element | None, what: str, where: str) -> Array:
         return X_AXIS
     axis = np.array(_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
     _check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
-    length = float(np.linalg.norm(axis))
-    if length < 1e-6:
+    size = length(axis)
+    if size < 1e-6:
         raise Refusal(where, what, "have a direction", tuple(map(float, axis)))
-    return axis / length
+    return axis / size
 
 
 def read_bodies(robot: ET.Element, where: str) -> Bodies:
@@ -137,7 +138,7 @@ def read_bodies(robot: ET.Element, where: str) -> Bodies:
     if not places:
         return everywhere
     R = np.array([frame.R for frame in frames])
-    inertia = R @ values[:, 1:][:, _FULL_TENSOR] @ R.transpose(0, 2, 1)
+    inertia = product(R, values[:, 1:][:, _FULL_TENSOR], R.transpose(0, 2, 1))
     bodies = Bodies.from_center(values[:, 0], np.array([frame.p for frame in frames]), inertia)
     everywhere.mass[places] = bodies.mass
     everywhere.moment[places] = bodies.moment
@@ -177,11 +178,7 @@ def _frames(
     values = np.array(rows).reshape(-1, 6)
     _check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
     _check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
-    R = clean(
-        turns(2, values[:, 5].tolist())
-        @ turns(1, values[:, 4].tolist())
-        @ turns(0, values[:, 3].tolist())
-    )
+    R = clean(product(*(turns(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))))
     turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
     p = values[:, :3].copy()
     return [Frame(R[k] if turned[k] else EYE, p[k]) for k in range(len(rows))]

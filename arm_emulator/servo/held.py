@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.products import product
+
 FloatArray = npt.NDArray[np.float64]
 
 _TERMS = 14  # of the series; of a matrix of size 1/2 the rest is below 1e-16
@@ -44,8 +46,8 @@ def _exponential(A: FloatArray) -> FloatArray:
     step = A / 2.0**squarings
     term = out = np.eye(len(A))
     for k in range(1, _TERMS):
-        term = term @ step / k
+        term = product(term, step) / k
         out = out + term
     for _ in range(squarings):
-        out = out @ out
+        out = product(out, out)
     return out

@@ -1,0 +1,36 @@
+"""Products of matrices with the same bits on every processor.
+
+BLAS, behind the operator of NumPy, sums in an order of its own and with fused products, for each
+kind of processor otherwise.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def product(*factors: Array) -> Array:
+    """Return the product of matrices, or of stacks of them (..., N, K), from left to right."""
+    return reduce(_product, factors)
+
+
+def applied(A: Array, v: npt.ArrayLike) -> Array:
+    """Return A v of a matrix (..., N, K) and a vector (..., K), or of stacks of them."""
+    return product(A, np.asarray(v, np.float64)[..., None])[..., 0]
+
+
+def length(v: Array) -> float:
+    """Return the length of a vector."""
+    return float(np.sqrt(applied(v[None], v)[0]))
+
+
+def _product(A: Array, B: Array) -> Array:
+    terms: list[Any] = [A[..., :, k, None] * B[..., None, k, :] for k in range(A.shape[-1])]
+    total: Array = reduce(np.add, terms)
+    return total

@@ -1,0 +1,69 @@
+"""Constants of scenes and servos have the same bits, whatever BLAS does on this processor."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arm_emulator.base.products import applied, length, product
+
+ROOT = Path(__file__).parents[1]
+DIGESTS = """
+import hashlib, pathlib, sys, tempfile
+from portable_bits import drawings
+from arm_emulator import load_gains
+from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.servo.servo_numbers import servo_numbers
+
+with tempfile.TemporaryDirectory() as folder:
+    for name, drawn in drawings(pathlib.Path(folder)).items():
+        print(name, hashlib.sha256(scene_unit(drawn({})).encode()).hexdigest())
+for name in ("three_axis", "ur5", "panda"):
+    servo = load_gains(name).servo
+    numbers = servo_numbers(servo.joints, servo.period, servo.supply_voltage)
+    print(name, hashlib.sha256(numbers.tobytes()).hexdigest())
+"""
+BARE = """
+import hashlib
+import numpy as np
+
+A = np.random.default_rng(1).normal(size=(99, 99))
+print(hashlib.sha256(A @ A).hexdigest())
+"""
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="kernels of x86-64")
+def test_kernels_of_blas_change_nothing() -> None:
+    """Of a processor with fused products, and of one without: those of BLAS itself differ."""
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")])
+
+    def digests(words: str) -> list[str]:
+        found = []
+        for kernel in ("Haswell", "Nehalem"):
+            env = os.environ | {"OPENBLAS_CORETYPE": kernel, "PYTHONPATH": paths}
+            command = [sys.executable, "-c", words]
+            done = subprocess.run(command, capture_output=True, check=False, env=env)
+            assert done.returncode == 0, done.stderr.decode()
+            found.append(done.stdout.decode())
+        return found
+
+    bare = digests(BARE)
+    if bare[0] == bare[1]:
+        pytest.skip("this BLAS has one kernel")
+    found = digests(DIGESTS)
+    assert found[0] == found[1]
+
+
+def test_products_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(2)
+    A, B, C = rng.normal(size=(5, 3, 4)), rng.normal(size=(5, 4, 2)), rng.normal(size=(2, 2))
+    assert product(A, B, C) == pytest.approx(A @ B @ C, rel=1e-13)
+    v = rng.normal(size=(5, 4))
+    assert applied(A, v) == pytest.approx((A @ v[..., None])[..., 0], rel=1e-13)
+    assert length(v[0]) == pytest.approx(np.linalg.norm(v[0]), rel=1e-15)
