@@ -38,8 +38,13 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
         m[i * w + j] = n == 3 ? per * (at(0) - 2.0 * at(1) + at(2)) : 0.0;
       continue;
     }
-    m[j] = per * (2.0 * at(0) - 5.0 * at(1) + 4.0 * at(2) - at(3));
-    m[(n - 1) * w + j] = per * (2.0 * at(n - 1) - 5.0 * at(n - 2) + 4.0 * at(n - 3) - at(n - 4));
+    // By differences, so that a coordinate that stays gets exact zeros.
+    auto end = [&](int64_t i, int64_t to) {
+      return per * (2.0 * (at(i) - at(i + to)) - 3.0 * (at(i + to) - at(i + 2 * to)) +
+                    (at(i + 2 * to) - at(i + 3 * to)));
+    };
+    m[j] = end(0, 1);
+    m[(n - 1) * w + j] = end(n - 1, -1);
     // m[i-1] + 4 m[i] + m[i+1] = 6 y''
     work[1] = 4.0;
     for (int64_t i = 1; i < n - 1; ++i) {
