@@ -59,7 +59,6 @@ class RealTimeTicks:
         self._logs: list[CData] = []  # of C, and another one in exchange for it
         self.at = REAL_TIME_TICKS.new(
             "real_time_ticks",
-            joints=N,
             loop=clock.loop.handle,
             at=own.session.plant.ticks,
             take=loop.arm_real_time_take,
@@ -72,7 +71,6 @@ class RealTimeTicks:
             joint_state=joint_state.struct,
             clock=time.struct,
             report_ticks=reports.ticks,
-            period=own.session.period_ns,
             joint=REAL_TIME_TICKS.ffi.cast("arm_joint_command *", self._joint.ctypes.data),
             command=self._command,
             answered=-1,

@@ -35,7 +35,7 @@ void real_time_ticks_end(real_time_ticks* ticks) {
 /* ----------------------------------------------------------------------------------- states */
 
 static void publish(real_time_ticks* ticks) {
-  const int64_t tick = ticks->snapshot->tick, time = tick * ticks->period;
+  const int64_t tick = ticks->snapshot->tick, time = tick * ticks->at->period;
   ros_message* const messages[] = {ticks->motor_state, ticks->joint_state, ticks->clock};
   const int count = tick % ticks->report_ticks ? 1 : 3;
   for (int k = 0; k < count; ++k) ros_fill(messages[k], time, tick, NULL);
@@ -81,7 +81,7 @@ int real_time_ticks_take(void* with, const uint8_t* data, int64_t size) {
   pthread_mutex_lock(&ticks->locks->numbers);
   const int due = ticks->open && answered > ticks->answered && answered <= ticks->tick;
   if (due) {
-    const size_t bytes = (size_t)ticks->joints * sizeof(double);
+    const size_t bytes = (size_t)ticks->at->joints * sizeof(double);
     memcpy(ticks->commanded_before, ticks->commanded, bytes);
     memcpy(ticks->commanded, commands->came, bytes);
     ticks->answered_before = ticks->answered;
@@ -90,7 +90,7 @@ int real_time_ticks_take(void* with, const uint8_t* data, int64_t size) {
   }
   pthread_mutex_unlock(&ticks->locks->numbers);
   if (!due) return ROS_FOR_PYTHON;
-  for (int32_t j = 0; j < ticks->joints; ++j) ticks->joint[j].value = commands->came[j];
+  for (int32_t j = 0; j < ticks->at->joints; ++j) ticks->joint[j].value = commands->came[j];
   ticks->command->tick = answered;
   ticks->give(ticks->loop, ticks->command);
   return ROS_TAKEN;
@@ -101,7 +101,7 @@ void real_time_ticks_open(real_time_ticks* ticks, int64_t open, int64_t answered
   pthread_mutex_lock(&ticks->locks->numbers);
   ticks->open = open;
   ticks->answered = answered;
-  memcpy(ticks->commanded, commanded, (size_t)ticks->joints * sizeof(double));
+  memcpy(ticks->commanded, commanded, (size_t)ticks->at->joints * sizeof(double));
   pthread_mutex_unlock(&ticks->locks->numbers);
 }
 
@@ -113,7 +113,7 @@ void real_time_ticks_put(real_time_ticks* ticks, int64_t tick) {
 
 int64_t real_time_ticks_held(real_time_ticks* ticks, double* newest, double* other,
                              int64_t* before) {
-  const size_t bytes = (size_t)ticks->joints * sizeof(double);
+  const size_t bytes = (size_t)ticks->at->joints * sizeof(double);
   pthread_mutex_lock(&ticks->locks->numbers);
   memcpy(newest, ticks->commanded, bytes);
   memcpy(other, ticks->commanded_before, bytes);

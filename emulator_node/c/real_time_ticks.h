@@ -14,7 +14,7 @@ typedef struct real_time_locks real_time_locks;
 
 typedef struct real_time_ticks {
   uint32_t size;
-  int32_t joints;
+  int32_t reserved;
   /* The loop, the functions of its library, and its second reader: this. */
   arm_real_time* loop;
   int (*take)(arm_real_time*, int32_t reader, arm_snapshot* out);
@@ -25,11 +25,10 @@ typedef struct real_time_ticks {
   /* Published at each tick, and at each tick that is a multiple of `report_ticks`. */
   ros_message *motor_state, *joint_state, *clock;
   int64_t report_ticks;
-  int64_t period; /* ns */
   motor_commands commands;
   arm_joint_command* joint; /* of the command */
   arm_command* command;
-  const tick_machine* at; /* where the loop stops, Python has to look */
+  const tick_machine* at; /* where its `stop` ends the loop, Python has to look */
   int32_t closing;        /* 1: `run` returns */
   /* Guarded by the locks. */
   real_time_locks* locks;
