@@ -26,7 +26,8 @@ ROOMS = (
 )  # fmt: skip
 IN_C = (".c", ".h", ".cpp", ".hpp")
 CALL = re.compile(r"\barm_exchange\s*\(|->\s*exchange\s*\(|\bexchange_\s*\(")
-SCENE = load_scene("three_axis")
+FAULTS = {"command_lost": 0.5, "command_late": 2.0}  # of a line; they are off at first
+SCENE = load_scene("three_axis", overrides={"faults": [f"elbow.{one}" for one in FAULTS]})
 N = len(SCENE.joints)
 
 
@@ -111,19 +112,27 @@ def by_drives(command: np.ndarray) -> Door:
 
 
 def by_clock(command: np.ndarray) -> Door:
-    """Real time, until it ends by itself: at a breakpoint or a refused start."""
+    """Real time, which a breakpoint ends."""
     plant = Plant(SCENE)
     loop = RealTimeLoop(plant, 1_000_000, SCENE.steps_per_period, -1)
 
     def go(ticks: int) -> None:
+        end = Breakpoint(plant, f"tick > {plant.ticks.tick + ticks - 1}")
+        own = plant.ticks.stop or end.stop
+        plant.ticks.stop = own
         loop.command(-1, command)
-        loop.start(0)
-        reached = 0
-        while reached < ticks and loop.wait(1.0):
+        loop.start(plant.ticks.tick)
+        reached, fault = plant.ticks.tick, -1
+        while not own[0] and fault < 0 and loop.wait(1.0):
             while (one := loop.take()) is not None:
-                reached = one.tick
+                reached, fault = one.tick, one.fault
         loop.stop()
+        while (one := loop.take()) is not None:
+            reached = one.tick
         plant.ticks.tick = reached
+        end.close()
+        if own == end.stop:
+            plant.ticks.stop = NULL
 
     return Door(plant, go, loop)
 
@@ -160,7 +169,22 @@ def test_a_refused_command_changes_nothing(door: Callable[[np.ndarray], Door]) -
     assert one.tick == 4, "the next one is taken"
 
 
-@pytest.mark.parametrize("door", (by_call, by_hand, by_control_code, by_drives))
+@pytest.mark.parametrize("door", (by_hand, by_control_code, by_clock))
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_line_loses_and_delays_the_same_commands(
+    door: Callable[[np.ndarray], Door], fault: str
+) -> None:
+    one, other, plain = (make(np.full(N, 4.0)) for make in (door, by_call, by_call))
+    plain.go(30)
+    for each in (one, other):
+        each.plant.set_parameter(f"faults.elbow.{fault}", FAULTS[fault])
+        each.go(30)
+    assert one.tick == other.tick == 30
+    np.testing.assert_array_equal(one.plant.state.q, other.plant.state.q)
+    assert (one.plant.state.q != plain.plant.state.q).any(), "the fault does nothing"
+
+
+@pytest.mark.parametrize("door", ALL)
 def test_without_power_commands_are_0(door: Callable[[np.ndarray], Door]) -> None:
     one, other = door(np.full(N, 6.0)), by_call(np.zeros(N))
     for each in (one, other):

@@ -67,18 +67,13 @@ class FirmwareLoop:
     def save(self) -> tuple[Any, ...]:
         """Return targets and commands as they are now, for `restore` of this loop."""
         commands = tuple(bytes(one) for one in self._commands())
-        return self.pointer.row, self._row_tick, self._rows, commands
+        return self.pointer.row, (self._row_tick, self._rows), commands
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Go on from what `save` has returned."""
-        row, self._row_tick, self._rows, commands = saved
-        FIRMWARE_CONTROLLER.fill(
-            self.pointer,
-            row_tick=self._row_tick,
-            rows=self._rows,
-            row_count=len(self._row_tick),
-            row=row,
-        )
+        row, targets, commands = saved
+        self.aim(targets)
+        self.pointer.row = row
         for now, then in zip(self._commands(), commands, strict=True):
             now[:] = then
 
