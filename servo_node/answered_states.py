@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator.base.bound import BRAKE_CLOSED, COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.build.unit import compiled_once
-from arm_emulator.ros.message_reader import MessageReader, Row
+from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
 from arm_emulator.ros.middleware import Outgoing, middleware
 from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.servo_config import ServoConfig
@@ -89,7 +89,7 @@ class AnsweredStates:
                 "brake_closed": Row(brake, BRAKE_CLOSED, is_optional=True),
             },
             {
-                "header.stamp": ffi.addressof(at, "state_time"),
+                STAMP: ffi.addressof(at, "state_time"),
                 "tick": ffi.addressof(at, "state_tick"),
                 "powered": ffi.addressof(at, "state_powered"),
                 "machine": ffi.addressof(at, "state_machine"),
@@ -105,7 +105,7 @@ class AnsweredStates:
                 "velocity": Row(v, VELOCITY, is_optional=True),
                 "effort": Row(tau, EFFORT, is_optional=True),
             },
-            {"header.stamp": ffi.addressof(at, "target_time")},
+            {STAMP: ffi.addressof(at, "target_time")},
         )
         at.state, at.target = self.states.struct, self.targets.struct
         at.applied_came, at.brake_came = map(self.states.field, ("applied", "brake_closed"))
@@ -115,7 +115,7 @@ class AnsweredStates:
         """Let C publish motor commands, servo states and joint states."""
         at = self.at
         for one in (command, state, joint_state):
-            one.bind()
+            one.bind()  # nothing is taken once the node has no publishers
         at.motor_command, at.servo_state, at.joint_state = (
             one.struct for one in (command, state, joint_state)
         )

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from arm_emulator.base.number import Number
 from arm_emulator.ros.c import MESSAGE_READER
-from arm_emulator.ros.message_reader import MessageReader, Row
+from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
 from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState
 
 # Between them fields of every kind: numbers of each width, flags, strings, arrays, messages.
@@ -168,7 +168,7 @@ class Joints:
                 "applied": Row(self.applied, BOUND.named("applied"), is_optional=True),
                 "brake_closed": Row(self.brakes, Number.within("brake", "", 1), is_optional=True),
             },
-            {"header.stamp": self.time, "tick": self.tick, "powered": self.powered},
+            {STAMP: self.time, "tick": self.tick, "powered": self.powered},
         )
 
 

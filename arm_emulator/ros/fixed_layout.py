@@ -3,25 +3,47 @@
 rclpy converts every field of a message to Python and back, names and lengths too: for the two
 messages of a servo period this takes longer than the middleware does. Here the bytes are laid out
 once; then numbers are read and written in place.
-
-Format of the bytes: plain CDR (OMG DDSI-RTPS 2.5, section 10), as all ROS 2 middlewares send.
 """
 
 from __future__ import annotations
 
+import re
 import struct
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
 from rclpy.serialization import serialize_message
 
-_KINDS = {
+_HEADER = 4  # bytes before the first field: the kind of encoding
+CODES = {  # of numbers, as of module struct
     "boolean": "?", "octet": "B", "byte": "B", "char": "B", "uint8": "B", "int8": "b",
     "uint16": "H", "int16": "h", "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q",
     "float": "f", "double": "d",
 }  # fmt: skip
-_HEADER = 4  # bytes: the kind of encoding
+_KIND = re.compile(r"sequence<(?P<many>\w+)>|(?P<one>\w+)(?:\[(?P<count>\d+)\])?")
+
+
+def fields_of(message: Any, within: str = "") -> Iterator[tuple[str, str, int, Any]]:
+    """Yield the fields of a message and of messages within it, in the order of their bytes.
+
+    Of each its name, with dots; its kind, of `CODES` or string; the length of an array, 0 of a
+    single one, -1 of a sequence; its value.
+
+    Raises:
+        TypeError: a field of another kind, such as an array of messages.
+    """
+    for name, kind in message.get_fields_and_field_types().items():
+        path, value = within + name, getattr(message, name)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from fields_of(value, f"{path}.")
+            continue
+        found = _KIND.fullmatch(kind)
+        base = found and (found["many"] or found["one"])
+        if found is None or base not in (*CODES, "string"):
+            raise TypeError(f"{path} is a {kind}, which has no fixed layout")
+        yield path, str(base), -1 if found["many"] else int(found["count"] or 0), value
 
 
 class FixedLayout:
@@ -75,34 +97,29 @@ class FixedLayout:
             setattr(owner, name, kind.unpack_from(data, at)[0])
         return True
 
-    def _laid_out(self, message: Any, within: str = "") -> SimpleNamespace:
-        one = SimpleNamespace()
-        for name, kind in message.get_fields_and_field_types().items():
-            setattr(one, name, self._field(one, name, kind, getattr(message, name), within))
-        return one
-
-    def _field(self, owner: SimpleNamespace, name: str, kind: str, value: Any, within: str) -> Any:
-        path = within + name
-        if kind in _KINDS:
-            at = self.places[path] = self._skip(_KINDS[kind])
-            self._numbers.append((owner, name, struct.Struct(self._order + _KINDS[kind]), at))
-            return value
-        if kind == "string":
-            self._string(value)
-            return value
-        if kind == "sequence<string>":
-            self._length(len(value))
-            for text in value:
-                self._string(text)
-            return list(value)
-        base = kind.removeprefix("sequence<").split("[")[0].removesuffix(">")
-        if base in _KINDS:
-            if kind.startswith("sequence<"):
+    def _laid_out(self, message: Any) -> SimpleNamespace:
+        whole = SimpleNamespace()
+        for path, kind, count, value in fields_of(message):
+            *within, name = path.split(".")
+            owner = whole
+            for one in within:
+                owner = vars(owner).setdefault(one, SimpleNamespace())
+            if count < 0:
                 self._length(len(value))
-            return self._array(path, _KINDS[base], len(value))
-        if kind == base:
-            return self._laid_out(value, f"{path}.")
-        raise TypeError(f"no fixed layout for {name}: {kind}")
+            setattr(owner, name, self._field(owner, path, kind, count, value))
+        return whole
+
+    def _field(self, owner: SimpleNamespace, path: str, kind: str, count: int, value: Any) -> Any:
+        if kind == "string":
+            for text in value if count else [value]:
+                self._string(text)
+            return list(value) if count else value
+        if count:
+            return self._array(path, CODES[kind], len(value))
+        at = self.places[path] = self._skip(CODES[kind])
+        code = struct.Struct(self._order + CODES[kind])
+        self._numbers.append((owner, path.rpartition(".")[2], code, at))
+        return value
 
     def _skip(self, kind: str, count: int = 1) -> int:
         """Skip numbers of a kind, aligned to their size."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping, Sequence
+import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
@@ -17,14 +16,11 @@ from arm_emulator.base.number import LARGEST, Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MESSAGE_READER
+from arm_emulator.ros.fixed_layout import CODES, fields_of
 from arm_emulator.ros.middleware import middleware
 from arm_emulator.ros.node_shell import time_of
 
-_WIDTHS = {
-    "boolean": 1, "octet": 1, "byte": 1, "char": 1, "uint8": 1, "int8": 1, "uint16": 2, "int16": 2,
-    "uint32": 4, "int32": 4, "float": 4, "uint64": 8, "int64": 8, "double": 8, "string": 0,
-}  # fmt: skip
-_FIELD = re.compile(r"(?:sequence<(?P<many>\w+)>|(?P<base>\w+)(?:\[(?P<count>\d+)\])?)")
+STAMP = "header.stamp.sec"  # stands for the whole time
 _READ, _OF_ITS_TYPE, _OF_A_TIME = map(
     MESSAGE_READER.constant, ("MESSAGE_READ", "MESSAGE_OF_ITS_TYPE", "MESSAGE_OF_A_TIME")
 )
@@ -59,8 +55,8 @@ class MessageReader:
         joint_names: in the receiver's order.
         names: the field with the joints of a message; empty: there are no rows.
         rows: numbers of joints, by field.
-        singles: pointers to 8 bytes each, for flags and numbers of 8 bytes; of a time for
-            nanoseconds.
+        singles: pointers to 8 bytes each, by field, for flags, numbers of 8 bytes, and the
+            nanoseconds of `STAMP`.
 
     Raises:
         TypeError: a field that cannot be read, or an array of messages.
@@ -80,12 +76,13 @@ class MessageReader:
         self._order = JointOrder(topic, joint_names)
         self._at: dict[str, int] = {}  # number of each field
         N, new = len(joint_names), MESSAGE_READER.ffi.new
-        table = [*_fields_of(kind())]
+        table = [*fields_of(kind())]
         self._fields = new("message_field[]", len(table))
         self._keep: list[object] = []  # what the fields point to
-        for k, (path, type_, width, count) in enumerate(table):
+        for k, (path, type_, count, _) in enumerate(table):
             field, self._at[path] = self._fields + k, k
-            field.width, field.count = width, count
+            field.width = 0 if type_ == "string" else struct.calcsize(f"={CODES[type_]}")
+            field.count = count or 1
             field.is_flag, field.is_real = type_ == "boolean", type_ == "double"
             if path == names:
                 use = "MESSAGE_NAMES"
@@ -93,7 +90,9 @@ class MessageReader:
                 use = "MESSAGE_ROW"
                 self._read_row_into(field, type_, rows[path], N)
             elif path in singles:
-                use = "MESSAGE_TIME" if type_ == "time" else "MESSAGE_NUMBER"
+                use = "MESSAGE_TIME" if path == STAMP else "MESSAGE_NUMBER"
+                if path != STAMP and field.width != 8 and not field.is_flag:
+                    raise TypeError(f"{path} is a {type_}, which is not read")
                 field.to = singles[path]
             else:
                 use = "MESSAGE_SKIPPED"
@@ -164,19 +163,3 @@ class MessageReader:
 def no_message(topic: str, kind: type, data: bytes) -> Refusal:
     """Return the refusal of bytes that are no message of a kind."""
     return Refusal(topic, "message", f"be a {kind.__name__}", f"{len(data)} bytes")
-
-
-def _fields_of(message: Any, within: str = "") -> Iterator[tuple[str, str, int, int]]:
-    """Yield name, type, width and count of each field, see ``message_field``."""
-    for name, kind in message.get_fields_and_field_types().items():
-        path, value = within + name, getattr(message, name)
-        if isinstance(value, Time):
-            yield path, "time", 4, 2
-        elif hasattr(value, "get_fields_and_field_types"):
-            yield from _fields_of(value, f"{path}.")
-        else:
-            found = _FIELD.fullmatch(kind)
-            base = found and (found["many"] or found["base"])
-            if found is None or base not in _WIDTHS:
-                raise TypeError(f"{path} is a {kind}, which is not read")
-            yield path, base, _WIDTHS[base], -1 if found["many"] else int(found["count"] or 1)

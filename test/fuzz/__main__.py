@@ -183,19 +183,28 @@ def turns(messages: int) -> list[int]:
 
 def properties(examples: int, seed: int) -> Counter[str]:
     """Let Hypothesis look for messages that break a node; what it finds, it keeps."""
+    words = [f"--hypothesis-seed={seed}", "-k", "_message_", "test/test_fuzz.py"]
+    return _tested("hypothesis", words, {"FUZZ_EXAMPLES": str(examples)}, 2 * examples)
+
+
+def reader(sanitized: dict[str, str]) -> Counter[str]:
+    """Let a reader that was compiled with sanitizers read spoiled messages, each from its heap."""
+    words = ["test/test_message_reader.py"]
+    return _tested("reader", words, {**sanitized, "PYTHONMALLOC": "malloc"}, 1)
+
+
+def _tested(name: str, words: list[str], more: dict[str, str], count: int) -> Counter[str]:
     OUT.mkdir(parents=True, exist_ok=True)
-    log = OUT / "hypothesis.txt"
-    command = [sys.executable, "-m", "pytest", "-q", f"--hypothesis-seed={seed}", "-k", "_message_"]
-    with log.open("w") as out:
+    with (OUT / f"{name}.txt").open("w") as out:
         done = subprocess.run(
-            [*command, "test/test_fuzz.py"],
-            env={**os.environ, "FUZZ_EXAMPLES": str(examples)},
+            [sys.executable, "-m", "pytest", "-q", *words],
+            env={**os.environ, **more},
             stdout=out,
             stderr=subprocess.STDOUT,
             check=False,
         )
     failed = int(done.returncode != 0)
-    return Counter({TAKEN: 2 * examples * (1 - failed), FAILED: failed})
+    return Counter({TAKEN: count * (1 - failed), FAILED: failed})
 
 
 def main() -> None:
@@ -247,6 +256,8 @@ def main() -> None:
             workers = [Worker("files", [seed], first) for first in range(WORKERS)]
             fuzzer.run("files", workers, arguments.files, half + left / 8)
         sanitized = environment(Path(cache))
+        if not bounded:
+            fuzzer.counts["messages, in C"] = reader(sanitized)
         if arguments.frames is not None or not bounded:
             workers = [Worker("frames", [seed], first, sanitized) for first in range(WORKERS)]
             fuzzer.run("frames", workers, arguments.frames, half + left / 4)

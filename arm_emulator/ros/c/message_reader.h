@@ -16,7 +16,7 @@ extern "C" {
 enum message_use {
   MESSAGE_SKIPPED = 0,
   MESSAGE_NUMBER = 1, /* a flag or a number of 8 bytes, into 8 bytes */
-  MESSAGE_TIME = 2,   /* seconds and nanoseconds, into an int64_t [ns] */
+  MESSAGE_TIME = 2,   /* seconds, and nanoseconds behind them, into an int64_t [ns] */
   MESSAGE_NAMES = 3,  /* those of the joints */
   MESSAGE_ROW = 4     /* numbers of 8 bytes, one per name */
 };
