@@ -147,7 +147,7 @@ struct LinkTree {
         base = from.base, omega = from.omega, alpha = from.alpha, acc = from.acc;
       }
       const X a_i = a ? a[i] : X{};
-      const Vec3<X> at_joint = acc + cross(alpha, link.p) + cross(omega, cross(omega, link.p));
+      const Vec3<X> at_joint = acc + cross(omega, cross(omega, link.p), cross(alpha, link.p));
       omega = link.to_child(omega);
       alpha = link.to_child(alpha);
       acc = link.to_child(at_joint);
@@ -158,8 +158,8 @@ struct LinkTree {
         acc = acc + Vec3<X>{2.0 * omega.y * v[i], -2.0 * omega.x * v[i], a_i};
       }
       const auto body = n.body(i);
-      wrench[i].f = body.m * acc + cross(alpha, body.h) + cross(omega, cross(omega, body.h));
-      wrench[i].n = body.I * alpha + cross(omega, body.I * omega) + cross(body.h, acc);
+      wrench[i].f = fma(body.m, acc, cross(omega, cross(omega, body.h), cross(alpha, body.h)));
+      wrench[i].n = cross(body.h, acc, cross(omega, body.I * omega, body.I * alpha));
       if constexpr (S::external_wrench) {
         base.go_on(link);
         const Wrench<X> outside = n.external_wrench(i).at_origin(base.x, base.y);
@@ -269,7 +269,7 @@ struct LinkTree {
   static ARM_INLINE Wrench<X> sum(const Wrench<X>& parent, const Placement& link,
                                   const Wrench<X>& child) {
     const Vec3<X> f = link.to_parent(child.f);
-    return {parent.f + f, parent.n + link.to_parent(child.n) + cross(link.p, f)};
+    return {parent.f + f, link.to_parent(child.n, cross(link.p, f, parent.n))};
   }
 };
 

@@ -23,25 +23,32 @@ struct Placement {
 
   ARM_INLINE constexpr Vec3<X> to_child(const Vec3<X>& u) const {
     const X y = cos_alpha * u.y + sin_alpha * u.z;
-    return {cos * u.x + sin * y, cos * y - sin * u.x, cos_alpha * u.z - sin_alpha * u.y};
+    return {sparse_fma(cos, u.x, sin * y), sparse_fma(cos, y, -(sin * u.x)),
+            cos_alpha * u.z - sin_alpha * u.y};
   }
   ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u) const {
-    const X y = sin * u.x + cos * u.y;
-    return {cos * u.x - sin * u.y, cos_alpha * y - sin_alpha * u.z,
+    const X y = sparse_fma(sin, u.x, cos * u.y);
+    return {sparse_fma(cos, u.x, -(sin * u.y)), cos_alpha * y - sin_alpha * u.z,
             sin_alpha * y + cos_alpha * u.z};
+  }
+  // The same and `c`.
+  ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u, const Vec3<X>& c) const {
+    const X y = sparse_fma(sin, u.x, cos * u.y);
+    return {sparse_fma(cos, u.x, sparse_fma(-sin, u.y, c.x)),
+            (cos_alpha * y - sin_alpha * u.z) + c.y, (sin_alpha * y + cos_alpha * u.z) + c.z};
   }
   // The tensor R a R^T of the parent's frame.
   ARM_INLINE constexpr Sym3<X> to_parent(const Sym3<X>& a) const {
-    const X cc = cos * cos, ss = sin * sin, cs = cos * sin;
-    const X xx = cc * a.xx + ss * a.yy - 2.0 * cs * a.xy;
-    const X yy = ss * a.xx + cc * a.yy + 2.0 * cs * a.xy;
-    const X xy = cs * (a.xx - a.yy) + (cc - ss) * a.xy;
-    const X xz = cos * a.xz - sin * a.yz;
-    const X yz = sin * a.xz + cos * a.yz;
+    const X cc = cos * cos, ss = sin * sin, cs = cos * sin, twice = 2.0 * cs * a.xy;
+    const X xx = sparse_fma(cc, a.xx, sparse_fma(ss, a.yy, -twice));
+    const X yy = sparse_fma(ss, a.xx, sparse_fma(cc, a.yy, twice));
+    const X xy = sparse_fma(cs, a.xx - a.yy, (cc - ss) * a.xy);
+    const X xz = sparse_fma(cos, a.xz, -(sin * a.yz));
+    const X yz = sparse_fma(sin, a.xz, cos * a.yz);
     const Real ca = cos_alpha, sa = sin_alpha;
     return {xx,
-            ca * ca * yy + sa * sa * a.zz - 2.0 * ca * sa * yz,
-            sa * sa * yy + ca * ca * a.zz + 2.0 * ca * sa * yz,
+            ca * ca * yy + (sa * sa * a.zz - 2.0 * ca * sa * yz),
+            sa * sa * yy + (ca * ca * a.zz + 2.0 * ca * sa * yz),
             ca * xy - sa * xz,
             sa * xy + ca * xz,
             ca * sa * (yy - a.zz) + (ca * ca - sa * sa) * yz};
@@ -71,6 +78,9 @@ struct TurnedPlacement {
     const Vec3<X> w = turned.to_parent(u);
     return {cos_gamma * w.x - sin_gamma * w.y, sin_gamma * w.x + cos_gamma * w.y, w.z};
   }
+  ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u, const Vec3<X>& c) const {
+    return to_parent(u) + c;
+  }
   ARM_INLINE constexpr Sym3<X> to_parent(const Sym3<X>& a) const {
     const Sym3<X> t = turned.to_parent(a);
     const Real c = cos_gamma, s = sin_gamma;
@@ -98,12 +108,16 @@ ARM_INLINE constexpr Body<X> joined(const Body<P>& parent, const Where& link,
                                     const Body<X>& child) {
   const Vec3<X> h = link.to_parent(child.h);
   const Vec3<X> p = link.p;
-  const Vec3<X> mp = child.m * p;
-  const X trace = 2.0 * dot(h, p) + dot(mp, p);
-  const Sym3<X> shift = {trace - 2.0 * h.x * p.x - mp.x * p.x, trace - 2.0 * h.y * p.y - mp.y * p.y,
-                         trace - 2.0 * h.z * p.z - mp.z * p.z, -h.x * p.y - h.y * p.x - mp.x * p.y,
-                         -h.x * p.z - h.z * p.x - mp.x * p.z,  -h.y * p.z - h.z * p.y - mp.y * p.z};
-  return {parent.m + child.m, parent.h + h + mp, parent.I + link.to_parent(child.I) + shift};
+  const Vec3<X> mp = child.m * p, all = h + mp, by = h + all;
+  // (by p) 1 minus the products, of which those off the diagonal are symmetric.
+  const X xx = by.x * p.x, yy = by.y * p.y, zz = by.z * p.z;
+  const Sym3<X> shift = {yy + zz,
+                         xx + zz,
+                         xx + yy,
+                         sparse_fma(-all.x, p.y, -h.y * p.x),
+                         sparse_fma(-all.x, p.z, -h.z * p.x),
+                         sparse_fma(-all.y, p.z, -h.z * p.y)};
+  return {parent.m + child.m, parent.h + all, parent.I + link.to_parent(child.I) + shift};
 }
 
 }  // namespace arm

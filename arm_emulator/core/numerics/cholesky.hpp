@@ -5,7 +5,7 @@
 // children makes no further ones (Featherstone, Rigid Body Dynamics Algorithms, ch. 6.5).
 #pragma once
 
-#include "numerics/number.hpp"
+#include "numerics/fma.hpp"
 
 namespace arm {
 
@@ -24,7 +24,7 @@ struct Full {
 // the right-hand side, so that the first eliminations need not wait for the last rows.
 template <int N, class X, class Pattern>
 struct FromTheTip {
-  X U[N][N];  // U[k][i] is row i, column k of the factor, i < k
+  X U[N][N];  // -U[k][i] is row i, column k of the factor, i < k
   X inverse_D[N];
 
   // Factor `M`, which is used up.
@@ -33,9 +33,9 @@ struct FromTheTip {
       inverse_D[k] = 1.0 / M[k][k];
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
         if constexpr (Pattern::couples(i, k)) {
-          U[k][i] = M[i][k] * inverse_D[k];
+          U[k][i] = M[i][k] * -inverse_D[k];
           for_each_from<k>(i, [&](auto j) __attribute__((always_inline)) {
-            if constexpr (Pattern::couples(j, k)) M[i][j] -= U[k][i] * M[j][k];
+            if constexpr (Pattern::couples(j, k)) M[i][j] = fma(U[k][i], M[j][k], M[i][j]);
           });
         }
       });
@@ -46,13 +46,13 @@ struct FromTheTip {
   ARM_INLINE void solve(Y* x) const {
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) x[i] -= U[k][i] * x[k];
+        if constexpr (Pattern::couples(i, k)) x[i] = fma(U[k][i], x[k], x[i]);
       });
     });
     for_each<N>([&](auto k) __attribute__((always_inline)) {
       Y sum = x[k] * inverse_D[k];
       for_each<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) sum -= U[k][i] * x[i];
+        if constexpr (Pattern::couples(i, k)) sum = fma(U[k][i], x[i], sum);
       });
       x[k] = sum;
     });
@@ -62,7 +62,7 @@ struct FromTheTip {
 // L D L^T, from the base to the tip: all loops run along rows, and fill vectors.
 template <int N, class X = Real>
 struct InRows {
-  alignas(64) X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
+  alignas(64) X L[N][kPadded<N>];  // -L[j][k] is row k, column j of the factor, k > j
   X inverse_D[N];
 
   // Factor `M`, which is used up.
@@ -70,11 +70,12 @@ struct InRows {
     for_each<N, kUnrollNested>([&](auto j) __attribute__((always_inline)) {
       inverse_D[j] = 1.0 / M[j][j];
       for_each_lane_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
-        L[j][k] = M[j][k] * inverse_D[j];
+        L[j][k] = M[j][k] * -inverse_D[j];
       });
       for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
-        for_each_lane_from<N>(
-            k, [&](auto i) __attribute__((always_inline)) { M[k][i] -= L[j][k] * M[j][i]; });
+        for_each_lane_from<N>(k, [&](auto i) __attribute__((always_inline)) {
+          M[k][i] = fma(L[j][k], M[j][i], M[k][i]);
+        });
       });
     });
   }
@@ -82,13 +83,13 @@ struct InRows {
   template <class Y>
   ARM_INLINE void solve(Y* x) const {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      for_each_from<N>(next(j),
-                       [&](auto k) __attribute__((always_inline)) { x[k] -= L[j][k] * x[j]; });
+      for_each_from<N>(
+          next(j), [&](auto k) __attribute__((always_inline)) { x[k] = fma(L[j][k], x[j], x[k]); });
     });
     for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
       Y sum = x[j] * inverse_D[j];
-      for_each_from<N>(next(j),
-                       [&](auto k) __attribute__((always_inline)) { sum -= L[j][k] * x[k]; });
+      for_each_from<N>(
+          next(j), [&](auto k) __attribute__((always_inline)) { sum = fma(L[j][k], x[k], sum); });
       x[j] = sum;
     });
   }

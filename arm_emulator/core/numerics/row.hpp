@@ -18,7 +18,9 @@ inline constexpr int kRow = (N + kGroup<N, X> - 1) / kGroup<N, X> * kGroup<N, X>
 // caller whose array is on the stack need not promise any.
 template <int N, class X>
 struct Row {
-  static constexpr int group = kGroup<N, X>, groups = kRow<N, X> / group;
+  // A vector fills a register: wider ones take a detour through memory.
+  static constexpr int group = kGroup<N, X> < kNativeLanes ? kGroup<N, X> : kNativeLanes;
+  static constexpr int groups = kRow<N, X> / group;
   using Vector = typename std::conditional_t<std::is_same_v<X, double>, LanesOf<group>,
                                              std::type_identity<X>>::type;
   Vector at[groups];

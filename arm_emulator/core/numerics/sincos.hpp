@@ -5,7 +5,7 @@
 #include <bit>
 #include <cstdint>
 
-#include "numerics/number.hpp"
+#include "numerics/fma.hpp"
 
 namespace arm {
 
@@ -31,17 +31,14 @@ struct Reduced<double> {
   std::int64_t quadrant;
 };
 
-// By Cody and Waite (1980): x - n pi/2, with pi/2 in three parts of which the first two have so few
-// bits that n times them is exact. What the second difference rounds off goes into the third.
+// By Cody and Waite (1980): x - n pi/2, with pi/2 in three parts. The first difference is exact, as
+// a multiple of 2^-53 below 1.
 template <class X>
 ARM_INLINE Reduced<X> reduced(const X& x) {
-  const X shifted = x * 0.63661977236758134308 + kOnes;
-  const X n = shifted - kOnes;
-  const X whole_turns = x - n * 0x1.921fb5444p+0;
-  const X rest = n * 0x1.68c234c5p-39;
-  const X angle = whole_turns - rest;
-  const X beside = (whole_turns - angle) - rest;
-  return {angle + (beside - n * -0x1.cceba3f91f197p-74),
+  const X shifted = fma(x, 0.63661977236758134308, kOnes);
+  const X n = kOnes - shifted;
+  const X whole_turns = fma(n, 0x1.921fb54442d18p+0, x);
+  return {fma(n, -0x1.f1976b7ed8fbcp-110, fma(n, 0x1.1a62633145c07p-54, whole_turns)),
           std::bit_cast<decltype(Reduced<X>::quadrant)>(shifted)};
 }
 
@@ -81,16 +78,16 @@ ARM_ONCE inline Reduced<double> reduced_anywhere(double x) {
 template <class X>
 ARM_INLINE SinCos<X> sincos_of(const Reduced<X>& reduced) {
   const X &r = reduced.angle, z = r * r, z_2 = z * z;
+  const auto pair = [&z](double constant, double factor) { return fma(z, factor, constant); };
+  const X of_s = fma(z_2, pair(-2.50507602534068634195e-08, 1.58969099521155010221e-10),
+                     pair(-1.98412698298579493134e-04, 2.75573137070700676789e-06));
   const X s =
-      r + r * z *
-              ((-1.66666666666666324348e-01 + z * 8.33333333332248946124e-03) +
-               z_2 * ((-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06) +
-                      z_2 * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)));
+      fma(r * z, fma(z_2, of_s, pair(-1.66666666666666324348e-01, 8.33333333332248946124e-03)), r);
+  const X of_c = fma(z_2, pair(-2.08757232129817482790e-09, 1.13596475577881948265e-11),
+                     pair(-2.48015872894767294178e-05, 2.75573143513906633035e-07));
   const X c =
-      1.0 - (0.5 * z -
-             z_2 * ((4.16666666666666019037e-02 + z * -1.38888888888741095749e-03) +
-                    z_2 * ((2.48015872894767294178e-05 + z * -2.75573143513906633035e-07) +
-                           z_2 * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))));
+      1.0 - fma(z_2, fma(z_2, of_c, pair(-4.16666666666666019037e-02, 1.38888888888741095749e-03)),
+                0.5 * z);
   const auto quadrant = reduced.quadrant;
   const auto odd = (quadrant & 1) != 0;
   const X sin_r = select(odd, c, s);

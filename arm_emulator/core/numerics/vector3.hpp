@@ -1,7 +1,7 @@
 // Three-dimensional vectors and symmetric tensors, over any number type.
 #pragma once
 
-#include "numerics/loops.hpp"
+#include "numerics/fma.hpp"
 
 namespace arm {
 
@@ -28,12 +28,25 @@ ARM_INLINE constexpr auto operator*(const K& k, const Vec3<A>& a) {
 }
 template <class A, class B>
 ARM_INLINE constexpr auto dot(const Vec3<A>& a, const Vec3<B>& b) {
-  return a.x * b.x + a.y * b.y + a.z * b.z;
+  return sparse_fma(a.z, b.z, sparse_fma(a.y, b.y, a.x * b.x));
 }
 template <class A, class B>
 ARM_INLINE constexpr auto cross(const Vec3<A>& a, const Vec3<B>& b) {
-  return Vec3<decltype(a.x * b.x)>{a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z,
-                                   a.x * b.y - a.y * b.x};
+  return Vec3<decltype(a.x * b.x)>{sparse_fma(a.y, b.z, -(a.z * b.y)),
+                                   sparse_fma(a.z, b.x, -(a.x * b.z)),
+                                   sparse_fma(a.x, b.y, -(a.y * b.x))};
+}
+// The same and `c`.
+template <class A, class B, class C>
+ARM_INLINE constexpr auto cross(const Vec3<A>& a, const Vec3<B>& b, const Vec3<C>& c) {
+  return Vec3<decltype(a.x * b.x + c.x)>{sparse_fma(a.y, b.z, sparse_fma(-a.z, b.y, c.x)),
+                                         sparse_fma(a.z, b.x, sparse_fma(-a.x, b.z, c.y)),
+                                         sparse_fma(a.x, b.y, sparse_fma(-a.y, b.x, c.z))};
+}
+template <class K, class A, class C>
+ARM_INLINE constexpr auto fma(const K& k, const Vec3<A>& a, const Vec3<C>& c) {
+  return Vec3<decltype(k * a.x + c.x)>{sparse_fma(k, a.x, c.x), sparse_fma(k, a.y, c.y),
+                                       sparse_fma(k, a.z, c.z)};
 }
 
 // Symmetric 3 x 3 tensor.
@@ -49,9 +62,9 @@ ARM_INLINE constexpr auto operator+(const Sym3<A>& a, const Sym3<B>& b) {
 }
 template <class A, class B>
 ARM_INLINE constexpr auto operator*(const Sym3<A>& a, const Vec3<B>& b) {
-  return Vec3<decltype(a.xx * b.x)>{a.xx * b.x + a.xy * b.y + a.xz * b.z,
-                                    a.xy * b.x + a.yy * b.y + a.yz * b.z,
-                                    a.xz * b.x + a.yz * b.y + a.zz * b.z};
+  return Vec3<decltype(a.xx * b.x)>{dot(Vec3<A>{a.xx, a.xy, a.xz}, b),
+                                    dot(Vec3<A>{a.xy, a.yy, a.yz}, b),
+                                    dot(Vec3<A>{a.xz, a.yz, a.zz}, b)};
 }
 
 }  // namespace arm

@@ -175,7 +175,7 @@ class DriveTables : public ServedDrives<S, X> {
     } else {
       for_each<inputs, kMostInputs>([&](auto input) __attribute__((always_inline)) {
         if (matters(input) && (k < 0 || enters(k, input)))
-          out += group_of(numbers.at[input], g) * x[input].at[g];
+          out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
       });
     }
     return out;

@@ -231,7 +231,7 @@ class LinearlyImplicit {
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
       Numbers z = tables_.rates_at_rest(k, in);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
-        z.at[g] = in[k].at[g] + gamma * h_ * z.at[g];
+        z.at[g] = fma(gamma * h_, z.at[g], in[k].at[g]);
       });
       z.store(pulled.z[k]);
     });
@@ -246,7 +246,7 @@ class LinearlyImplicit {
     });
     solve(links, x, k1);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      k1.torque[j] -= coulomb_.force(j) + tables_.diagonal[j] * k1.a[j];
+      k1.torque[j] = fma(-tables_.diagonal[j], k1.a[j], k1.torque[j] - coulomb_.force(j));
     });
     in[In::k1] = Numbers::gather(k1.a);
   }
@@ -261,7 +261,7 @@ class LinearlyImplicit {
     alignas(64) X k2[row];
     tables_.second(in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb_.force(j));
+      k2[j] = fma(-kSqrt2, links.nle[j] + coulomb_.force(j), k2[j] + change[j]);
     });
     coulomb_.solve_again(k2);
     in[In::k2] = Numbers::gather(k2);
@@ -279,14 +279,14 @@ class LinearlyImplicit {
     };
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
       const Numbers rate = tables_.rates(k, in);
-      store([&](auto g) { return in[k].at[g] + h_ * rate.at[g]; }, y.z[k]);
+      store([&](auto g) { return fma(h_, rate.at[g], in[k].at[g]); }, y.z[k]);
     });
     store(
         [&](auto g) {
-          return in[In::q].at[g] + h_ * (in[In::v].at[g] + gamma * h_ * in[In::k1].at[g]);
+          return fma(h_, fma(gamma * h_, in[In::k1].at[g], in[In::v].at[g]), in[In::q].at[g]);
         },
         y.q);
-    store([&](auto g) { return in[In::v].at[g] + h_ * in[In::k1].at[g]; }, y.v);
+    store([&](auto g) { return fma(h_, in[In::k1].at[g], in[In::v].at[g]); }, y.v);
     if constexpr (Coulomb<S, X>::varies) coulomb_.add_change(y, u, tables_.modes(), change);
     const auto rest = tables_.rest_at(y, u);
     for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
@@ -304,13 +304,13 @@ class LinearlyImplicit {
     typename Links<S, X>::Kinematics kinematics;
     X q[N], v[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      q[j] = x.q[j] + h_ * (x.v[j] + gamma * h_ * k1.a[j]);
-      v[j] = x.v[j] + h_ * k1.a[j];
+      q[j] = fma(h_, fma(gamma * h_, k1.a[j], x.v[j]), x.q[j]);
+      v[j] = fma(h_, k1.a[j], x.v[j]);
     });
     Links<S, X>::kinematics(q, kinematics);
     Links<S, X>::inverse_dynamics(n_, kinematics, v, k1.a, change);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = k1.torque[j] - change[j] - n_.carried(j) * k1.a[j];
+      change[j] = fma(-n_.carried(j), k1.a[j], k1.torque[j] - change[j]);
     });
   }
 
@@ -320,12 +320,12 @@ class LinearlyImplicit {
     const auto& M = links.M.at;
     const Memory& past = memory();
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = past.torque[j] - links.nle[j] - M[j][j] * past.a[j];
+      change[j] = fma(-M[j][j], past.a[j], past.torque[j] - links.nle[j]);
     });
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
-        change[j] -= M[j][k] * past.a[k];
-        change[k] -= M[j][k] * past.a[j];
+        change[j] = fma(-M[j][k], past.a[k], change[j]);
+        change[k] = fma(-M[j][k], past.a[j], change[k]);
       });
     });
   }
@@ -334,8 +334,8 @@ class LinearlyImplicit {
     Numbers q, v;
     for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
       const auto k1 = in[In::k1].at[g], k2 = in[In::k2].at[g];
-      q.at[g] = in[In::q].at[g] + h_ * (in[In::v].at[g] + gamma * h_ * (k1 + 0.5 * k2));
-      v.at[g] = in[In::v].at[g] + h_ * (gamma * k1 + 0.5 * k2);
+      q.at[g] = fma(h_, fma(gamma * h_, fma(0.5, k2, k1), in[In::v].at[g]), in[In::q].at[g]);
+      v.at[g] = fma(h_, fma(gamma, k1, 0.5 * k2), in[In::v].at[g]);
     });
     q.store(x.q);
     v.store(x.v);

@@ -102,8 +102,8 @@ class PaperScheme {
 
   ARM_INLINE void integrate(State<S, X>& x, const X (&a)[row]) const {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      x.q[j] += h_ * x.v[j];
-      x.v[j] += h_ * a[j];
+      x.q[j] = fma(h_, x.v[j], x.q[j]);
+      x.v[j] = fma(h_, a[j], x.v[j]);
     });
     coulomb_.stop_at_reversal(x.v);
   }
