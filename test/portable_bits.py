@@ -140,7 +140,7 @@ def digest_of_machine(scene: Scene, arm: int = 0) -> str:
             plant.advance(commands[row], STEPS)
         except Diverged as reason:
             digest.put_text(str(reason))
-            break
+            return str(digest)
         digest.put(plant.state.q, plant.state.v)
         row += 1
         if row == WOUND_BACK and not has_returned:
@@ -170,8 +170,9 @@ def digests_of_fleet(scene: Scene) -> list[str]:
         if row == WOUND_BACK and not has_returned:
             fleet.restore(saved)
             row, has_returned = CHANGED + 1, True
-    for arm, digest in enumerate(found):
-        measured = fleet.measured
+    measured = fleet.measured
+    for arm in set(range(ARMS)) - stopped:
+        digest = found[arm]
         digest.put(fleet[arm].energy, *(getattr(measured, name)[arm] for name in KNOWN))
     return [str(one) for one in found]
 
