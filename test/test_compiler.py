@@ -25,6 +25,7 @@ from arm_emulator.build.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from arm_emulator.core import CORE
 from arm_emulator.machine.compiler import FLAGS, compile_ahead, library_of
 from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.tick.c import tick_unit
 
 READY = (
     "from arm_emulator.machine.scene import load_scene;"
@@ -42,10 +43,17 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that gives three_axis' library without the work, but not at once."""
-    body = Path(library_of(load_scene("three_axis")).file).read_bytes()[:-SEAL_SIZE]
-    (tmp_path / "made").write_bytes(body)
-    does = f'sleep 0.5; cp {tmp_path / "made"} "$out"'
+    """One that gives three_axis' library, or that of its periods, without the work."""
+    for name, made in (
+        ("made", library_of(load_scene("three_axis"))),
+        ("tick", unit.library(tick_unit())),
+    ):
+        (tmp_path / name).write_bytes(Path(made.file).read_bytes()[:-SEAL_SIZE])
+    of_ticks = 'grep -q tick.c "${out%.so}.cpp"'
+    does = f"""
+sleep 0.5
+if {of_ticks}; then cp {tmp_path / "tick"} "$out"; else cp {tmp_path / "made"} "$out"; fi
+"""
     monkeypatch.setenv("CXX", fake_compiler(tmp_path, does))
 
 
@@ -277,8 +285,10 @@ def test_two_processes_at_once_share_one_compilation(quick_compiler: None, cache
     ]
     printed = [process.communicate(timeout=600) for process in processes]
     assert [out for out, _ in printed] == ["0.0\n"] * 3, f"time of three new machines: {printed}"
-    assert sum("compiling" in err for _, err in printed) == 1, f"one of them compiles: {printed}"
-    assert len(list(cache.glob("*.so"))) == 1, "libraries of one scene"
+    for what in ("scene three_axis", "servo periods"):
+        once = sum(err.count(f"compiling {what}") for _, err in printed)
+        assert once == 1, f"one of them compiles {what}: {printed}"
+    assert len(list(cache.glob("*.so"))) == 2, "libraries of one scene, and of its periods"
 
 
 def test_a_read_only_cache_falls_back(
@@ -295,7 +305,7 @@ def test_a_read_only_cache_falls_back(
     )
     assert done.stdout == "0.0\n", "time of a new machine"
     folder = tmp_path / f"arm_emulator-{os.getuid()}"
-    assert len(list(folder.glob("*.so"))) == 1, f"libraries in {folder}"
+    assert len(list(folder.glob("*.so"))) == 2, f"libraries in {folder}"
 
 
 def test_no_place_for_a_cache_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
