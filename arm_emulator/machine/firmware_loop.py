@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.control_code import ControlCode
@@ -54,26 +55,25 @@ class FirmwareLoop:
     def aim(self, targets: tuple[Sequence[int], Array]) -> None:
         """Begin anew with other targets, see above."""
         ticks, rows = targets
-        self._row_tick = np.array(ticks, np.int64)
-        self._rows = np.array(rows, np.float64, order="C")
+        self._put(np.array(ticks, np.int64), np.array(rows, np.float64, order="C"), 0)
+
+    def _put(self, row_tick: NDArray[np.int64], rows: Array, row: int) -> None:
+        """Let these rows be the targets, which stay where they are, from one of them on."""
+        self._row_tick, self._rows = row_tick, rows
         FIRMWARE_CONTROLLER.fill(
-            self.pointer,
-            row_tick=self._row_tick,
-            rows=self._rows,
-            row_count=len(self._row_tick),
-            row=0,
+            self.pointer, row_tick=row_tick, rows=rows, row_count=len(row_tick), row=row
         )
 
     def save(self) -> tuple[Any, ...]:
         """Return targets and commands as they are now, for `restore` of this loop."""
         commands = tuple(bytes(one) for one in self._commands())
-        return self.pointer.row, (self._row_tick, self._rows), commands
+        return self._row_tick, self._rows, int(self.pointer.row), commands
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Go on from what `save` has returned."""
-        row, targets, commands = saved
-        self.aim(targets)
-        self.pointer.row = row
+        *targets, commands = saved
+        # The very arrays: a microcontroller knows by their place which targets it has seen.
+        self._put(*targets)
         for now, then in zip(self._commands(), commands, strict=True):
             now[:] = then
 
