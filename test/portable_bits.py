@@ -89,7 +89,7 @@ def cases(folder: Path) -> Iterator[tuple[str, Scene]]:
 
 
 class Digest:
-    """Of numbers; the sign of zero is of no importance."""
+    """A digest of numbers in which the sign of zero is of no importance."""
 
     def __init__(self) -> None:
         self._digest = hashlib.sha256()

@@ -40,7 +40,7 @@ print(hashlib.sha256(A @ A).hexdigest())
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="kernels of x86-64")
 def test_kernels_of_blas_change_nothing() -> None:
-    """Of a processor with fused products, and of one without: those of BLAS itself differ."""
+    """A kernel with fused products and one without give equal constants; BLAS itself differs."""
     paths = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")])
 
     def digests(words: str) -> list[str]:

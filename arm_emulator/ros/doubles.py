@@ -22,10 +22,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.barrier import StartAnew
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics, wall_timer
-from arm_emulator.ros.sole_publisher import KINDS
+from arm_emulator.ros.sole_publisher import IDENTIFY, KINDS, full_name
 
 LISTEN = 0.5  # s, wall: for the middleware to find running nodes
-IDENTIFY = 4.0  # s, wall: for a discovered node to identify itself
 SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
 KILLED = 3.0  # s, wall: sooner, so that who waits for `SILENCE` is admitted at once
 MOST_HEARD = 100  # nodes of a kind: anyone can publish diagnostics
@@ -237,7 +236,7 @@ class Doubles:
             return
         now, node = time.monotonic(), self._node
         there = [
-            f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+            full_name(one)
             for one in node.get_publishers_info_by_topic(node.resolve_topic_name("diagnostics"))
         ]
         mine = node.get_fully_qualified_name()

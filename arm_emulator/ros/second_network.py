@@ -8,9 +8,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.doubles import IDENTIFY, identities_of
+from arm_emulator.ros.doubles import identities_of
 from arm_emulator.ros.network_guest import guest
-from arm_emulator.ros.sole_publisher import KINDS
+from arm_emulator.ros.sole_publisher import IDENTIFY, KINDS
 
 LISTEN = 1.5  # s, wall: for the middleware of a busy machine to find running nodes
 

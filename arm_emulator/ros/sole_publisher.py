@@ -28,7 +28,7 @@ KINDS = {
     "motion controller": ("joint_targets", "motion/status"),
 }
 LOOK_AGAIN = 0.25  # s, wall: between two looks at the graph because of one publisher
-IDENTIFY = 4.0  # s, wall: for the graph to know the nodes of publishers that it has found
+IDENTIFY = 4.0  # s, wall: for a node that was discovered to be known by its name
 MOST_WITHHELD = 1000  # messages of topics that keep them for late subscribers
 _NOBODY = bytes(MIDDLEWARE.constant("ROS_GID"))
 
@@ -134,10 +134,10 @@ class SolePublisher:
             return
         now, nodes = time.monotonic(), self._nodes()
         self._refused_at = self._refused_at or now
-        if not _is_known(self._refused_name):  # else it may have left since
+        if not is_known(self._refused_name):  # else it may have left since
             self._refused_name = nodes.get(self._refused, "")
         name, owner = self._refused_name, nodes.get(self._owner) or self._first_of_kind(nodes)
-        known = _is_known(name) and _is_known(owner)
+        known = is_known(name) and is_known(owner)
         if not known and now - self._refused_at < IDENTIFY:
             return
         dropped, self.owner.dropped, self._refused_at = self.owner.dropped, 0, 0.0
@@ -147,8 +147,8 @@ class SolePublisher:
         if known and name == owner:
             self._node.count(f"{self._topic} of another node of the same name", dropped)
             return
-        the_one = f"node {owner}," if _is_known(owner) else "the one"
-        got = f"node {name}" if _is_known(name) else "a node that the graph does not have yet"
+        the_one = f"node {owner}," if is_known(owner) else "the one"
+        got = f"node {name}" if is_known(name) else "a node that the graph does not have yet"
         refusal = Refusal(self._topic, "publisher", f"be {the_one} whose messages are taken", got)
         self._node.note(f"other publishers of {self._topic}", refusal)
         self._node.refuse(self._topic, refusal, dropped)
@@ -178,7 +178,7 @@ class SolePublisher:
     def _nodes(self) -> dict[bytes, str]:
         """Return the full name of the node of each publisher of the topic."""
         found = self._node.get_publishers_info_by_topic(self._full)
-        return {bytes(one.endpoint_gid): _full_name(one) for one in found}
+        return {bytes(one.endpoint_gid): full_name(one) for one in found}
 
     def _judge(self, publisher: bytes, nodes: dict[bytes, str]) -> tuple[bool, bool]:
         """Return whether a publisher is the one, and whether it stays so while it publishes."""
@@ -195,7 +195,7 @@ class SolePublisher:
 
     def _nodes_of_kind(self) -> set[str]:
         found = self._node.get_publishers_info_by_topic
-        return set.intersection(*({_full_name(one) for one in found(sign)} for sign in self._signs))
+        return set.intersection(*({full_name(one) for one in found(sign)} for sign in self._signs))
 
     def _first_of_kind(self, nodes: dict[bytes, str]) -> str:
         """Return the first node of the kind among the publishers; empty: there is not one."""
@@ -223,10 +223,11 @@ def deliver(subscription: Any, data: bytes) -> None:
     subscription.callback(message)
 
 
-def _full_name(endpoint: Any) -> str:
+def full_name(endpoint: Any) -> str:
+    """Return the full name of the node of a publisher or subscription."""
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
-def _is_known(name: str) -> bool:
+def is_known(name: str) -> bool:
     """Return whether the graph had the name of a node: it may find a publisher before its node."""
     return name != "" and "UNKNOWN" not in name

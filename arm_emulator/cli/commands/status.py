@@ -12,6 +12,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.ros.network_guest import STATES, NetworkGuest, guest
 from arm_emulator.ros.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QOS
+from arm_emulator.ros.sole_publisher import full_name, is_known
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 
 # Our nodes, and the topic on which a node of another maker publishes in the place of each.
@@ -126,11 +127,11 @@ def _others(node: NetworkGuest, topic: str) -> list[str]:
 
     def all_named() -> bool:
         found[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-        return all("UNKNOWN" not in one.node_name for one in found)
+        return all(is_known(one.node_name) for one in found)
 
     # The middleware finds a publisher before it knows of which node it is.
     node.spin_until(all_named, NAMED_WITHIN)
-    names = {f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found}
+    names = {full_name(one) for one in found}
     return sorted(f"node {name}" for name in names)
 
 

@@ -31,7 +31,7 @@ struct Placement {
     return {sparse_fma(cos, u.x, -(sin * u.y)), cos_alpha * y - sin_alpha * u.z,
             sin_alpha * y + cos_alpha * u.z};
   }
-  // The same and `c`.
+  // A vector in the axes of the parent, plus `c` in them.
   ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u, const Vec3<X>& c) const {
     const X y = sparse_fma(sin, u.x, cos * u.y);
     return {sparse_fma(cos, u.x, sparse_fma(-sin, u.y, c.x)),

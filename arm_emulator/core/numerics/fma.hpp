@@ -10,7 +10,7 @@ namespace arm {
 ARM_INLINE constexpr double fused(double a, double b, double c) {
   return __builtin_is_constant_evaluated() ? a * b + c : __builtin_fma(a, b, c);
 }
-// In lanes. GCC makes no instruction of a loop over lanes, if much is inlined around it.
+// a b + c in lanes. GCC makes no instruction of a loop over lanes, if much is inlined around it.
 template <class X>
   requires(kWidth<X> > 1)
 ARM_INLINE X fused(const X& a, const X& b, const X& c) {
@@ -28,7 +28,7 @@ ARM_INLINE X fused(const X& a, const X& b, const X& c) {
   return sum;
 }
 
-// The same of numbers and lanes. Of numbers with derivatives it is rounded twice.
+// a b + c of numbers and lanes, rounded once. Numbers with derivatives are rounded twice.
 template <class A, class B, class C>
 ARM_INLINE constexpr auto fma(const A& a, const B& b, const C& c) {
   using X = decltype(a * b + c);
@@ -38,8 +38,9 @@ ARM_INLINE constexpr auto fma(const A& a, const B& b, const C& c) {
     return fused(X{} + a, X{} + b, X{} + c);
 }
 
-// The same where products with constants of a scene are often 0: GCC leaves out no fused product by
-// itself. Bits do not depend on what it knows; lanes have their constants in common.
+// a b + c where constants of a scene are often 0, whose products are left out: GCC leaves out no
+// fused product by itself. Bits do not depend on what it knows; lanes have their constants in
+// common.
 template <class A, class B, class C>
 ARM_INLINE constexpr auto sparse_fma(const A& a, const B& b, const C& c) {
   using X = decltype(a * b + c);

@@ -36,7 +36,7 @@ ARM_INLINE constexpr auto cross(const Vec3<A>& a, const Vec3<B>& b) {
                                    sparse_fma(a.z, b.x, -(a.x * b.z)),
                                    sparse_fma(a.x, b.y, -(a.y * b.x))};
 }
-// The same and `c`.
+// The cross product a x b + c.
 template <class A, class B, class C>
 ARM_INLINE constexpr auto cross(const Vec3<A>& a, const Vec3<B>& b, const Vec3<C>& c) {
   return Vec3<decltype(a.x * b.x + c.x)>{sparse_fma(a.y, b.z, sparse_fma(-a.z, b.y, c.x)),
