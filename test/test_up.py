@@ -97,17 +97,17 @@ def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
         late = start(
             "emulator_node.node", "--ros-args", "-p", "alone:=true", "-r", "__node:=emulator_2"
         )
-        second = start("arm_emulator", "up", "three_axis")
+        _, complaint = late.communicate(timeout=PATIENCE)
+        assert late.returncode == 2, complaint
+        assert f"process {emulator.pid}" in complaint, complaint
         elsewhere = start("arm_emulator", "up", "three_axis", "--namespace", "cell2")
+        second = start("arm_emulator", "up", "three_axis")
         printed, complaint = second.communicate(timeout=PATIENCE)
         assert second.returncode == 2, complaint
         assert printed in ("", "emulator ended with exit code 2; ending the others\n"), printed
         pids = "|".join(str(child.pid) for child in children)
         rule = rf"^.*(network|emulator) must be the only one .*process ({pids})\b"
         assert re.search(rule, complaint, re.MULTILINE), complaint
-        _, complaint = late.communicate(timeout=PATIENCE)
-        assert late.returncode == 2, complaint
-        assert f"process {emulator.pid}" in complaint, complaint
         assert launcher.poll() is None and elsewhere.poll() is None
         elsewhere.send_signal(signal.SIGINT)
         _, complaint = elsewhere.communicate(timeout=PATIENCE)
