@@ -62,6 +62,23 @@ class Place(Protocol):
         """End what this has begun."""
 
 
+def waited_for(what: Callable[[], bool], patience: float = LONGEST) -> bool:
+    """Wait until something is so; return whether it is, at the latest after so many seconds."""
+    until = time.monotonic() + patience
+    while not what():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def listens(port: int) -> bool:
+    """Return whether somebody listens at a port of this machine."""
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+        return True
+    return False
+
+
 def kill_client(victim: str, client: Process) -> None:
     """Kill a client, or press Ctrl-C in its terminal, which reaches its whole group, or neither."""
     with contextlib.suppress(ProcessLookupError):  # it had just come to its end
@@ -107,16 +124,10 @@ class Cluster:
         ]
         self._words += [worker] * WORKERS
         self._processes = [self._begun(words) for words in self._words]
-        self._wait_for(port)
-
-    @staticmethod
-    def _wait_for(port: int) -> None:
-        """Wait until the scheduler listens: its imports take long on a busy machine."""
-        until = time.monotonic() + LONGEST
-        while time.monotonic() < until:
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-                return
-            time.sleep(0.1)
+        # Its imports take long on a busy machine.
+        if not waited_for(lambda: listens(port)):
+            self.end()
+            raise TimeoutError(f"the scheduler does not listen after {LONGEST:g} s")
 
     @staticmethod
     def _begun(words: tuple[str, ...]) -> subprocess.Popen[bytes]:
@@ -197,9 +208,7 @@ def begun(file: Path, into: Path, place: Place) -> Process:
 
 def works(client: Process, into: Path) -> bool:
     """Wait until a campaign has begun to work; return whether it has not ended before."""
-    until = time.monotonic() + LONGEST
-    while not into.exists() and client.poll() is None and time.monotonic() < until:
-        time.sleep(0.02)
+    waited_for(lambda: into.exists() or client.poll() is not None)
     return client.poll() is None
 
 
@@ -252,19 +261,14 @@ def one_moment(
     works(client, into)
     before = set[Path]()
     try:
-        until = time.monotonic() + LONGEST
-        while len(parts_in(into)) < parts and client.poll() is None and time.monotonic() < until:
-            time.sleep(0.01)
+        waited_for(lambda: len(parts_in(into)) >= parts or client.poll() is not None)
         with contextlib.suppress(subprocess.TimeoutExpired):
             client.wait(after)
         processes, before = [client.pid, *below(client.pid)], parts_in(into)
         place.kill(victim, client, rng)
         if victim in ("client", "ctrl-c"):
             client.communicate(timeout=LONGEST)
-            until = time.monotonic() + ENDING
-            while any(map(runs, processes)) and time.monotonic() < until:
-                time.sleep(0.05)
-            if any(map(runs, processes)):
+            if not waited_for(lambda: not any(map(runs, processes)), ENDING):
                 return Moment("", (len(before), 0), "somebody stays behind")
             client = begun(file, into, place)
         out, wrong = client.communicate(timeout=LONGEST)
