@@ -202,6 +202,106 @@ def test_the_speed_of_cyclic_positions_is_even_at_a_slow_sync0(master: Master) -
     assert worst < 0.02
 
 
+def cyclic_position(master: Master, words: Sequence[int], targets: Sequence[int]) -> None:
+    """One exchange of the first mapping: a controlword and a target for each slave."""
+    pairs = zip(words, targets, strict=True)
+    master.exchange([struct.pack("<HiihbB", word, one, 0, 0, CSP, 0) for word, one in pairs])
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_master_that_sets_the_interpolation_time_alone_gets_lines(
+    master: Master, held: bool
+) -> None:
+    """Data in every period, a new target every 8 periods, 0x60C2 of 8 ms, no SYNC0 and no 0x1C32.
+
+    A target is reached when the interpolation time has passed (Nanotec PD4-E, 0x60C2): the demand
+    moves by the same counts in each period, and its speed is even. `held`: slaves beside the first
+    keep their targets.
+    """
+    periods, step = 8, 64
+    for k in range(master.slaves):
+        assert master.preop(k) == (PREOP, 0)
+        master.download(k, 0x60C2, 1, bytes([periods]))
+        master.download(k, 0x60C2, 2, struct.pack("<b", -3))
+    master.out, master.into = master.sizes(0)
+    for k in range(master.slaves):
+        assert master.safeop(k, 0x10000 + k * (master.out + master.into)) == (SAFEOP, 0)
+        assert master.ask(k, OP) == (OP, 0)
+    drives = master.segment.drives
+    assert [drives.periods_per_target(k) for k in range(master.slaves)] == [periods] * master.slaves
+    targets = start = [drives.read(k, ACTUAL) for k in range(master.slaves)]
+    for word in (6, 7, 15, 15):
+        cyclic_position(master, [word] * master.slaves, targets)
+    moving = range(1 if held else master.slaves)
+    for n in range(25 * periods):
+        steps = step * (n // periods + 1)
+        targets = [at + steps if k in moving else at for k, at in enumerate(start)]
+        cyclic_position(master, [15] * master.slaves, targets)
+        for k, at in enumerate(start):
+            line = step * (n + 1) / periods if k in moving else 0
+            assert drives.read(k, 0x6062) - at == line, f"drive {k}, period {n}"
+        if n > 100:
+            assert drives.read(0, 0x606B) == pytest.approx(1000 * step / periods, rel=1e-6)
+
+
+def test_a_target_that_rpdos_repeat_is_reached_in_the_interpolation_time() -> None:
+    """CANopen: SYNC and RPDOs every period, 0x60C2 of 5 ms, each target sent five times."""
+    segment = segment_of(PLAIN)
+    put(segment, 1, 0x60C2, 1, 5, 1)
+    put(segment, 1, 0x60C2, 2, 256 - 3, 1)
+    enable_nodes(segment, CSP)
+    start, demands = struct.unpack("<i", uploaded(segment, 1, ACTUAL, 0))[0], []
+    for n in range(50):
+        target = start + 100 * (n // 5 + 1)
+        segment.receive(Frame(0x301, struct.pack("<Hi", 15, target)))
+        segment.receive(SYNC)
+        demands.append(segment.drives.read(0, 0x6062) - start)
+    assert demands == [20 * (n + 1) for n in range(50)]
+
+
+def test_a_target_that_changes_on_the_way_begins_a_new_line() -> None:
+    drives = make()
+    drives.write(0, 0x60C2, 8, 1)
+    enable(drives, CSP)
+    start = drives.read(0, ACTUAL)
+    for k, goal in enumerate([160] * 4 + [240] * 12):
+        drives.write(0, TARGET, start + goal)
+        drives.period()
+        line = 20 * (k + 1) if k < 12 else 240
+        assert drives.read(0, 0x6062) - start == line, "160 / 8 as well as (240 - 80) / 8"
+
+
+@pytest.mark.parametrize("bus", [ETHERCAT, CANOPEN])
+def test_a_mode_that_is_not_supported_is_refused_and_never_shown(bus: int) -> None:
+    """0x6502 has a bit for each mode 1 to 32; drives lack 7, interpolated position.
+
+    Nanotec PD4-E: 0x6502, bit 6 is interpolated position; 0x6061 shows the mode that is active.
+    """
+    drives = make(bus=bus)
+    supported = drives.read(0, 0x6502)
+    assert not supported >> 6 & 1
+    enable(drives, CSP)
+    for mode in range(-128, 128):
+        if mode == 0 or (mode > 0 and supported >> (mode - 1) & 1):
+            continue
+        with pytest.raises(Aborted, match="060900"):
+            drives.write(0, 0x6060, mode)
+        drives.period()
+        assert drives.read(0, 0x6061) == drives.read(0, 0x6060) == CSP
+
+
+def test_process_data_with_a_mode_that_is_not_supported_change_nothing(master: Master) -> None:
+    master.bring_up()
+    drives = master.segment.drives
+    targets = [drives.read(k, ACTUAL) for k in range(master.slaves)]
+    for word in (6, 7, 15, 15):
+        cyclic_position(master, [word] * master.slaves, targets)
+    master.exchange([struct.pack("<HiihbB", 15, one, 0, 0, 7, 0) for one in targets])
+    cyclic_position(master, [15] * master.slaves, targets)
+    for k in range(master.slaves):
+        assert drives.read(k, 0x6061) == CSP and drives.read(k, STATUS) & 0x6F == 0x27
+
+
 # ---------------------------------------------------------------------------------- bit 10, stops
 
 

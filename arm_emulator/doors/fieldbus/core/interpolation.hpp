@@ -14,8 +14,10 @@ class Interpolation {
     speed_ = 0.0;
     left_ = 0;
   }
-  // Take a target that is to be reached in so many periods.
+  // Take a target that is to be reached in so many periods. A target that comes again, as from a
+  // master with data in every period, leaves the line as it is.
   void aim(double goal, int periods) {
+    if (left_ > 0 && goal == goal_) return;
     goal_ = goal;
     left_ = periods;
   }
