@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
 from rclpy.subscription import Subscription
 
 from arm_emulator.build.c_header import NULL, CData
@@ -58,17 +57,16 @@ class AnsweredTicks:
         self._pace = own.pace
         self._topic = subscription.topic_name
         plant, scene = own.session.plant, own.session.scene
-        self._before = np.zeros(len(scene.joints))
         self._log = MIDDLEWARE.new("ros_log")
         self._logged: CData = NULL
         code = answered_ticks()
         self._struct = ANSWERED_TICKS.new(
             "answered_ticks",
             at=plant.ticks,
+            answers=own.session.answers,
             joint=plant.command.joint,
             command=plant.command,
             truth=reports.truth,
-            before=self._before,
             publish=middleware().ros_publish,
             motor_state=reports.motor_state.struct,
             joint_state=reports.joint_state.struct,
@@ -100,7 +98,7 @@ class AnsweredTicks:
         passed = self._session.tick - self._begun
         if not passed and not self._struct.result:
             return
-        self._session.take_over(self._before)
+        self._session.take_note()
         self._gate.count(passed)
         self._reports.published_at = self._reports.repeated_at = time.monotonic()
         if self._outbox.record is not None:

@@ -9,6 +9,7 @@ from rclpy.serialization import serialize_message
 
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.build.c_header import CData
+from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.scene import Scene
 from arm_emulator.ros.doubles import started
 from arm_emulator.ros.message_reader import MessageReader, Row
@@ -32,15 +33,16 @@ class CommandReader:
 
     def __init__(self, scene: Scene, struct: CData, number: int) -> None:
         names, at = scene.joint_names, MOTOR_COMMANDS.ffi.addressof
-        came = np.zeros(len(names))
-        usual = MotorCommand(joint_names=names, command=array("d", came))
+        N = len(names)
+        came = np.zeros((1 + len(further_inputs(scene))) * N)
+        usual = MotorCommand(joint_names=names, command=array("d", came[:N]))
         self.largest = len(serialize_message(usual)) + SPARE
         self._reader = reader = MessageReader(
             "motor_commands",
             MotorCommand,
             names,
             "joint_names",
-            {"command": Row(came, COMMAND)},
+            {"command": Row(came[:N], COMMAND)},
             {"tick": at(struct, "tick"), "machine": at(struct, "machine")},
         )
         MOTOR_COMMANDS.fill(

@@ -28,8 +28,8 @@ from arm_emulator.base.address import LOCAL
 from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.build_facts import build_facts
-from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.pace import LARGEST, Pace
+from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
 from arm_emulator.page.watched import Watched

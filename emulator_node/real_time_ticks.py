@@ -8,13 +8,13 @@ import numpy as np
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from arm_emulator.build.c_header import CData, pointer
+from arm_emulator.build.c_header import CData
 from arm_emulator.build.unit import compiled_once
 from arm_emulator.machine.call_arguments import commands_of
 from arm_emulator.machine.compiler import real_time_library
-from arm_emulator.machine.loop_clock import LoopClock
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.phase import Phase
+from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.ros.middleware import Outgoing, middleware
 from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
 from emulator_node.command_reader import CommandReader
@@ -42,7 +42,7 @@ class RealTimeTicks:
     def __init__(self, own: Context, reports: Reports) -> None:
         self._own, self._session = own, own.session
         scene, clock = own.session.scene, own.session.clock
-        assert isinstance(clock, LoopClock)
+        assert isinstance(clock, RealTimeLoop)
         N = len(scene.joints)
         self._calls, loop = real_time_ticks(), real_time_library()
         place, rows = MeasuredPlace(scene), np.zeros((len(TRUTH), N))
@@ -54,16 +54,14 @@ class RealTimeTicks:
         motor_state, joint_state, time = self._messages
         self._joint, self._held = commands_of(scene), ExitStack()
         self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)
-        self._newest, self._before = np.zeros(N), np.zeros(N)
-        self._of_c = np.zeros((2, N))  # the same, where C writes
         self._logs: list[CData] = []  # of C, and another one in exchange for it
         self.at = REAL_TIME_TICKS.new(
             "real_time_ticks",
-            loop=clock.loop.handle,
+            loop=clock.handle,
             at=own.session.plant.ticks,
             take=loop.arm_real_time_take,
             give=loop.arm_real_time_command,
-            descriptor=clock.loop.descriptor,
+            descriptor=clock.descriptor,
             reader=READER,
             send=middleware().ros_send,
             snapshot=self._snapshot,
@@ -73,9 +71,7 @@ class RealTimeTicks:
             report_ticks=reports.ticks,
             joint=REAL_TIME_TICKS.ffi.cast("arm_joint_command *", self._joint.ctypes.data),
             command=self._command,
-            answered=-1,
-            commanded=self._of_c[0],
-            commanded_before=self._of_c[1],
+            answers=own.session.answers,
         )
         commands = REAL_TIME_TICKS.ffi.addressof(self.at, "commands")
         self._commands = CommandReader(scene, commands, len(self._messages))
@@ -131,23 +127,6 @@ class RealTimeTicks:
         self._calls.real_time_ticks_exchange_log(self.at, log)
         record_log(record, log, self._messages, topic)
 
-    def open(self, in_c: bool) -> None:
-        """Have commands held by C from now on, or not, behind those that the session has."""
-        session = self._session
-        self._newest[:] = session.held[0]
-        self._calls.real_time_ticks_open(
-            self.at, in_c, session.answered_tick, pointer(self._newest)
-        )
-
-    def take_over(self) -> None:
-        """Let the session have the commands that C has given to the loop."""
-        before = REAL_TIME_TICKS.ffi.new("int64_t *")
-        newest, other = pointer(self._newest), pointer(self._before)
-        answered = self._calls.real_time_ticks_held(self.at, newest, other, before)
-        if answered > self._session.answered_tick:
-            held = (answered, self._newest.copy()), (before[0], self._before.copy())
-            self._session.take_over_held(*held)
-
 
 class HeldCommands:
     """The hot path of the emulator in real time: commands without further inputs.
@@ -167,7 +146,6 @@ class HeldCommands:
         take = real_time_ticks().real_time_ticks_take
         self.takes = [(subscription, take, ffi.cast("void *", ticks.at))]
         self.outgoing: tuple[Outgoing, ...] = ()
-        self._in_c = False
 
     @property
     def beside(self) -> list[Timer]:
@@ -177,10 +155,8 @@ class HeldCommands:
     def begin(self) -> None:
         """Prepare, see `HotPath`."""
         running = self._session.phase is Phase.RUNNING
-        self._in_c = running and not self._session.held[1:].any()
-        self._ticks.open(self._in_c)
+        self._ticks.at.open = running and not self._session.held[1:].any()
 
     def end(self) -> None:
-        """Take over the results of C, see `HotPath`."""
-        if self._in_c:
-            self._ticks.take_over()
+        """Leave commands to Python, see `HotPath`."""
+        self._ticks.at.open = 0

@@ -227,27 +227,27 @@ def test_names_are_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_periods_in_which_the_loop_stands_still_are_lost_and_counted() -> None:
     plant, period = Plant(load_scene("three_axis")), 1_000_000  # ns
-    loop = RealTimeLoop(plant, period, plant.scene.steps_per_period, -1)
+    loop = RealTimeLoop(plant, period, -1)
     began = time.monotonic_ns()
     loop.start(0)
     draw = np.random.default_rng(3)
     for _ in range(5):
-        while loop.figures().tick < draw.integers(5, 20):
+        while loop.figures.tick < draw.integers(5, 20):
             pass
         loop.stop()
         stands = time.monotonic_ns() + int(draw.uniform(3, 40)) * period
-        before = loop.figures()
+        before = loop.figures
         while time.monotonic_ns() < stands:
             pass
-        assert loop.figures() == before, "the loop stands still"
+        assert loop.figures == before, "the loop stands still"
         loop.go_on()
-        while loop.figures().tick == before.tick:
+        while loop.figures.tick == before.tick:
             pass
         # It began the newest period before it stopped.
-        assert loop.figures().tick >= before.tick + 1, "ticks go on where they were"
+        assert loop.figures.tick >= before.tick + 1, "ticks go on where they were"
     least = time.monotonic_ns() - began
     loop.stop()
-    figures, most = loop.figures(), time.monotonic_ns() - began
+    figures, most = loop.figures, time.monotonic_ns() - began
     passed = (figures.tick + figures.lost_periods) * period
     # All time is either a tick or a lost period, but for the one that has begun, and for what the
     # loop was late for it.

@@ -23,9 +23,9 @@ from arm_emulator.doors.fieldbus.converter import COMMANDED, Converter, blocks
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs, input_units, modes_of
-from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.known import DECORATORS, MOTORS
+from arm_emulator.machine.real_time import real_time_session
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 ROTOR = {"rotor_inertia": 1.0e-4}

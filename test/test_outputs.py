@@ -27,7 +27,6 @@ from arm_emulator.doors.fieldbus.object_dictionary import Aborted
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.outputs import (
     ALWAYS,
@@ -41,6 +40,7 @@ from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.middleware import Outgoing, middleware

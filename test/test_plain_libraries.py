@@ -131,15 +131,15 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
         load_motion_config(CONFIG / "motion/three_axis.yaml"),
     )
     session = Session(plant.scene, "lockstep", "first_answer")
-    loop = RealTimeLoop(plant, 1_000_000, 10, -1)
+    loop = RealTimeLoop(plant, 1_000_000, -1)
     names, zero = plant.scene.joint_names, np.zeros(N)
     plant.advance(zero, 5)
     before = as_bytes(plant)
     for _ in range(300):
         count = no_count(rng)
         refused(loop.start, count)
-        refused(RealTimeLoop, plant, count, 10, -1)
-        refused(RealTimeLoop, plant, 1_000_000, count, -1)
+        refused(RealTimeLoop, plant, count, -1)
+        refused(RealTimeLoop, plant, 1_000_000, count)
         refused(check_count, "here", "count", count, 0, 10**15)
         if not isinstance(count, int) or count < 0:  # else it takes its time, as it was reported
             refused(offline.advance, count)
@@ -168,7 +168,7 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
     servo = Servo(load_servo_config(CONFIG / "servo/three_axis.yaml"))
     drives = Drives(servo.config)
     session = Session(plant.scene, "lockstep", "first_answer")
-    loop = RealTimeLoop(plant, 1_000_000, 10, -1)
+    loop = RealTimeLoop(plant, 1_000_000, -1)
     good, counts = np.zeros(N), np.zeros(N, dtype=np.int64)
     p_WT, R_WT = np.zeros(3), np.eye(3)
     target = Pose(p_WT, R_WT)

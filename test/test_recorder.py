@@ -29,9 +29,9 @@ from arm_emulator.base.record_file import open_record
 from arm_emulator.cli.command import command_names, load_command
 from arm_emulator.cli.commands.canopen import load_segment
 from arm_emulator.doors.fieldbus.ethercat import Segment
-from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.plant_state import ROWS
+from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.offline import load_offline_run

@@ -107,7 +107,7 @@ def test_lanes_of_a_fleet_measure_as_single_arms(scene: Scene) -> None:
 
 def test_real_time_measures_the_bits_of_exchanges(scene: Scene) -> None:
     timed, plant = noisy(scene, 4.0), noisy(scene, 4.0)
-    loop = RealTimeLoop(timed, 10**6, scene.steps_per_period, -1)
+    loop = RealTimeLoop(timed, 10**6, -1)
     loop.command(0, np.array([10.0, 10.0, 10.0]))
     loop.start(0)
     reached = []

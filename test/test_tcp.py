@@ -15,7 +15,7 @@ from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.tcp import LONGEST, TcpServer
-from arm_emulator.machine.loop_clock import real_time_session
+from arm_emulator.machine.real_time import real_time_session
 
 SCENE = load_scene("three_axis")
 PATIENCE = 30.0  # s

@@ -165,10 +165,10 @@ def test_in_real_time_no_thread_waits_for_one_that_is_less_urgent() -> None:
         return [os.sched_getscheduler(task) for task in tasks].count(os.SCHED_FIFO)
 
     two = plant(2)
-    loop = RealTimeLoop(two, 1_000_000, 10, -1)
+    loop = RealTimeLoop(two, 1_000_000, -1)
     loop.start(0)
     assert loop.wait(10.0), "the loop does not begin"
-    if not loop.figures().fifo:
+    if not loop.figures.fifo:
         loop.stop()
         pytest.skip("the system does not permit SCHED_FIFO")
     assert urgent() == 2, "urgent threads while the loop runs"

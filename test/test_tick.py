@@ -114,7 +114,7 @@ def by_drives(command: np.ndarray) -> Door:
 def by_clock(command: np.ndarray) -> Door:
     """Real time, which a breakpoint ends."""
     plant = Plant(SCENE)
-    loop = RealTimeLoop(plant, 1_000_000, SCENE.steps_per_period, -1)
+    loop = RealTimeLoop(plant, 1_000_000, -1)
 
     def go(ticks: int) -> None:
         end = Breakpoint(plant, f"tick > {plant.ticks.tick + ticks - 1}")

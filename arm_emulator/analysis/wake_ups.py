@@ -51,7 +51,7 @@ def wake_ups(scene: Scene, period: float, seconds: float) -> WakeUps:
         Refusal: see `RealTimeLoop`.
     """
     plant = Plant(scene)
-    loop = RealTimeLoop(plant, round(period * 1e9), scene.steps_per_period, scene.cores[0])
+    loop = RealTimeLoop(plant, round(period * 1e9), scene.cores[0])
     late, spent = [], []
     loop.start(0)
     until = time.monotonic() + seconds
@@ -63,6 +63,6 @@ def wake_ups(scene: Scene, period: float, seconds: float) -> WakeUps:
                 spent.append(reached.spent)
     finally:
         loop.stop()
-    figures = loop.figures()
+    figures = loop.figures
     late_s, spent_s = (np.array(one, np.float64) * 1e-9 for one in (late, spent))
     return WakeUps(period, late_s, spent_s, figures.lost_periods, bool(figures.fifo))

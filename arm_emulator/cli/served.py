@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.kept import Kept
-from arm_emulator.machine.loop_clock import real_time_session
+from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
 from arm_emulator.page.desk import watched

@@ -11,9 +11,16 @@ from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.inputs import further_inputs, further_rows
 from arm_emulator.machine.scene import Scene
+from arm_emulator.tick.c import ANSWERS, tick_calls
+
+NEW, BEFORE_RESET, FUTURE, STALE = (
+    ANSWERS.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
+)
+_KNOWN = ("left", "known", "tick", "tick_before")  # fields beside the commands
 
 
 class Needless(Refusal):
@@ -29,12 +36,11 @@ class Needless(Refusal):
 
 
 class Answers:
-    """The commands of one run.
+    """The commands of one run, over ``tick_answers`` (tick/c/answers.h).
 
     Attributes:
         inputs: names of further inputs of the motors.
-        newest: the newest accepted command, with further inputs (1 + I, N); None: no command yet.
-        tick: the tick that it answers; -1: none.
+        pointer: ``tick_answers *``, by which code in C takes commands, too.
 
     Args:
         scene: the machine.
@@ -42,46 +48,65 @@ class Answers:
     """
 
     def __init__(self, scene: Scene, lockstep: bool) -> None:
-        self._scene = scene
-        self._lockstep = lockstep
+        self._scene, self._lockstep = scene, lockstep
         self._order = JointOrder("motor_commands", scene.joint_names)
         self.inputs = further_inputs(scene)
-        self._zero = np.zeros((1 + len(self.inputs), len(scene.joint_names)))
+        shape = 1 + len(self.inputs), len(scene.joint_names)
+        self._zero, self._newest, self._before = np.zeros((3, *shape))
+        self._take = tick_calls().tick_answers_take
+        self.pointer = ANSWERS.new(
+            "tick_answers",
+            lockstep=lockstep,
+            numbers=self._zero.size,
+            newest=self._newest,
+            before=self._before,
+        )
         self.begin(-1)
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self._scene, self._lockstep, self.save()
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        scene, lockstep, saved = state
+        self.__init__(scene, lockstep)  # type: ignore[misc]
+        self.restore(saved)
 
     def begin(self, left: int) -> None:
         """Begin a run without commands; the run before was left at the tick `left`."""
-        self._left = left
-        self.put(-1, None)
+        self.pointer.left = left
+        self.pointer.tick = self.pointer.tick_before = -1
+        self.pointer.known = 0
 
-    def put(
-        self, tick: int, rows: Array | None, before: Array | None = None, answered: int = -1
-    ) -> None:
-        """Let this be the newest command.
-
-        Args:
-            tick: that it answers.
-            rows: the command; None: no command.
-            before: the one before it, alike.
-            answered: the tick that this answered; -1: the one before.
-        """
-        self.tick, self.newest = tick, rows
-        answered = tick - 1 if answered < 0 else answered
-        # The accepted one before it.
-        self._before: tuple[int, Array | None] = (-1 if before is None else answered, before)
+    def put(self, tick: int, rows: Array) -> None:
+        """Let this command (1 + I, N) be the only one that is known, as the answer to a tick."""
+        self.pointer.tick, self.pointer.known = tick, 1
+        self._newest[:] = rows
 
     def save(self) -> tuple[object, ...]:
         """Return the commands that are known now, for `restore`."""
-        return self._left, self.tick, self.newest, self._before
+        known = tuple(getattr(self.pointer, name) for name in _KNOWN)
+        return *known, self._newest.copy(), self._before.copy()
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Know the commands that were known when `save` returned this."""
-        self._left, self.tick, self.newest, self._before = saved
+        *known, self._newest[:], self._before[:] = saved
+        for name, value in zip(_KNOWN, known, strict=True):
+            setattr(self.pointer, name, value)
+
+    @property
+    def any(self) -> bool:
+        """Whether a command of this run is known."""
+        return bool(self.pointer.known)
+
+    @property
+    def tick(self) -> int:
+        """The tick that the newest command answers; -1: none."""
+        return int(self.pointer.tick)
 
     @property
     def rows(self) -> Array:
-        """The newest command, 0 before the first one (1 + I, N)."""
-        return self._zero if self.newest is None else self.newest
+        """The newest command with further inputs, 0 before the first one (1 + I, N)."""
+        return self._newest.copy() if self.any else self._zero
 
     def take(
         self,
@@ -93,23 +118,20 @@ class Answers:
     ) -> Array:
         """Take a command at the tick `now`, and return it arranged; see `Session.offer`."""
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
-        if tick > now:
-            rule, got = f"be at most {now}", f"{tick} (future)"
-            if self.newest is None and tick <= self._left:
-                raise Needless("before the reset", rule, f"{tick}")
-            raise Refusal("motor_commands", "tick", rule, got)
-        if (self._lockstep and self.newest is not None and tick < now) or tick < self.tick:
-            rule = f"be at least {now if self._lockstep else self.tick}"
-            if self._is_repeated(tick, self.arranged(joint_names, command, further)):
-                raise Needless("repeated", rule, f"{tick}")
-            raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
         rows = self.arranged(joint_names, command, further)
-        if tick == self.tick and self._is_repeated(tick, rows):
-            raise Needless("repeated", "be answered once", f"{tick}")
-        if tick != self.tick:
-            self._before = (self.tick, self.newest)
-        self.tick, self.newest = tick, rows
-        return rows
+        known = self.pointer.tick
+        result = self._take(self.pointer, now, tick, pointer(rows))
+        if result == NEW:
+            return rows
+        at_most, at_least = f"be at most {now}", f"be at least {now if self._lockstep else known}"
+        if result == BEFORE_RESET:
+            raise Needless("before the reset", at_most, f"{tick}")
+        if result == FUTURE:
+            raise Refusal("motor_commands", "tick", at_most, f"{tick} (future)")
+        if result == STALE:
+            raise Refusal("motor_commands", "tick", at_least, f"{tick} (stale)")
+        is_newest = tick == known and not (self._lockstep and tick < now)
+        raise Needless("repeated", "be answered once" if is_newest else at_least, f"{tick}")
 
     def arranged(
         self,
@@ -131,9 +153,3 @@ class Answers:
         }
         others = further_rows("motor_commands", self._scene, given)
         return np.vstack([row, self._zero[1:] if others is None else others])
-
-    def _is_repeated(self, tick: int, command: Array) -> bool:
-        for answered, known in ((self.tick, self.newest), self._before):
-            if tick == answered and known is not None and known.tobytes() == command.tobytes():
-                return True
-        return False

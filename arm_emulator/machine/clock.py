@@ -67,8 +67,11 @@ class Clock:
     def begin(self) -> None:
         """Restart at tick 0, without the commands and ticks of the last run."""
 
-    def command(self, answered: int, rows: Array) -> None:
-        """Hold commands and further inputs (1 + I, N), which answer a tick, from now on."""
+    def command(self, answered: int, command: Array, further: Array | None = None) -> None:
+        """Hold commands (N,) [V, N m, A] that answer a tick, from now on.
+
+        Further inputs (I, N) are 0 if None.
+        """
 
     def start(self, tick: int) -> None:
         """Start time at a tick."""

@@ -13,9 +13,9 @@ from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns
 from arm_emulator.build.c_header import NULL
-from arm_emulator.machine.call_arguments import LARGEST_STEPS, commands_of
+from arm_emulator.machine.call_arguments import commands_of
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.clock import Reached, RealTimeFigures
+from arm_emulator.machine.clock import Clock, Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import ARM, PLACES
 from arm_emulator.machine.inputs import further_inputs
@@ -23,19 +23,20 @@ from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import Session
 from arm_emulator.tick.c import REAL_TIME
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023
 
 
-class RealTimeLoop(Turns):
-    """The core's real-time thread, through its C interface. A forked child has none.
+class RealTimeLoop(Clock, Turns):
+    """The real-time thread, which lets servo periods pass by itself. A forked child has none.
 
     Args:
         plant: the machine. While the loop runs nobody else may touch it.
-        period_ns: servo period [ns].
-        steps: integration steps in a period.
+        period_ns: wall time of a servo period [ns].
         core: processor core for the thread, -1 for any.
         readers: who takes its snapshots: 1, `take` alone; 2, code in C beside it.
 
@@ -47,19 +48,19 @@ class RealTimeLoop(Turns):
         Refusal: no such counts.
     """
 
-    def __init__(
-        self, plant: Plant, period_ns: int, steps: int, core: int, readers: int = 1
-    ) -> None:
-        super().__init__()
+    by_itself = True
+
+    def __init__(self, plant: Plant, period_ns: int, core: int, readers: int = 1) -> None:
+        Turns.__init__(self)
         for quantity, value, least, largest in (
             ("period_ns", period_ns, 1, LONGEST_PERIOD),
-            ("steps", steps, 1, LARGEST_STEPS),
             ("core", core, -1, LARGEST_CORE),
             ("readers", readers, 1, 2),
         ):
             check_count("RealTimeLoop", quantity, value, least, largest)
         self._period_ns = period_ns
-        self._plant = plant  # must outlive the loop
+        super().__init__(plant)  # which must outlive the loop
+        self.running, self._spent_ns = False, 0
         self._N = N = len(plant.scene.joints)
         self._calls = real_time_library()
         options = REAL_TIME.new(
@@ -83,6 +84,7 @@ class RealTimeLoop(Turns):
         ARM.fill(truth, energy=self._energy, **places)
         self._commands = commands_of(plant.scene)
         self._further = np.zeros((len(further_inputs(plant.scene)), N))
+        self._zero = np.zeros(N)
         places = {"joint": self._commands, "further": self._further}
         self._command = ARM.new("arm_command", tick=-1, **places)
 
@@ -94,6 +96,27 @@ class RealTimeLoop(Turns):
     def renew_threads(self) -> None:  # noqa: D102
         self.handle = NULL  # the thread is the parent's, and the machine may be within a period
 
+    @property
+    def spent_ns(self) -> int:
+        """Wall time that the exchanges of the ticks taken have needed so far [ns]."""
+        return self._spent_ns
+
+    @property
+    def figures(self) -> RealTimeFigures:
+        """Punctuality."""
+        figures = REAL_TIME.new("arm_real_time_figures")
+        self._calls.arm_real_time_get_figures(self.handle, figures)
+        return RealTimeFigures(
+            **{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)}
+        )
+
+    def begin(self) -> None:
+        """Restart at tick 0, see `Clock.begin`."""
+        while self.take() is not None:
+            pass
+        self.command(-1, self._zero)
+        self._calls.arm_real_time_clear_figures(self.handle)
+
     def start(self, tick: int) -> None:
         """Run from `tick` on, until `stop` or a fault.
 
@@ -104,20 +127,21 @@ class RealTimeLoop(Turns):
         check_count(where, "tick", tick, 0, LARGEST // (2 * self._period_ns))
         if not self.handle:
             raise Refusal(where, "the process", "be the one that made it", "a forked child")
+        self.running = True
         self._calls.arm_real_time_start(self.handle, tick)
 
     def stop(self) -> None:
-        """Stop within a period. Snapshots not taken yet stay."""
+        """Stop within a period. Ticks not taken yet stay."""
         self._calls.arm_real_time_stop(self.handle)
+        self.running = False
 
     def go_on(self) -> None:
         """Continue as if it had not stopped; missed deadlines are lateness and lost periods."""
+        self.running = True
         self._calls.arm_real_time_go_on(self.handle)
 
     def command(self, answered: int, command: Array, further: Array | None = None) -> None:
-        """Set the commands (N,) [V, N m, A] for the periods to come; -1 answers no tick.
-
-        Further inputs are rows as in arm.h, 0 if None.
+        """Hold commands for the periods to come, see `Clock.command`; -1 answers no tick.
 
         Raises:
             Refusal: wrong shape, not finite, or no count.
@@ -141,7 +165,7 @@ class RealTimeLoop(Turns):
         skipped = self._calls.arm_real_time_skip(self.handle, 0) if newest else 0
         if not self._calls.arm_real_time_take(self.handle, 0, self._snapshot):
             return None
-        return Reached(
+        reached = Reached(
             self._snapshot.tick,
             self._snapshot.lateness,
             self._snapshot.spent + skipped,
@@ -150,15 +174,18 @@ class RealTimeLoop(Turns):
             self._rows.copy(),
             self._place.read(),
         )
+        self._spent_ns += reached.spent
+        if reached.fault >= 0:
+            self.running = False  # the loop has ended there
+        return reached
 
-    def figures(self) -> RealTimeFigures:
-        """Return the loop's figures."""
-        figures = REAL_TIME.new("arm_real_time_figures")
-        self._calls.arm_real_time_get_figures(self.handle, figures)
-        return RealTimeFigures(
-            **{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)}
-        )
 
-    def clear_figures(self) -> None:
-        """Count from now on."""
-        self._calls.arm_real_time_clear_figures(self.handle)
+def real_time_session(
+    scene: Scene, start: str, *, standing: bool = False, readers: int = 1
+) -> Session:
+    """Return a session whose ticks come from the real-time loop, see `Session`."""
+
+    def loop(plant: Plant) -> RealTimeLoop:
+        return RealTimeLoop(plant, int(plant.ticks.period), scene.cores[0], readers)
+
+    return Session(scene, "realtime", start, loop, standing=standing)

@@ -346,7 +346,7 @@ class Session(Turns):
             return Phase.STOPPED
         if self._paused or self._standing:
             return Phase.PAUSED
-        if self._answers.newest is None:
+        if not self._answers.any:
             return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING
         return Phase.WAITING if self.lockstep and not self.answered else Phase.RUNNING
 
@@ -381,7 +381,7 @@ class Session(Turns):
         """
         self._check_open()
         rows = self._answers.take(self.tick, tick, joint_names, command, further or {})
-        self._clock.command(tick, rows)
+        self._clock.command(tick, rows[0], rows[1:])
         self._follow_phase()
 
     @in_turn
@@ -441,35 +441,14 @@ class Session(Turns):
     @property
     def last_tick(self) -> int:
         """The tick at which commands that answer each tick in time do not suffice to go on."""
-        waits = self.lockstep and self.phase is Phase.WAITING and self._answers.newest is not None
+        waits = self.lockstep and self.phase is Phase.WAITING and self._answers.any
         return (END_OF_TIME - 1) // self.period_ns if waits else self.tick
 
     @in_turn
-    def take_over(self, before: Array) -> None:
-        """Take over that code in C has exchanged the answers to all ticks before this one.
-
-        Args:
-            before: commands (N,) before the newest ones.
-        """
+    def take_note(self) -> None:
+        """Take note of servo periods that code in C has let pass, over `Plant.ticks`."""
         self.fault = self.plant.diverged
         self._read.forget()
-        newest = self.plant.commanded
-        rows = np.vstack([before, np.zeros_like(newest[1:])])
-        self._answers.put(self.tick if self.fault else self.tick - 1, newest, rows)
-
-    @in_turn
-    def take_over_held(self, newest: tuple[int, Array], before: tuple[int, Array]) -> None:
-        """Take over which commands code in C has given to a loop.
-
-        Args:
-            newest: the tick that they answer, and the commands (N,).
-            before: the same of those before them.
-        """
-        others = np.zeros((len(self._answers.inputs), len(newest[1])))
-        (tick, rows), (tick_before, rows_before) = (
-            (tick, np.vstack([row, others])) for tick, row in (newest, before)
-        )
-        self._answers.put(tick, rows, rows_before, tick_before)
 
     @property
     def clock(self) -> Clock:
@@ -485,6 +464,11 @@ class Session(Turns):
     def answered_tick(self) -> int:
         """The tick that the newest commands answer; -1: none."""
         return self._answers.tick
+
+    @property
+    def answers(self) -> CData:
+        """``tick_answers *``: code in C that takes commands while no call of this runs."""
+        return self._answers.pointer
 
     @in_turn
     def close(self) -> None:
@@ -540,7 +524,7 @@ class Session(Turns):
             return f"stopped, reset first: {self.fault}"
         if not self.paused:
             return "not paused, pause first"
-        if self.lockstep and self._answers.newest is not None and not self.answered:
+        if self.lockstep and self._answers.any and not self.answered:
             return f"no motor command answers tick {self.tick} yet"
         self.advance()
         return "" if self.fault is None else f"stopped: {self.fault}"

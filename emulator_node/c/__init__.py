@@ -26,6 +26,6 @@ def real_time_ticks_unit() -> Unit:
 
 
 def _unit(name: str, header: Header, about: str) -> Unit:
-    parts = ("messages.c", "message_reader.c", "motor_commands.c", "tick.c", f"{name}.c")
-    source = "".join(f'#include "{one}"\n' for one in parts)
+    parts = ("messages", "message_reader", "motor_commands", "tick", "answers", name)
+    source = "".join(f'#include "{one}.c"\n' for one in parts)
     return Unit(name, source, C_FLAGS, FOLDERS, (header,), "emulator", about, f"{name}.c")

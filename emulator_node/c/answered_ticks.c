@@ -15,10 +15,9 @@ int answered_ticks_take(void* with, const uint8_t* data, int64_t size) {
   motor_commands* commands = &ticks->commands;
   if (at->tick >= ticks->last || ticks->result != ARM_OK) return ROS_FOR_PYTHON;
   if (motor_commands_read(commands, data, size) != at->tick) return ROS_FOR_PYTHON;
-  for (int32_t j = 0; j < at->joints; ++j) {
-    ticks->before[j] = ticks->joint[j].value;
-    ticks->joint[j].value = commands->came[j];
-  }
+  if (tick_answers_take(ticks->answers, at->tick, at->tick, commands->came) != ANSWER_NEW)
+    return ROS_FOR_PYTHON;
+  for (int32_t j = 0; j < at->joints; ++j) ticks->joint[j].value = commands->came[j];
   ros_log_put(ticks->log, commands->number, data, size);
   ticks->command->tick = at->tick;
   ticks->command->came = 0;

@@ -3,6 +3,7 @@
 #ifndef ANSWERED_TICKS_H
 #define ANSWERED_TICKS_H
 
+#include "answers.h"
 #include "motor_commands.h"
 #include "tick.h"
 
@@ -14,6 +15,7 @@ typedef struct answered_ticks {
   uint32_t size;
   int32_t reserved;
   tick_machine* at;
+  tick_answers* answers;
   arm_joint_command* joint; /* of the command */
   arm_command* command;
   arm_truth* truth;
@@ -25,7 +27,6 @@ typedef struct answered_ticks {
   ros_log* log;
   /* The run. Python sets them while no message is taken. */
   int64_t last;   /* tick that is not left: the command that answers it is Python's */
-  double* before; /* commands before the newest ones */
   int64_t result; /* of the newest exchange */
 } answered_ticks;
 

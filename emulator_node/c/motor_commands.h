@@ -16,7 +16,7 @@ typedef struct motor_commands {
   /* Of the newest message. */
   int64_t tick; /* that it answers */
   uint64_t machine;
-  double* came;      /* its commands, by the machine's order of joints */
+  double* came;      /* its commands, by the machine's order of joints, and inputs of 0 */
   uint64_t emulator; /* commands are for this one, or for any: 0 */
   int64_t number;    /* of the topic in the log */
 } motor_commands;

@@ -6,7 +6,6 @@
 #include <poll.h>
 #include <pthread.h>
 #include <stdlib.h>
-#include <string.h>
 #include <unistd.h>
 
 enum { LOOK_UP = 100 }; /* ms: time after which a quiet thread looks whether it is to end */
@@ -77,50 +76,24 @@ int real_time_ticks_run(real_time_ticks* ticks) {
 int real_time_ticks_take(void* with, const uint8_t* data, int64_t size) {
   real_time_ticks* ticks = with;
   const motor_commands* commands = &ticks->commands;
+  if (!ticks->open) return ROS_FOR_PYTHON;
   const int64_t answered = motor_commands_read(&ticks->commands, data, size);
+  if (answered <= ticks->answers->tick) return ROS_FOR_PYTHON;
   pthread_mutex_lock(&ticks->locks->numbers);
-  const int due = ticks->open && answered > ticks->answered && answered <= ticks->tick;
-  if (due) {
-    const size_t bytes = (size_t)ticks->at->joints * sizeof(double);
-    memcpy(ticks->commanded_before, ticks->commanded, bytes);
-    memcpy(ticks->commanded, commands->came, bytes);
-    ticks->answered_before = ticks->answered;
-    ticks->answered = answered;
-    ros_log_put(&ticks->log, commands->number, data, size);
-  }
+  const int result = tick_answers_take(ticks->answers, ticks->tick, answered, commands->came);
+  if (result == ANSWER_NEW) ros_log_put(&ticks->log, commands->number, data, size);
   pthread_mutex_unlock(&ticks->locks->numbers);
-  if (!due) return ROS_FOR_PYTHON;
+  if (result != ANSWER_NEW) return ROS_FOR_PYTHON;
   for (int32_t j = 0; j < ticks->at->joints; ++j) ticks->joint[j].value = commands->came[j];
   ticks->command->tick = answered;
   ticks->give(ticks->loop, ticks->command);
   return ROS_TAKEN;
 }
 
-void real_time_ticks_open(real_time_ticks* ticks, int64_t open, int64_t answered,
-                          const double* commanded) {
-  pthread_mutex_lock(&ticks->locks->numbers);
-  ticks->open = open;
-  ticks->answered = answered;
-  memcpy(ticks->commanded, commanded, (size_t)ticks->at->joints * sizeof(double));
-  pthread_mutex_unlock(&ticks->locks->numbers);
-}
-
 void real_time_ticks_put(real_time_ticks* ticks, int64_t tick) {
   pthread_mutex_lock(&ticks->locks->numbers);
   ticks->tick = tick;
   pthread_mutex_unlock(&ticks->locks->numbers);
-}
-
-int64_t real_time_ticks_held(real_time_ticks* ticks, double* newest, double* other,
-                             int64_t* before) {
-  const size_t bytes = (size_t)ticks->at->joints * sizeof(double);
-  pthread_mutex_lock(&ticks->locks->numbers);
-  memcpy(newest, ticks->commanded, bytes);
-  memcpy(other, ticks->commanded_before, bytes);
-  *before = ticks->answered_before;
-  const int64_t answered = ticks->answered;
-  pthread_mutex_unlock(&ticks->locks->numbers);
-  return answered;
 }
 
 void real_time_ticks_exchange_log(real_time_ticks* ticks, ros_log* other) {

@@ -3,6 +3,7 @@
 #ifndef REAL_TIME_TICKS_H
 #define REAL_TIME_TICKS_H
 
+#include "answers.h"
 #include "motor_commands.h"
 #include "real_time.h"
 
@@ -28,14 +29,13 @@ typedef struct real_time_ticks {
   motor_commands commands;
   arm_joint_command* joint; /* of the command */
   arm_command* command;
+  tick_answers* answers;
+  int64_t open;           /* 0: all commands are Python's */
   const tick_machine* at; /* where its `stop` ends the loop, Python has to look */
   int32_t closing;        /* 1: `run` returns */
   /* Guarded by the locks. */
   real_time_locks* locks;
-  int64_t open;                      /* 0: all commands are Python's */
-  int64_t tick;                      /* published newest */
-  int64_t answered, answered_before; /* ticks, by the newest commands and those before */
-  double *commanded, *commanded_before;
+  int64_t tick; /* published newest */
   ros_log log;
 } real_time_ticks;
 
@@ -51,15 +51,8 @@ int real_time_ticks_catch_up(real_time_ticks* ticks);
 
 /* `take` of a ros_topic: commands newer than those before. */
 int real_time_ticks_take(void* with, const uint8_t* data, int64_t size);
-/* Take commands in C or not; the newest ones so far, and the tick that they answer. */
-void real_time_ticks_open(real_time_ticks* ticks, int64_t open, int64_t answered,
-                          const double* commanded);
 /* The machine was put to a tick, which Python publishes. */
 void real_time_ticks_put(real_time_ticks* ticks, int64_t tick);
-/* Copy the newest commands and those before; returns the tick that they answer, and that of those
- * before in `*before`. */
-int64_t real_time_ticks_held(real_time_ticks* ticks, double* newest, double* other,
-                             int64_t* before);
 /* Exchange the log for another one of the same room. */
 void real_time_ticks_exchange_log(real_time_ticks* ticks, ros_log* other);
 

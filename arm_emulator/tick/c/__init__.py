@@ -9,6 +9,7 @@ from arm_emulator.core import BOUNDARY
 
 FOLDER = Path(__file__).resolve().parent
 FOLDERS = (FOLDER, BOUNDARY)
+ANSWERS = Header(FOLDER / "answers.h", FOLDERS)
 TICK = Header(FOLDER / "tick.h", FOLDERS)
 FIRMWARE_CONTROLLER = Header(FOLDER / "firmware_controller.h", FOLDERS)
 REAL_TIME = Header(FOLDER / "real_time.h", FOLDERS)
@@ -16,8 +17,9 @@ REAL_TIME = Header(FOLDER / "real_time.h", FOLDERS)
 
 def tick_unit() -> Unit:
     """Return periods, their loop and control code as what is compiled."""
-    source = '#include "tick.c"\n#include "firmware_controller.c"\n'
-    headers, about = (TICK, FIRMWARE_CONTROLLER), "servo periods"
+    parts = ("tick.c", "answers.c", "firmware_controller.c")
+    source = "".join(f'#include "{one}"\n' for one in parts)
+    headers, about = (TICK, ANSWERS, FIRMWARE_CONTROLLER), "servo periods"
     return Unit("tick", source, C_FLAGS, FOLDERS, headers, "tick", about, "tick.c")
 
 
