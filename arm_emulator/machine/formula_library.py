@@ -6,11 +6,12 @@ from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
+from arm_emulator.tick.c import FOLDER, FOLDERS
 
 FORMULA = Header(BOUNDARY / "formula.h")
 TOOL_POSITION = Header(BOUNDARY / "tool_position.h")
-CONDITION = Header(BOUNDARY / "condition.h")
-BREAKPOINT = Header(BOUNDARY / "breakpoint.h")
+CONDITION = Header(FOLDER / "condition.h", FOLDERS)
+BREAKPOINT = Header(FOLDER / "breakpoint.h", FOLDERS)
 
 
 def formula_unit() -> Unit:
@@ -19,7 +20,7 @@ def formula_unit() -> Unit:
     source = "".join(f'#include "{part}"\n' for part in parts)
     headers = FORMULA, TOOL_POSITION, CONDITION, BREAKPOINT
     about = "formulas and conditions"
-    return Unit("formula", source, C_FLAGS, (BOUNDARY,), headers, "formula", about, parts[0])
+    return Unit("formula", source, C_FLAGS, FOLDERS, headers, "formula", about, parts[0])
 
 
 formula_library = compiled_once(formula_unit)

@@ -1,4 +1,4 @@
-"""Rows of a machine for a reader in another process: core/boundary/record_ring.h."""
+"""Rows of a machine for a reader in another process: tick/c/record_ring.h."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from arm_emulator.base.column import Rows
 from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
-from arm_emulator.core import BOUNDARY
+from arm_emulator.tick.c import FOLDER, FOLDERS
 
-RING = Header(BOUNDARY / "record_ring.h")
-LISTENERS = Header(BOUNDARY / "listeners.h")
+RING = Header(FOLDER / "record_ring.h", FOLDERS)
+LISTENERS = Header(FOLDER / "listeners.h", FOLDERS)
 CAPACITY = 2**13  # rows: 8 s at 1 kHz
 
 
@@ -22,7 +22,7 @@ def record_ring_unit() -> Unit:
     """Return the ring as what is compiled."""
     name, part, about = "record_ring", "record_ring.c", "the ring of records"
     source, headers = f'#include "{part}"\n#include "listeners.c"\n', (RING, LISTENERS)
-    return Unit(name, source, C_FLAGS, (BOUNDARY,), headers, name, about, part)
+    return Unit(name, source, C_FLAGS, FOLDERS, headers, name, about, part)
 
 
 record_ring = compiled_once(record_ring_unit)

@@ -52,7 +52,7 @@ class RecordRow(Turns):
 
 
 def row_type(scene: Scene) -> np.dtype[np.void]:
-    """Return a row as numpy has it: as core/boundary/record_ring.h begins it, and then arrays."""
+    """Return a row as numpy has it: as tick/c/record_ring.h begins it, and then arrays."""
     N, M = len(scene.joints), len(scene.imus)
     counts = dict(zip(STRUCTS, (N, N, M), strict=True))
     kinds = {"joint": "joint_measurement", "sensors": "joint_sensors", "imu": "imu_measurement"}

@@ -64,7 +64,7 @@ class Condition:
 
 
 class WatchedCondition:
-    """The formula of a condition over the row of a plant, see core/boundary/condition.h.
+    """The formula of a condition over the row of a plant, see tick/c/condition.h.
 
     Attributes:
         plant: the machine.
