@@ -1,40 +1,21 @@
-"""The machine behind a TCP socket: lines of JSON, a command in, a measurement out.
-
-For control software in languages and tools that have sockets and JSON, and no structs of bytes.
-"""
+"""The machine behind a TCP socket: lines of JSON, see `json_lines`."""
 
 from __future__ import annotations
 
-import json
-import math
-import select
 import socket
-import threading
-from typing import Any
 
 from arm_emulator.base.address import not_free
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answered_tick import answer_tick
-from arm_emulator.machine.answers import Needless
-from arm_emulator.machine.inputs import further_inputs
-from arm_emulator.machine.outputs import outputs_of, units_of
+from arm_emulator.doors.json_lines import JsonLinesServer
 from arm_emulator.machine.session import Session
 
 PORT = 50780
-LONGEST = 2**16  # bytes of a line
-LOOK = 0.05  # s, between two looks whether to end
-PATIENCE = 5.0  # s, with a client that does not read
 
 
-class TcpServer:
-    """Answers each line of a client with the measurement of a session.
-
-    In lock-step a line with a command lets a servo period pass. Clients come one after the other;
-    the machine stays as it is between them.
+class TcpServer(JsonLinesServer):
+    """Answers clients that connect by TCP.
 
     Attributes:
         address: host and port where it listens.
-        refused: lines that changed nothing; each is answered with the reason.
 
     Args:
         session: the machine.
@@ -46,136 +27,15 @@ class TcpServer:
     """
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = PORT) -> None:
-        self._session = session
-        self._outputs = outputs_of(session.scene)
-        self._inputs = further_inputs(session.scene)
-        self._keys = {"tick", "power", "reset", "command", *self._inputs}
         try:
-            self._socket = socket.create_server((host, port), backlog=1)
+            listening = socket.create_server((host, port), backlog=1)
         except (OSError, OverflowError) as error:
             raise not_free("tcp", host, port, error) from None
-        self.address: tuple[str, int] = self._socket.getsockname()
-        self.refused = 0
-        self._closing = threading.Event()
+        super().__init__("tcp", session, listening)
+        self.address: tuple[str, int] = listening.getsockname()
 
-    def serve(self) -> None:
-        """Serve until `close`."""
-        with self._socket:
-            while not self._closing.is_set():
-                if select.select([self._socket], [], [], LOOK)[0]:
-                    client, _ = self._socket.accept()
-                    client.settimeout(PATIENCE)
-                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    with client:
-                        self._serve(client)
-
-    def close(self) -> None:
-        """Let `serve` end."""
-        self._closing.set()
-
-    def _serve(self, client: socket.socket) -> None:
-        """Answer a client until it goes, or sends a line that is too long."""
-        held = b""
-        try:
-            client.sendall(self.greeting())
-            while not self._closing.is_set():
-                if not select.select([client], [], [], LOOK)[0]:
-                    continue
-                data = client.recv(LONGEST)
-                if not data:
-                    return
-                *lines, held = (held + data).split(b"\n")
-                for line in lines:
-                    client.sendall(self.answer(line))
-                if len(held) > LONGEST:
-                    return
-        except OSError:  # it has gone, or does not read
-            return
-
-    def greeting(self) -> bytes:
-        """Return the line with which a client is met: what the scene has, in its units."""
-        scene = self._session.scene
-        units = {one.name: units_of(scene, one) for one in self._outputs}
-        return _line({
-            "scene": scene.name, "joints": scene.joint_names, "period": scene.servo_period,
-            "command": [joint.unit for joint in scene.joints], "inputs": self._inputs,
-            "outputs": units,
-        })  # fmt: skip
-
-    def answer(self, line: bytes) -> bytes:
-        """Take a line, and return the reply."""
-        if self._session.by_itself:
-            self._session.take(newest=True)
-        try:
-            self._take(line)
-        except Needless:
-            pass
-        except Refusal as reason:
-            self.refused += 1
-            return _line({"refused": str(reason)})
-        return self._measurement()
-
-    def _take(self, line: bytes) -> None:
-        try:
-            given = json.loads(line)
-        except (ValueError, RecursionError) as error:
-            raise Refusal("tcp", "line", "be JSON", error) from None
-        if not isinstance(given, dict) or not self._keys >= given.keys():
-            rule, valid = "be an object with keys that are known", ", ".join(sorted(self._keys))
-            raise Refusal("tcp", "line", rule, given, valid)
-        on, again = (self._flag(given, key) for key in ("power", "reset"))
-        names = self._session.scene.joint_names
-        rows = {
-            key: _numbers(key, given[key], len(names))
-            for key in ("command", *self._inputs)
-            if key in given
-        }
-        command = rows.pop("command", None)
-        if command is None and not rows.keys().isdisjoint(self._inputs):
-            raise Refusal("tcp", "command", "be given with further inputs", "nothing")
-        with self._session.turn:
-            tick = given.get("tick", self._session.tick)
-            if isinstance(tick, bool) or not isinstance(tick, int):
-                raise Refusal("tcp", "tick", "be a whole number", tick)
-            if again:
-                self._session.reset()
-            elif command is not None:
-                answer_tick(self._session, tick, names, command, rows, powered=on is not False)
-
-    @staticmethod
-    def _flag(given: dict[str, Any], key: str) -> bool | None:
-        found = given.get(key)
-        if found is None or isinstance(found, bool):
-            return found
-        raise Refusal("tcp", key, "be true or false", found)
-
-    def _measurement(self) -> bytes:
-        session = self._session
-        with session.turn:
-            measured = session.measured
-            rows = {one.name: measured.place(one).tolist() for one in self._outputs}
-            state = {"tick": session.tick, "power": session.powered}
-            return _line({**state, "stopped": session.fault is not None, **rows})
-
-
-def _numbers(key: str, given: object, count: int) -> list[float]:
-    """Return a list of so many numbers.
-
-    Raises:
-        Refusal: it is something else.
-    """
-    if isinstance(given, list) and len(given) == count:
-        if not any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
-            return given
-    raise Refusal("tcp", key, f"be {count} numbers, base to tool", given)
-
-
-def _line(of: dict[str, Any]) -> bytes:
-    """Return an object as a line; numbers that are not finite are null."""
-
-    def finite(value: Any) -> Any:
-        if isinstance(value, list):
-            return [finite(one) for one in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    return json.dumps({key: finite(value) for key, value in of.items()}).encode() + b"\n"
+    def accept(self) -> socket.socket:
+        """Return the next client, whose lines are not held back for longer ones."""
+        client = super().accept()
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return client
