@@ -55,7 +55,7 @@ class FirmwareLoop:
     def aim(self, targets: tuple[Sequence[int], Array]) -> None:
         """Begin anew with other targets, see above."""
         ticks, rows = targets
-        self._put(np.array(ticks, np.int64), np.array(rows, np.float64, order="C"), 0)
+        self._put(np.array(ticks, np.int64), np.array(rows, np.float64, order="C"), -1)
 
     def _put(self, row_tick: NDArray[np.int64], rows: Array, row: int) -> None:
         """Let these rows be the targets, which stay where they are, from one of them on."""
@@ -72,7 +72,6 @@ class FirmwareLoop:
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Go on from what `save` has returned."""
         *targets, commands = saved
-        # The very arrays: a microcontroller knows by their place which targets it has seen.
         self._put(*targets)
         for now, then in zip(self._commands(), commands, strict=True):
             now[:] = then

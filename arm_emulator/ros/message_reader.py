@@ -17,7 +17,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MESSAGE_READER
 from arm_emulator.ros.fixed_layout import CODES, fields_of
-from arm_emulator.ros.middleware import middleware
 from arm_emulator.ros.node_shell import time_of
 
 STAMP = "header.stamp.sec"  # stands for the whole time
@@ -116,13 +115,6 @@ class MessageReader:
             known_room=len(self._known),
             names=self._at.get(names, 0),
         )
-
-    def read(self, data: bytes) -> Refusal | None:
-        """Read a message; return why it is refused, None: it is not."""
-        calls = middleware()
-        if calls.message_open(self.struct, data, len(data)):
-            calls.message_rows(self.struct)
-        return self.refusal(data)
 
     def field(self, path: str) -> CData:
         """Return the ``message_field *`` of a field."""

@@ -35,6 +35,8 @@ typedef struct firmware_input {
   const double* q_target; /* rad or m, of the links; null: no target yet */
   const double* v_target; /* rad/s or m/s, their derivative; null: 0 */
   const double* tau;      /* N m or N, feed-forward at the links; null: 0 */
+  int32_t new_row;        /* 1: a row of the table of targets begins here */
+  int32_t reserved;
 } firmware_input;
 
 /* Commands of the drives for the period. The arrays keep the values written last: at first every

@@ -30,7 +30,7 @@ class Devices {
 
   // Set registers and devices as after a reset.
   void wire() {
-    targets_ = nullptr;
+    has_sent_ = false;
     registers = {};
     encoders_.clear(), adcs_.clear(), pins_.clear(), pwms_.clear(), uarts_.clear();
     for (int k = 0; k < board_.regions; ++k)
@@ -82,9 +82,9 @@ class Devices {
         if (mailbox_->interrupt() >= 0) nvic_.pend(Nvic::EXTERNAL + mailbox_->interrupt());
       }
       for (Uart& uart : uarts_)
-        if (uart.has_targets() && in.q_target != targets_)
+        if (uart.has_targets() && (in.new_row || !has_sent_))
           uart.send_targets(in.q_target, board_.joints);
-      targets_ = in.q_target;
+      has_sent_ = true;
     }
     for (Uart& uart : uarts_) uart.listen();
   }
@@ -123,7 +123,7 @@ class Devices {
     registers.remembered(list);
     for (TimerEncoder& encoder : encoders_) encoder.remembered(list);
     for (Uart& uart : uarts_) uart.remembered(list);
-    list(targets_);
+    list(has_sent_);
   }
 
  private:
@@ -136,8 +136,8 @@ class Devices {
   std::vector<Pin> pins_;
   std::vector<Pwm> pwms_;
   std::optional<Mailbox> mailbox_;
-  std::set<int> lines_;              // interrupts that devices ask for
-  const double* targets_ = nullptr;  // that were sent last
+  std::set<int> lines_;    // interrupts that devices ask for
+  bool has_sent_ = false;  // targets since the reset
 };
 
 }  // namespace mcu

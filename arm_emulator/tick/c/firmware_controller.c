@@ -5,10 +5,12 @@
 const arm_command* firmware_controller_answer(void* with, const tick_machine* at) {
   firmware_controller* code = with;
   if (!code || !at) return NULL;
-  firmware_input in = {sizeof in, 0, at->tick * at->period, at->measurement, NULL, NULL, NULL};
+  firmware_input in = {
+      .size = sizeof in, .time = at->tick * at->period, .measured = at->measurement};
   firmware_output out = {sizeof out, 0, code->joint, code->further};
-  while (code->row + 1 < code->row_count && code->row_tick[code->row + 1] <= at->tick) ++code->row;
-  if (code->row_count) {
+  for (; code->row + 1 < code->row_count && code->row_tick[code->row + 1] <= at->tick; ++code->row)
+    in.new_row = 1;
+  if (code->row >= 0) {
     in.q_target = code->rows + code->row * at->joints;
     in.new_targets = 1;
   }

@@ -19,7 +19,7 @@ typedef struct firmware_controller {
   const int64_t* row_tick;
   const double* rows;
   int64_t row_count;
-  int64_t row; /* that holds; 0 at first */
+  int64_t row; /* that holds; -1 at first, and without rows */
   arm_command* command;
   arm_joint_command* joint; /* of the command */
   double* further;          /* of the command */
