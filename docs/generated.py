@@ -12,6 +12,7 @@ be read there. `make tables` writes it; `make lint` refuses a page whose text ha
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 import sys
@@ -24,6 +25,16 @@ PLACE = re.compile(
     r"^(<!-- generated: (\w+)(?: (\S+))? -->\n)(.*?)^(<!-- end generated -->)$", re.M | re.S
 )
 BEGIN = re.compile(r"^<!-- generated: ", re.M)
+FAULT_HEADS = {
+    "late": "command late on its line, by 2 periods",
+    "lost": "all commands lost on their line",
+    "stale": "answer to an earlier tick",
+    "silence": "no command",
+    "name": "wrong name of a joint",
+    "nan": "NaN",
+    "power": "power cut",
+    "breakpoint": "breakpoint",
+}
 DOOR = re.compile(r"^<!-- door: (.+?) \| (.+) -->$", re.M)
 
 
@@ -70,6 +81,24 @@ def _doors(which: str) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in shown)
 
 
+def _faults_at_doors(_: str) -> str:
+    """Return what each door does about the same faults, as test/faults_at_doors.json has it."""
+    kept = json.loads((ROOT / "test/faults_at_doors.json").read_text())
+    words: dict[str, int] = {}  # of refusals, numbered
+
+    def cell(found: str) -> str:
+        if not found.startswith("refused: "):
+            return found
+        line = found.removeprefix("refused: ")
+        return f"refused ({words.setdefault(line, len(words) + 1)})"
+
+    rows = [["door", *FAULT_HEADS.values()], ["---"] * (1 + len(FAULT_HEADS))]
+    for door in sorted(kept, key=lambda one: one.strip("`").lower()):
+        rows.append([door, *(cell(kept[door][fault]) for fault in FAULT_HEADS)])
+    shown = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([*shown, "", *(f"{number}. `{line}`" for line, number in words.items())])
+
+
 def _of_campaigns(what: str) -> str:
     """Return a table of what a campaign's file may have, from its declaration."""
     from arm_emulator.campaign.described import TABLES
@@ -85,6 +114,7 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "commands": _help,
     "doors": _doors,
     "faults": tables.faults,
+    "faults_at_doors": _faults_at_doors,
     "file": code_block,
     "inputs": tables.inputs,
     "interfaces": _interfaces,

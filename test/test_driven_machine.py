@@ -29,17 +29,22 @@ N = len(load_scene("three_axis").joints)
 READING = ("q", "v", "effort", "current", "counts", "true_q", "true_v", "true_effort")
 
 
+def compile_client(at: Path, source: Path) -> None:
+    """Compile a client of machines in this folder."""
+    includes = [f"-I{one}" for one in (SOURCES, *FOLDERS, FOLDER)]
+    files = [str(source), str(SOURCES / "driven_machine.cpp")]
+    command = [*find_compiler(), *FLAGS, *includes, *files, "-ldl", "-o", str(at / "client")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The client with what it needs."""
     at = tmp_path_factory.mktemp("driven")
     compile_ahead(load_scene("three_axis", SENT["set"]), "native", at)
     compile_units([servo_data_unit("three_axis")], "native", at)
-    includes = [f"-I{one}" for one in (SOURCES, *FOLDERS, FOLDER)]
-    files = [str(ROOT / "test/driven_machine.cpp"), str(SOURCES / "driven_machine.cpp")]
-    command = [*find_compiler(), *FLAGS, *includes, *files, "-ldl", "-o", str(at / "client")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    compile_client(at, ROOT / "test/driven_machine.cpp")
     return at
 
 

@@ -36,7 +36,7 @@ class FirmwareLoop:
     ) -> None:
         self._plant = plant
         calls = tick_calls()
-        self._run = calls.tick_run
+        self._run, self._stops = calls.tick_run, calls.tick_stops
         self.pointer = code.struct or FIRMWARE_CONTROLLER.new("firmware_controller")
         FIRMWARE_CONTROLLER.fill(
             self.pointer,
@@ -86,8 +86,13 @@ class FirmwareLoop:
             room(command.further, further),
         )
 
+    @property
+    def stopped(self) -> bool:
+        """Whether a breakpoint ends runs now."""
+        return bool(self._stops(self._plant.ticks))
+
     def run(self, ticks: int) -> None:
-        """Run so many periods.
+        """Run so many periods, or fewer up to a breakpoint.
 
         Raises:
             Refusal: a command was refused; the machine is where it was then.

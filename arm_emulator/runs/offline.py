@@ -85,7 +85,7 @@ class OfflineRun(Uncopied, Closed):
         return f"<OfflineRun of {self.session.scene.name} at tick {self.session.tick}>"
 
     def advance(self, ticks: int) -> None:
-        """Advance by so many servo periods.
+        """Advance by so many servo periods, or fewer up to a breakpoint.
 
         Raises:
             Refusal: no such count.
@@ -100,6 +100,8 @@ class OfflineRun(Uncopied, Closed):
             session.advance_in(self._loop, min(self.motion_ticks - begun, end - session.tick))
             if session.fault is not None:
                 raise session.fault
+            if self._loop.stopped:
+                return
 
     def restart(self, machine: bytes) -> None:
         """Begin anew at tick 0, with a saved machine; gains and limits stay as they are.

@@ -94,7 +94,7 @@ class TableRun:
         self._loop.aim(self._targets(table))
 
     def advance(self, ticks: int) -> None:
-        """Advance by so many servo periods.
+        """Advance by so many servo periods, or fewer up to a breakpoint.
 
         Raises:
             Refusal: no such count, or the control code gave a command that is not valid.
@@ -116,6 +116,8 @@ class TableRun:
                 raise session.fault
             if self._servo.ended is not None:
                 raise self._servo.ended
+            if self._loop.stopped:
+                return
 
     @property
     def tick(self) -> int:

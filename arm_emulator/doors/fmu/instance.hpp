@@ -207,9 +207,13 @@ class Instance {
     const double* value = values;
     for (std::size_t r = 0; r < count; ++r)
       for (int k = 0; k < kVariables[references[r]].count; ++k)
-        if (const char* rule = machine_.why_not(kVariables[references[r]], k, *value++))
+        if (const char* rule = machine_.why_not(kVariables[references[r]], k, *value++)) {
+          if (const char* joint = machine_.commanded(kVariables[references[r]], k))
+            return report(kDiscard, "%s: value of %s must %s, got %g", call, joint, rule,
+                          value[-1]);
           return report(kDiscard, "%s: value %d of variable %u must %s, got %g", call, k,
                         references[r], rule, value[-1]);
+        }
     for (std::size_t r = 0; r < count; ++r) {
       const Variable& one = kVariables[references[r]];
       for (int k = 0; k < one.count; ++k)
@@ -370,8 +374,8 @@ class Instance {
   Status refused(Status status) {
     const arm_refusal why = machine_.why();
     const char* joint = machine_.name_of(why.joint);
-    return report(status, "%s must %s, got %g%s%s", why.quantity, why.rule, why.got,
-                  joint ? " at joint " : "", joint ? joint : "");
+    return report(status, "%s%s%s must %s, got %g", why.quantity, joint ? " of " : "",
+                  joint ? joint : "", why.rule, why.got);
   }
   Status diverged() {
     const arm_truth truth = machine_.clock();

@@ -130,6 +130,11 @@ class Machine {
     }
   }
 
+  // The joint that a value commands, by its name; null: it is no command.
+  const char* commanded(const Variable& one, int k) const {
+    return one.rule == Rule::command ? joints_[one.first + k].name : nullptr;
+  }
+
   static std::size_t saved_size() { return static_cast<std::size_t>(arm_saved_size()); }
   void save(unsigned char* bytes) const { arm_save(at_.machine, bytes, arm_saved_size()); }
   bool restore(const unsigned char* bytes) {
