@@ -10,10 +10,10 @@ import numpy as np
 
 from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.convergence import convergence_factor, expected_errors
 from arm_emulator.servo.drives import Drives, Target
 from bench.measure import progress
 from bench.motion import Array
+from oracles.convergence import convergence_factor, expected_errors
 
 TITLE = "Convergence of eq. (6)"
 

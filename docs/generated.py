@@ -101,7 +101,7 @@ def _faults_at_doors(_: str) -> str:
 
 def _of_campaigns(what: str) -> str:
     """Return a table of what a campaign's file may have, from its declaration."""
-    from arm_emulator.campaign.described import TABLES
+    from docs.campaign_tables import TABLES
 
     if what not in TABLES:
         raise Missing(f"{what} of campaigns; valid: {', '.join(TABLES)}")

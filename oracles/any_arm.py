@@ -32,9 +32,9 @@ from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.predicted_residual import predicted_residual
 from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN
+from oracles.predicted_residual import predicted_residual
 
 DISTANCES = (0.05, 0.3)  # m, for arms that reach `FULL_REACH`; smaller ones go as much less
 DISTANCES_NAMED = [f"{distance * 1e3:g} mm" for distance in DISTANCES]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.convergence import convergence_factor, expected_errors
 from bench.convergence import INSTRUCTIONS, measured_factor, step_response
+from oracles.convergence import convergence_factor, expected_errors
 
 
 def test_closed_forms() -> None:

@@ -17,10 +17,9 @@ from documents import DOCS, DOCUMENTS, ROOT, page_of
 from arm_emulator import Refusal, load_scene
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.cli.command import command_names
-from arm_emulator.machine import scene_keys
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 from bench import pages, parameters
-from docs import generated, hooks
+from docs import generated, hooks, scene_keys
 
 MADE = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
 FOLDERS = "|".join(

@@ -36,8 +36,8 @@ from arm_emulator.base.count import check_count
 from arm_emulator.machine.call_arguments import PIECE
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.motion.predicted_residual import predicted_residual
 from arm_emulator.servo.drives import Drives
+from oracles.predicted_residual import predicted_residual
 
 N = 3
 CONFIG = Path(__file__).resolve().parents[1] / "config"

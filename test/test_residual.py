@@ -26,7 +26,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.motion.predicted_residual import predicted_residual
+from oracles.predicted_residual import predicted_residual
 
 
 def test_predicted_residual_of_one_joint_is_one_and_a_half_counts() -> None:
