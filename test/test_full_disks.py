@@ -33,6 +33,16 @@ def ended(
     return done.returncode, done.stdout.decode(), done.stderr.decode()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """All libraries of the commands are compiled, which a first use states in a line of its own.
+
+    The tests count lines.
+    """
+    code, _, errors = ended([*RUN, "--record", "a.mcap"], "", tmp_path_factory.mktemp("compiled"))
+    assert code == 0, errors
+
+
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of `ROOM` bytes."""
