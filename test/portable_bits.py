@@ -2,7 +2,7 @@
 
 `FULL=1 python test/portable_bits.py` writes test/portable_bits.json anew, which is due with each
 change of the physics, and of nothing else. With a target and a level, such as `native -O1`, the
-digests of code that is compiled so are printed.
+digests of code that $CXX compiles so are printed: with FULL=1 all, else the first ones.
 """
 
 from __future__ import annotations

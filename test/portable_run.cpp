@@ -1,5 +1,6 @@
-// A client of a fleet's library: FILE of commands, as test_other_processors.py writes it. It prints
-// the links of a single arm and of a fleet's arms after each row of commands, as bits.
+// A client of a fleet's library: FILE of commands, as test_other_processors.py writes it, and
+// perhaps that of a saved fleet, from which both go on. It prints the links of a single arm and of
+// a fleet's arms after each row of commands, as bits.
 #include <cinttypes>
 #include <cstdio>
 #include <cstring>
@@ -18,14 +19,15 @@ void print(const std::vector<double>& numbers) {
   }
 }
 
-bool read(std::FILE* file, std::vector<double>& numbers) {
-  return std::fread(numbers.data(), sizeof(double), numbers.size(), file) == numbers.size();
+template <class Number>
+bool read(std::FILE* file, std::vector<Number>& numbers) {
+  return std::fread(numbers.data(), sizeof(Number), numbers.size(), file) == numbers.size();
 }
 
 }  // namespace
 
 int main(int count, char** words) {
-  std::FILE* file = count == 2 ? std::fopen(words[1], "rb") : nullptr;
+  std::FILE* file = count >= 2 ? std::fopen(words[1], "rb") : nullptr;
   std::vector<double> sizes(7);
   if (!file || !read(file, sizes)) return 2;
   const auto whole = [&](int k) { return static_cast<std::size_t>(sizes[k]); };
@@ -40,6 +42,15 @@ int main(int count, char** words) {
   if (!arm || !fleet) return 3;
   arm_reset(arm, start.data(), none.data());
   arm_fleet_reset(fleet, nullptr, start.data(), none.data());
+  if (count == 3) {
+    const std::int64_t size = arm_saved_size(), all = size * static_cast<std::int64_t>(arms);
+    std::vector<char> saved(static_cast<std::size_t>(all));
+    std::FILE* state = std::fopen(words[2], "rb");
+    if (!state || !read(state, saved)) return 2;
+    if (arm_restore(arm, saved.data(), size) != ARM_OK ||
+        arm_fleet_restore(fleet, nullptr, saved.data(), all) != ARM_OK)
+      return 6;
+  }
   std::vector<double> own_q(joints), own_v(joints);
   for (std::size_t row = 0; row < rows; ++row) {
     if (!read(file, commands)) return 4;

@@ -1,4 +1,7 @@
-"""A processor of another kind, emulated by qemu, computes the bits of this one."""
+"""A processor of another kind, emulated by qemu, computes the bits of this one.
+
+It goes on from states that were saved here, too.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from portable_bits import drawings
 
 from arm_emulator import Fleet, Plant
 from arm_emulator.build.flags import SHARED
+from arm_emulator.build.unit import fingerprint
 from arm_emulator.machine.compiler import fleet_unit
 
 ROWS, STEPS, ARMS = 50, 40, 3
@@ -32,28 +36,36 @@ def test_an_aarch64_computes_the_bits_of_this_processor(
     rng = np.random.default_rng(11)
     commands = rng.uniform(-3.0, 3.0, (ROWS, ARMS, N))
     values = np.array([one.value for one in scene.varied] * ARMS)
-    sizes = [N, ARMS, ROWS, STEPS, scene.integrator.dt, scene.steps_per_period, len(scene.varied)]
-    given = [np.array(sizes, np.float64), values, np.tile(scene.start, ARMS), commands.ravel()]
-    (tmp_path / "given").write_bytes(np.concatenate(given).tobytes())
     (tmp_path / "unit.cpp").write_text(unit.source)
     flags = [level if flag == "-O3" else flag for flag in unit.flags if flag not in SHARED]
     includes = [f"-I{folder}" for folder in unit.folders]
     includes += [f"-I{folder / 'boundary'}" for folder in unit.folders]
     client = tmp_path / "client"
+    flags.append(f"-DARM_FINGERPRINT={fingerprint(unit)}")
     command = [COMPILER, *flags, "-static", *includes, str(CLIENT), str(tmp_path / "unit.cpp")]
     built = subprocess.run([*command, "-o", client], capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
-    done = subprocess.run(
-        [EMULATOR, client, tmp_path / "given"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+
+    def there(commands: np.ndarray, *state: Path) -> list[list[int]]:
+        step, varied = scene.integrator.dt, len(scene.varied)
+        sizes = [N, ARMS, len(commands), STEPS, step, scene.steps_per_period, varied]
+        given = [np.array(sizes), values, np.tile(scene.start, ARMS), commands.ravel()]
+        (tmp_path / "given").write_bytes(np.concatenate(given).tobytes())
+        run = [EMULATOR, str(client), str(tmp_path / "given"), *map(str, state)]
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{done.returncode} {done.stderr}"
+        return [[int(word, 16) for word in line.split()] for line in done.stdout.splitlines()]
 
     plant, fleet = Plant(scene), Fleet(scene, ARMS)
-    for k, (row, line) in enumerate(zip(commands, done.stdout.splitlines(), strict=True)):
+    here: list[list[int]] = []
+    for k, row in enumerate(commands):
+        if k == ROWS // 2:
+            (tmp_path / "saved").write_bytes(fleet.save())
         plant.advance(row[0], STEPS)
         fleet.advance(row, STEPS)
         own, all_arms = plant.state, fleet.state
-        here = np.concatenate([own.q, own.v, all_arms.q.ravel(), all_arms.v.ravel()]) + 0.0
-        there = np.array([int(word, 16) for word in line.split()], np.uint64)
-        assert here.view(np.uint64).tolist() == there.tolist(), f"row {k}"
+        found = np.concatenate([own.q, own.v, all_arms.q.ravel(), all_arms.v.ravel()]) + 0.0
+        here.append(found.view(np.uint64).tolist())
+    assert there(commands) == here
+    assert there(commands[ROWS // 2 :], tmp_path / "saved") == here[ROWS // 2 :], "from its state"
     assert np.abs(fleet.state.q - scene.start).max() > 0.01, "it moved"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import test_causal_replay
 from draws import some
 from test_compilers import compilers
 
@@ -37,6 +39,7 @@ q = plant.run(rows[1], 10)
 print(q.tobytes().hex(), np.asarray(plant.measured.current).tobytes().hex())
 """
 CLANGS = compilers("clang++")
+bag_of_a_network = test_causal_replay.bag
 TAKEN_UP_BY = [
     (CLANGS[0] if CLANGS else "g++", "x86-64-v2", "-O1"),
     *((one, "native", "-O3") for one in CLANGS),
@@ -71,4 +74,32 @@ def test_a_bag_of_another_build_is_equal_to_the_last_bit(compiler: str, tmp_path
     ours = ("-m", "arm_emulator")
     in_build("g++", tmp_path, *ours, "run", "three_axis", "--seconds", "1", "--bag", bag)
     printed = in_build(compiler, tmp_path, *ours, "check-bag", bag)
+    assert "equal to the last bit" in printed and "another arithmetic" not in printed, printed
+
+
+@pytest.mark.parametrize("compiler", CLANGS)
+def test_nodes_of_another_build_give_the_recorded_bits(
+    compiler: str, bag_of_a_network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CXX", compiler)
+    monkeypatch.setenv("ARM_EMULATOR_CACHE", str(tmp_path))
+    test_causal_replay.test_the_recorded_nodes_give_the_recorded_bits(bag_of_a_network)
+    assert any(tmp_path.rglob("*.so")), "its own code"
+
+
+@pytest.mark.parametrize("compiler", CLANGS)
+def test_a_campaign_and_the_replay_of_its_run_have_the_same_bits(
+    compiler: str, tmp_path: Path
+) -> None:
+    campaign = ("-m", "arm_emulator", "campaign", ROOT / "examples/campaign.yaml", "--json")
+    results, bag = [], tmp_path / "bag"
+    for one, kept in (("g++", ("--bag", bag)), (compiler, ())):
+        into = tmp_path / f"results {one}"
+        whole = in_build(
+            one, tmp_path, *campaign, "--into", into, "--count", "10", "--workers", "1"
+        )
+        run = in_build(one, tmp_path, *campaign, "--into", into, "--replay", "3", *kept)
+        results.append((json.loads(whole)["digest"], run))
+    assert results[0] == results[1]
+    printed = in_build(compiler, tmp_path, "-m", "arm_emulator", "check-bag", bag)
     assert "equal to the last bit" in printed and "another arithmetic" not in printed, printed
