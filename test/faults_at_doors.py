@@ -184,11 +184,12 @@ class Door:
 
     def breakpoint(self) -> str:
         """Return where a run ends in whose midst a condition begins to hold."""
-        self.give(VOLT)
+        if not self.comes:
+            self.give(VOLT)
         last = self.tick + self.ahead
         self.break_at(f"tick >= {last}")
         self.run(MANY)
-        assert self.tick == last
+        assert self.tick == last, (self.tick, last)
         for _ in range(self.ahead):
             self._note(VOLT)
         return "time stands at the tick where it begins to hold"

@@ -480,7 +480,7 @@ class ByRosInRealTime(ByRos):
 
     title = "ROS 2, wall clock"
     raw = False
-    ahead = 1000
+    ahead = 20
 
     def _begin(self) -> None:
         super()._begin()
@@ -489,6 +489,8 @@ class ByRosInRealTime(ByRos):
     def _power(self, on: bool) -> None:
         super()._power(on)
         self._on = on
+        if not on:
+            self.user.wait("a state without power", lambda: not self.state.powered)
 
     def kept(self) -> object:
         return self.state.applied.tolist()
@@ -523,15 +525,28 @@ class ByRosInRealTime(ByRos):
         self.user.wait("the elbow's command", lambda: self.comes)
         states = [deserialize_message(raw, MotorState) for raw in self.user._raw_states]
         begins = [next(one.tick for one in states if one.applied[j]) for j in (0, ELBOW)]
+        if not {one - 1 for one in begins} <= {one.tick for one in states}:
+            self.begin()  # a busy listener has missed a state
+            return self.late()
         return f"{begins[1] - begins[0]} periods later"
 
-    def run(self, periods: int) -> None:
-        def paused() -> bool:
-            status = self.user.status
-            return status is not None and status.phase == EmulatorStatus.PHASE_PAUSED
+    def breakpoint(self) -> str:
+        self.give(VOLT)
+        assert self.user.call("emulator/pause", True).success  # or time would pass the breakpoint
+        self.user.wait("a pause", self._stands)
+        return super().breakpoint()
 
-        self.user.wait("the breakpoint", paused)
-        self.wait()
+    def run(self, periods: int) -> None:
+        begun = self.tick
+        assert self.user.call("emulator/pause", False).success
+        self.user.wait("the breakpoint", lambda: self.tick > begun and self._stands())
+
+    def _stands(self) -> bool:
+        """Whether time stands, and the listener has heard of its last tick."""
+        status = self.user.status
+        if status is None or status.phase != EmulatorStatus.PHASE_PAUSED:
+            return False
+        return bool(self.tick == status.tick)
 
 
 @contextmanager
