@@ -99,9 +99,9 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period,
   periods_ = period / servo_period_;
 
   const auto n = at(data_.joints);
-  states_.resize(n), demands_.resize(n), commands_.resize(n), measured_.resize(n);
-  counts_.resize(n), currents_.resize(n), applied_.resize(n), temperature_.resize(n);
-  q_.resize(n), v_.resize(n), torque_.resize(n), readings_.resize(n), modes_.resize(n);
+  servos_.resize(n), states_.resize(n), demands_.resize(n), commands_.resize(n);
+  measured_.resize(n), temperature_.resize(n), q_.resize(n), v_.resize(n), torque_.resize(n);
+  readings_.resize(n), modes_.resize(n);
   for (int j = 0; j < joints(); ++j) {
     arm_joint_description one = {};
     one.size = sizeof one;
@@ -111,10 +111,10 @@ DrivenMachine::DrivenMachine(const std::string& scene, std::int64_t period,
     if (!(one.modes & static_cast<std::uint32_t>(modes_[at(j)])))
       throw Refused(scene + ": joints." + data_.name[j] +
                     ".motor must be one that our servo drives");
+    servos_[at(j)].joints = 1;
+    servos_[at(j)].joint = &data_.joint[j];
+    servos_[at(j)].state = &states_[at(j)];
   }
-  servo_.joints = data_.joints;
-  servo_.joint = data_.joint;
-  servo_.state = states_.data();
   measurement_.size = sizeof measurement_;
   measurement_.joint = measured_.data();
   command_.size = sizeof command_;
@@ -207,7 +207,7 @@ void DrivenMachine::reset(const std::vector<double>& q) {
     throw Refused(std::string(data_.scene) + ": initial positions must be " +
                   std::to_string(joints()) + " numbers within " + within(-kLargest, kLargest) +
                   " and the stops");
-  servo_reset_(&servo_);
+  for (servo& one : servos_) servo_reset_(&one);
   at_.tick = 0;
   tick_measure(&at_);
   for (Demand& one : demands_) one = Demand{one.loop};
@@ -219,7 +219,7 @@ void DrivenMachine::reset(const std::vector<double>& q) {
 void DrivenMachine::enable(bool on) {
   if (on == enabled_) return;
   enabled_ = on;
-  servo_release_(&servo_);
+  for (servo& one : servos_) servo_release_(&one);
   for (Demand& one : demands_) one.given = one.moves = false;
 }
 
@@ -260,7 +260,7 @@ void DrivenMachine::demand_now(std::size_t j) {
   out.value = 0.0;
   if (!enabled_ || !powered_ || measured_[j].faults) {
     one.moves = one.holds = false;
-    states_[j].integral = states_[j].voltage = 0.0;
+    servo_release_(&servos_[j]);
     return;
   }
   servo_wish wish;
@@ -284,7 +284,7 @@ void DrivenMachine::demand_now(std::size_t j) {
   }
   one.moves = follows;
   one.holds = !follows;
-  out.value = servo_drive_(&servo_, static_cast<std::int32_t>(j), &wish);
+  out.value = servo_drive_(&servos_[j], 0, &wish);
 }
 
 const arm_command* DrivenMachine::answer(void* with, const tick_machine* at) {
@@ -312,11 +312,9 @@ Outcome DrivenMachine::outcome_of(int result) const {
 
 void DrivenMachine::observe() {
   for (std::size_t j = 0; j < measured_.size(); ++j) {
-    counts_[j] = measured_[j].encoder;
-    currents_[j] = measured_[j].current;
-    applied_[j] = measured_[j].applied;
+    const arm_joint_measurement& one = measured_[j];
+    servo_observe_(&servos_[j], &one.encoder, &one.current, &one.applied);
   }
-  servo_observe_(&servo_, counts_.data(), currents_.data(), applied_.data());
 }
 
 void DrivenMachine::read() {
@@ -330,13 +328,13 @@ void DrivenMachine::read() {
   for (std::size_t j = 0; j < readings_.size(); ++j) {
     const servo_joint& joint = data_.joint[j];
     const servo_state& state = states_[j];
-    const double current = joint.unsensed ? kUnknown : currents_[j];
+    const double current = joint.unsensed ? kUnknown : measured_[j].current;
     readings_[j] = {state.theta_measured * joint.ratio,
                     state.omega * joint.ratio,
                     state.current / joint.current_per_tau,
                     current,
                     temperature_[j],
-                    static_cast<double>(counts_[j]),
+                    static_cast<double>(measured_[j].encoder),
                     q_[j],
                     v_[j],
                     torque_[j]};

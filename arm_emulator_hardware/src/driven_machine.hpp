@@ -115,17 +115,16 @@ class DrivenMachine {
   decltype(&servo_wish_within) wish_within_ = nullptr;
 
   tick_machine at_ = {};
-  servo servo_ = {};
   arm_measurement measurement_ = {};
   std::vector<arm_parameter> parameters_;
+  std::vector<servo> servos_;  // of a joint each, whose loops are commanded apart
   std::vector<servo_state> states_;
   std::vector<std::int32_t> modes_;
   std::vector<Demand> demands_;
   arm_command command_ = {};
   std::vector<arm_joint_command> commands_;
   std::vector<arm_joint_measurement> measured_;
-  std::vector<std::int64_t> counts_;
-  std::vector<double> currents_, applied_, temperature_, q_, v_, torque_;
+  std::vector<double> temperature_, q_, v_, torque_;
   std::vector<JointReading> readings_;
 };
 
