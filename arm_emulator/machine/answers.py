@@ -85,11 +85,12 @@ class Answers:
     def save(self) -> tuple[object, ...]:
         """Return the commands that are known now, for `restore`."""
         known = tuple(getattr(self.pointer, name) for name in _KNOWN)
-        return *known, self._newest.copy(), self._before.copy()
+        return *known, self._newest.tobytes(), self._before.tobytes()
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Know the commands that were known when `save` returned this."""
-        *known, self._newest[:], self._before[:] = saved
+        *known, newest, before = saved
+        self._newest.flat, self._before.flat = np.frombuffer(newest), np.frombuffer(before)
         for name, value in zip(_KNOWN, known, strict=True):
             setattr(self.pointer, name, value)
 
@@ -120,7 +121,8 @@ class Answers:
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
         rows = self.arranged(joint_names, command, further)
         known = self.pointer.tick
-        result = self._take(self.pointer, now, tick, pointer(rows))
+        # Messages have room for ticks that the core's integer has not: they are of the future.
+        result = self._take(self.pointer, now, min(tick, LARGEST), pointer(rows))
         if result == NEW:
             return rows
         at_most, at_least = f"be at most {now}", f"be at least {now if self._lockstep else known}"
