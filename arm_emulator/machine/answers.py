@@ -90,7 +90,8 @@ class Answers:
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Know the commands that were known when `save` returned this."""
         *known, newest, before = saved
-        self._newest.flat, self._before.flat = np.frombuffer(newest), np.frombuffer(before)
+        for row, numbers in ((self._newest, newest), (self._before, before)):
+            row[:] = np.frombuffer(numbers).reshape(row.shape)
         for name, value in zip(_KNOWN, known, strict=True):
             setattr(self.pointer, name, value)
 
