@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import Writer
-from network import network, node
+from network import PATIENCE, network, node
 from rclpy.serialization import deserialize_message, serialize_message
 from test_command_line import run
 
@@ -25,6 +25,12 @@ from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand
 
 TICKS = 600  # 12 motion periods
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replays begin beside the nodes, whose imports take long on a busy machine."""
+    monkeypatch.setattr(causal_replay, "DISCOVERY", PATIENCE)
 
 
 @pytest.fixture(scope="module")
