@@ -28,7 +28,7 @@ def ended(
     line = f'exec "$@" {shell}'
     command = ["sh", "-c", line, "sh", sys.executable, "-m", "arm_emulator", *words]
     done = subprocess.run(
-        command, cwd=folder, env=os.environ | more, capture_output=True, timeout=120, check=False
+        command, cwd=folder, env=os.environ | more, capture_output=True, timeout=300, check=False
     )
     return done.returncode, done.stdout.decode(), done.stderr.decode()
 
