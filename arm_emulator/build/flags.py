@@ -6,7 +6,7 @@ SHARED = ("-shared", "-fPIC", "-Wl,-Bsymbolic")
 
 # Version of the arithmetic of machines and servos. It is raised with every change of which the
 # purpose or the price is that the same numbers are rounded otherwise.
-_ARITHMETIC = 2
+_ARITHMETIC = 3
 ARITHMETIC = f"portable {_ARITHMETIC}"  # as bags and results of runs state it
 
 # All C++ that computes machines and motions. Sums and products are computed as they are written, so

@@ -219,7 +219,7 @@ class Coulomb {
 
   ARM_INLINE static X torque_of_lock(int j, const Matrix& W, const X* rhs, const X* x) {
     X torque = rhs[j];
-    for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
+    for (int k = 0; k < N; ++k) torque = fma(-(k >= j ? W[j][k] : W[k][j]), x[k], torque);
     return torque;
   }
 

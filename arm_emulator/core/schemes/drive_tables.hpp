@@ -102,20 +102,20 @@ class DriveTables : public ServedDrives<S, X> {
   Input end_of(const TheDrive& drive, int j, const Input& start) const {
     const Modes& modes = this->served(j);
     Input end = start;
+    const auto add = [&](int k, int input, const auto& x) __attribute__((always_inline)) {
+      end.z[k] = fma(dz[k].number(input, j), x, end.z[k]);
+    };
     for (int k = 0; k < TheDrive::states; ++k) {
-      const auto number = [&](int input) { return dz[k].number(input, j); };
-      for (int m = 0; m < TheDrive::states; ++m) end.z[k] += number(m) * start.z[m];
-      end.z[k] += number(In::q) * start.q + number(In::v) * start.v + number(In::u) * start.u;
-      for (int m = 0; m < TheDrive::modes; ++m)
-        end.z[k] += number(In::offset + m) * modes.at[m].offset;
+      for (int m = 0; m < TheDrive::states; ++m) add(k, m, start.z[m]);
+      add(k, In::q, start.q), add(k, In::v, start.v), add(k, In::u, start.u);
+      for (int m = 0; m < TheDrive::modes; ++m) add(k, In::offset + m, modes.at[m].offset);
     }
     if constexpr (!TheDrive::is_linear) {
       const auto rest =
           drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.held());
       for (int k = 0; k < TheDrive::states; ++k) {
-        for (int r = 0; r < TheDrive::states; ++r)
-          end.z[k] += dz[k].number(In::rest + r, j) * rest.f[r];
-        end.z[k] += dz[k].number(In::rest + K, j) * rest.g;
+        for (int r = 0; r < TheDrive::states; ++r) add(k, In::rest + r, rest.f[r]);
+        add(k, In::rest + K, rest.g);
       }
     }
     return end;

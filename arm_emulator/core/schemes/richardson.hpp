@@ -65,7 +65,7 @@ class RichardsonScheme {
         smooth &= (w.v[j] == 0.0) == (y.v[j] == 0.0);
       });
     const auto better = [&](X& of_y, const X& of_w) __attribute__((always_inline)) {
-      of_y = select(smooth, of_y + (of_y - of_w) / 3.0, of_y);
+      of_y = select(smooth, fma(1.0 / 3.0, of_y - of_w, of_y), of_y);
     };
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each<K, kMostStates>(
