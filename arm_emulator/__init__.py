@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from arm_emulator.machine.change import NumberChange as NumberChange
     from arm_emulator.machine.change import PowerChange as PowerChange
     from arm_emulator.machine.change import WrenchChange as WrenchChange
+    from arm_emulator.machine.core_machines import FleetState as FleetState
     from arm_emulator.machine.diverged import Diverged as Diverged
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
     from arm_emulator.machine.fleet_control import FleetControl as FleetControl
     from arm_emulator.machine.fleet_frame import FleetFrame as FleetFrame
-    from arm_emulator.machine.fleet_state import FleetState as FleetState
     from arm_emulator.machine.fleet_way import FleetWay as FleetWay
     from arm_emulator.machine.measured import Measured as Measured
     from arm_emulator.machine.plant import Plant as Plant

@@ -11,7 +11,7 @@ from statistics import median
 
 from arm_emulator import Breakpoint, Plant
 from arm_emulator.build.c_header import NULL
-from arm_emulator.machine.formula_library import formula_library
+from arm_emulator.machine.formula_rows import formula_library
 
 CASES = (
     ("three_axis", "abs(v.elbow) > 0.5"),

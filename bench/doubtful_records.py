@@ -33,7 +33,7 @@ from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
 from arm_emulator.machine.possible import could_vary
-from arm_emulator.machine.varied_body import of_child
+from arm_emulator.machine.varied import of_child
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import truth as three_axis
 from bench.measure import progress

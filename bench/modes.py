@@ -11,7 +11,7 @@ from pathlib import Path
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.cli.mode_table import mode_rows, page_table
+from arm_emulator.cli.commands.check_scene import mode_rows, page_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "modes.md"
 SCENES = ("three_axis", "ur5", "panda")

@@ -20,7 +20,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.pace import factor_of
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.ros.end_with_parent import parent_environment
-from arm_emulator.ros.second_network import refuse_second_network
+from arm_emulator.ros.ros_domain import refuse_second_network
 
 ARGUMENTS = [
     DeclareLaunchArgument(

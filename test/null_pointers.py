@@ -21,7 +21,7 @@ from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.call_arguments import options_of
 from arm_emulator.machine.compiler import equations_library_of, fleet_library_of, real_time_library
 from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET
-from arm_emulator.machine.formula_library import (
+from arm_emulator.machine.formula_rows import (
     BREAKPOINT,
     CONDITION,
     FORMULA,

@@ -18,7 +18,7 @@ from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, joint_servo
 from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.held import held
+from arm_emulator.servo.held_motor import held
 from arm_emulator.servo.servo import ServoConfig
 from oracles.random_chain import random_chain_urdf
 

@@ -17,8 +17,7 @@ from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.cli.case_bag import write_case_bag
-from arm_emulator.cli.new_bag import check_new_bag
+from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.ros.bag import Bag
 from arm_emulator_msgs.msg import MachineEvent
 

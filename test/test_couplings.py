@@ -26,8 +26,7 @@ from arm_emulator import (
     load_scene,
     sensitivities,
 )
-from arm_emulator.analysis.holding import overloads
-from arm_emulator.analysis.link_loads import LinkLoads
+from arm_emulator.analysis.holding import LinkLoads, overloads
 from arm_emulator.analysis.sensitivities import numbers_of
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new

@@ -11,7 +11,7 @@ from in_process import InProcess, in_process
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.motion_report import Kind, MotionReport, State
-from arm_emulator.ros.node_log import NodeLog
+from arm_emulator.ros.node_shell import NodeLog
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from draws import some
 
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.identification.outliers import without_outliers
+from arm_emulator.identification.plausibility import without_outliers
 from arm_emulator.machine.scene import Scene
 from bench.doubtful_records import (
     EFFECTS,

@@ -13,7 +13,7 @@ from machines import one_link_urdf
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.design.known_drive import known_drives
+from arm_emulator.design.new_scene import known_drives
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.elastic_arm import ElasticArm

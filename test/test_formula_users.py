@@ -22,8 +22,8 @@ from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.forking import ForkingRun
 from arm_emulator.campaign.lanes import RunsInLanes
+from arm_emulator.campaign.results import of_formula
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.campaign.units import of_formula
 from arm_emulator.machine.tool_chain import TOOL
 
 SCENE = load_scene("three_axis")

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.analysis.wake_ups import wake_ups
-from arm_emulator.cli.commands.latency import latency
+from arm_emulator.cli.commands.latency import latency, wake_ups
 from arm_emulator.cli.output import output
 from arm_emulator.ros.answers_in_time import answers_in_time
 

@@ -16,7 +16,7 @@ from arm_emulator.campaign.program import judges_unit
 from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.formula_library import formula_unit
+from arm_emulator.machine.formula_rows import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import servo_step_unit

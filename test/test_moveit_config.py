@@ -17,7 +17,7 @@ from arm_emulator import load_gains, load_scene
 from arm_emulator.design import ros2_control
 from arm_emulator.design.moveit_package import LAUNCHES, MACHINE, moveit_files, package_name
 from arm_emulator.design.moveit_semantics import GROUP, srdf
-from arm_emulator.motion.package_folders import package_folders
+from arm_emulator.motion.mesh_units import package_folders
 
 SCENES = ("three_axis", "ur5", "panda")
 DRAWN = 500

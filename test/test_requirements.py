@@ -14,7 +14,7 @@ from arm_emulator.base.formula import Constant, Operation, Signal, parse_formula
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.program import Program, Rows, Targets, judges
 from arm_emulator.campaign.requirement import Robustness
-from arm_emulator.campaign.units import of_formula
+from arm_emulator.campaign.results import of_formula
 
 PERIOD = 0.01
 NAMES = ("a", "b.c", "d")

@@ -273,7 +273,7 @@ def test_layout_names_and_meshes_are_in_the_stream(tmp_path):
 
 def test_the_viewers_command_is_one_that_a_shell_finds(monkeypatch, tmp_path):
     """In a shell of the project by its name, in any other one by its path."""
-    from arm_emulator.view.viewer_command import viewer_command
+    from arm_emulator.runs.recorder import viewer_command
 
     viewer = tmp_path / "bin" / "rerun"
     viewer.parent.mkdir()

@@ -26,8 +26,7 @@ from arm_emulator.design.joint_gains import (
     joint_servo,
 )
 from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.held import held
-from arm_emulator.servo.held_motor import held_motor
+from arm_emulator.servo.held_motor import held, held_motor
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_config import JointServo
 

@@ -11,8 +11,8 @@ from test_new import XACRO
 from test_new_drives import untuned
 
 from arm_emulator import Refusal, load_scene
+from arm_emulator.design.mesh_file import source_packages
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.design.source_packages import source_packages
 
 __all__ = ["untuned"]  # a fixture
 

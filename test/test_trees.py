@@ -19,7 +19,7 @@ from machines import (
     write_scene,
 )
 
-from arm_emulator.analysis.link_loads import LinkLoads
+from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
 from arm_emulator.identification.inertia import dynamic

@@ -13,7 +13,7 @@ from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import Commands
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.equations import Equations
+from arm_emulator.machine.core_machine import Equations
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, scene_of
 

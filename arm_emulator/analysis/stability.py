@@ -16,9 +16,9 @@ import numpy as np
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.core_machine import LinearDrive
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.integrator import Integrator
-from arm_emulator.machine.linear_drive import LinearDrive
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES, SCHEMES

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from arm_emulator.base.refusal import Refusal
 
@@ -93,3 +93,16 @@ class Closed(Known):
         if "_closed" in own and name[0] != "_" and not hasattr(type(self), name):
             raise NoAttribute(name=name, obj=self)
         object.__setattr__(self, name, value)
+
+
+class Uncopied:
+    """Mixin that refuses `copy`, `deepcopy` and `pickle`.
+
+    Attributes:
+        instead: replaces a copy, for refusals.
+    """
+
+    instead: ClassVar[str]
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        raise Refusal(type(self).__name__, "the object", "stay one", "a copy", self.instead)

@@ -7,6 +7,7 @@ size and depth for any file.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -139,3 +140,21 @@ def _look_over(text: str, where: str) -> None:
                 sizes[anchor] = 1
         if values > MOST_VALUES:
             raise Refusal(where, "file", f"hold at most {MOST_VALUES} keys and values", "more")
+
+
+def edited(text: str, edits: Iterable[tuple[int, int, str]]) -> str:
+    """Return a text with pieces replaced.
+
+    Args:
+        text: YAML.
+        edits: first character, end, replacement. They do not overlap.
+    """
+    for start, end, value in sorted(edits, reverse=True):
+        tail = text[end:]
+        # A comment after the value keeps its column.
+        comment = re.match(r"( {2,})#", tail)
+        if comment:
+            blanks = len(comment[1]) + (end - start) - len(value)
+            tail = " " * max(2, blanks) + tail[len(comment[1]) :]
+        text = text[:start] + value + tail
+    return text

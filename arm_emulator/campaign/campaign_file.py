@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.number import Number
+from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.base.text_file import read_bytes
 from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
-from arm_emulator.campaign.drawn_gains import with_gain, with_gains
 from arm_emulator.campaign.fault import Fault
 from arm_emulator.campaign.faults import known_faults
 from arm_emulator.campaign.intervals import clopper_pearson
@@ -30,7 +29,7 @@ from arm_emulator.campaign.varying_numbers import DRAWN, correlated, varying_num
 from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.runs.gains import check_fit
-from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.servo.servo_config import ServoConfig, check_rates, load_servo_config
 from arm_emulator.version import VERSION
 
 COUNT = Number("count", at_least=1, at_most=10**12, whole=True, text="runs at most")
@@ -423,3 +422,30 @@ def _put(data: Any, path: Sequence[str], value: float) -> None:
         data[key] = value
     else:
         _put(data[key], path[size:], value)
+
+
+def with_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
+    """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
+    *path, key = name.split(".")
+    joint = ".".join(path[2:])
+    of_joint = next((one for one in servo.joints if one.name == joint), None)
+    numbers = {} if of_joint is None else numbers_of(type(of_joint))
+    if path[:2] != ["controller", "joints"] or of_joint is None:
+        valid = ", ".join(f"controller.joints.{one}" for one in servo.joint_names)
+        raise Refusal(where, name, "be a number of the servo", name, valid)
+    if key not in numbers:
+        raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
+    changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
+    check_rates(changed, servo.period, f"{where}: controller")
+    return replace(servo, joints=tuple(changed if one is of_joint else one for one in servo.joints))
+
+
+def with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
+    """Return a servo with all numbers that a section of the controller states."""
+    joints = controller.section("joints")
+    for joint in () if joints is None else joints.keys():
+        section = joints.required_section(joint)  # type: ignore[union-attr]
+        for key in section.keys():
+            name = f"controller.joints.{joint}.{key}"
+            servo = with_gain(servo, name, section.value(key), where)
+    return servo

@@ -16,8 +16,7 @@ from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.formula_library import FORMULA
-from arm_emulator.machine.formula_rows import FormulaRows
+from arm_emulator.machine.formula_rows import FORMULA, FormulaRows
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent

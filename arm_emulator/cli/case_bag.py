@@ -6,6 +6,7 @@ from pathlib import Path
 
 import yaml
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.shrunk_files import scene_data
@@ -42,3 +43,17 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
                 bag.report()
         except Diverged:
             pass  # `check-bag` reports the same
+
+
+def check_new_bag(where: str, folder: Path) -> None:
+    """Refuse a bag that cannot be written, before the run.
+
+    Raises:
+        Refusal: it exists, or ROS 2 is not found.
+    """
+    try:
+        import arm_emulator.bags.run_bag  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise Refusal(where, "--bag", "find ROS 2", error) from None
+    if folder.exists():
+        raise Refusal(where, f"folder {folder}", "be new", "one that exists")

@@ -21,8 +21,7 @@ from arm_emulator.campaign.shrinking import shrink
 from arm_emulator.campaign.shrunk_files import write_shrunk
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import failed_forks
-from arm_emulator.cli.case_bag import write_case_bag
-from arm_emulator.cli.new_bag import check_new_bag
+from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.page.watched import Watched, stay

@@ -12,8 +12,7 @@ from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_bytes
-from arm_emulator.base.yaml_edit import edited
-from arm_emulator.base.yaml_file import MOST_BYTES
+from arm_emulator.base.yaml_file import MOST_BYTES, edited
 from arm_emulator.machine.integrator import EVENTS
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit

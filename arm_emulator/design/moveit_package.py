@@ -15,8 +15,8 @@ from arm_emulator.build.unit import stem_of
 from arm_emulator.design import moveit_semantics as semantics
 from arm_emulator.design import ros2_control
 from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.mesh_units import package_folders
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.package_folders import package_folders
 
 MACHINE = "machine"  # folder of the compiled scene
 RUNS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,28 +13,29 @@ import yaml
 
 from arm_emulator.analysis.holding import Overload, overloads
 from arm_emulator.base.config_files import check_own
+from arm_emulator.base.number import numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED, parse_urdf
 from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, has_shape
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
 from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
-from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.mesh_file import move_meshes
 from arm_emulator.design.own_collisions import own_collisions, own_shapes
 from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
-from arm_emulator.design.robot_file import robot_text
-from arm_emulator.design.robot_limits import forget_impossible, read_limits, write_limits
+from arm_emulator.design.robot_file import forget_impossible, read_limits, robot_text, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
 from arm_emulator.design.sizing import Demand, Sized, full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_chain import MovedBody, moved_bodies
 from arm_emulator.machine.urdf_tree import LARGEST_MASS
+from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
@@ -363,3 +364,23 @@ def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
             for joint, drive in zip(scene.joints, drives, strict=True)
         ),
     )
+
+
+def known_drives(joints: Iterable[Joint]) -> dict[str, DriveNumbers]:
+    """Return the data sheet of each joint's gear and friction, by names."""
+    return {joint.name: _known_drive(joint) for joint in joints}
+
+
+def _known_drive(joint: Joint) -> DriveNumbers:
+    gear, values = joint.gear, dict[str, float]()
+    known = numbers_of(DriveNumbers)
+    if gear.stiffness is not None:
+        values |= {key: getattr(gear, key) for key in gear.numbers() if key in known}
+    for law, prefix, per in (
+        (joint.friction, "", 1.0),
+        (joint.rotor_friction, "rotor_", abs(gear.ratio)),
+    ):
+        if law is not None:
+            values[f"{prefix}viscous"] = getattr(law, "viscous", 0.0) / per**2
+            values[f"{prefix}coulomb"] = getattr(law, "coulomb", 0.0) / per
+    return DriveNumbers(**values)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import re
 import signal
 import subprocess
 import sys
 import tempfile
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,7 +19,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import MOST_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
-from arm_emulator.design.source_packages import source_packages
+from arm_emulator.design.mesh_file import source_packages
+from arm_emulator.design.sizing import Sized
 
 _XACRO = re.compile(r"<xacro:|\$\{|\$\(")  # as no URDF has it, whatever the file's name is
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
@@ -80,3 +83,52 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
     elif code == 0 and len(text) <= MOST_BYTES:
         return text.decode(errors="replace")
     raise Refusal(file.name, "file", "be expandable by xacro", reason or "nothing")
+
+
+KEYS = ("effort", "velocity")
+
+
+def read_limits(robot: ET.Element) -> dict[str, dict[str, float | None]]:
+    """Return `KEYS` of each joint's limit; None: not given, or no number above 0."""
+    limits: dict[str, dict[str, float | None]] = {}
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        of_joint: dict[str, float | None] = {}
+        for key in KEYS:
+            try:
+                value = float(limit.get(key, "")) if limit is not None else math.nan
+            except ValueError:
+                value = math.nan
+            of_joint[key] = value if 0.0 < value < math.inf else None
+        limits[joint.get("name", "")] = of_joint
+    return limits
+
+
+def forget_impossible(robot: ET.Element) -> bool:
+    """Make efforts and velocities that are below 0, or no numbers, unknown; whether there were."""
+    found = False
+    for limit in robot.iter("limit"):
+        for key in KEYS:
+            try:
+                known = float(limit.get(key, "0")) >= 0.0
+            except ValueError:
+                known = False
+            if not known:
+                limit.set(key, "0")
+                found = True
+    return found
+
+
+def write_limits(robot: ET.Element, drives: Mapping[str, Sized]) -> None:
+    """Put a drive's torque, speed and acceleration into the limit of its joint."""
+    for joint in robot.findall("joint"):
+        drive = drives.get(joint.get("name", ""))
+        if drive is None:
+            continue
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit")
+        limit.set("effort", f"{drive.peak_torque:.6g}")
+        limit.set("velocity", f"{drive.speed:.6g}")
+        if limit.get("acceleration") is None:
+            limit.set("acceleration", f"{drive.acceleration:.3g}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.analysis.link_loads import LinkLoads
+from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.servo_loop import FREE_SLIDE, FREE_TURN
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.collisions import Collisions

@@ -13,8 +13,7 @@ import yaml
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_text
-from arm_emulator.base.yaml_edit import edited
-from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
+from arm_emulator.base.yaml_file import MOST_BYTES, edited, read_yaml
 from arm_emulator.machine.chain import Body, Frame
 from arm_emulator.machine.overrides import override
 from arm_emulator.machine.scene import Scene, load_scene

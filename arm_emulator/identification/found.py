@@ -11,7 +11,7 @@ from arm_emulator.identification import inertia
 from arm_emulator.identification.torque_fit import IDENTIFIED, TorqueFit
 from arm_emulator.machine.chain import Array, Body, ChainJoint
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.varied_body import NAMES, of_child
+from arm_emulator.machine.varied import NAMES, of_child
 
 UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
 

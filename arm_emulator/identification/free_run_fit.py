@@ -22,7 +22,7 @@ from arm_emulator.identification.torque_fit import TorqueFit, with_discrepancy
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.possible import could_vary
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.varied_body import of_child
+from arm_emulator.machine.varied import of_child
 
 Indices = NDArray[np.signedinteger[Any]]
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered
+from arm_emulator.identification.found import Found
 from arm_emulator.identification.free_run_fit import fit_free_runs
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.plausibility import check_fit, looked_over
@@ -103,3 +106,62 @@ def identified(
 
 def _of_gears(gears: Sequence[str], pattern: str) -> bool:
     return any(matches(name, [pattern]) for name in gears) and "gear" in pattern
+
+
+FAR = 3.0  # prior deviations, beyond which a number is doubted
+
+
+def doubts_of(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
+    """Return objections to the numbers found, as text."""
+    names, doubts = scene.joint_names, list[str]()
+    for of, body in zip(scene.chain.links, scene.bare, strict=True):
+        if not inertia.is_body(body):
+            doubts.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
+    for effect in fit.effects:
+        joints = ", ".join(names[j] for j in effect.joints)
+        if len(effect.joints) == len(names) > 1:
+            joints = "all joints"
+        size = f", by {effect.size:.3g} {effect.unit}" if effect.unit else ""
+        doubts.append(
+            f"{joints}: {effect.name}{size}: {100.0 * effect.share:.0f} % of what the scene does "
+            "not explain; deviations have in them what this may hide"
+        )
+    for joint, count in zip(names, fit.far_out, strict=True):
+        if count:
+            doubts.append(f"{joint}: {count} rows stand out, and count little")
+    for one in numbers:
+        if one.identified and one.far > FAR:
+            doubts.append(
+                f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
+                f"before from {one.before:.4g}; is the record in the units and scale given?"
+            )
+        if one.left:
+            doubts.append(f"{one.name}: {one.left}")
+    return doubts
+
+
+def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: Path,
+                 title: str) -> None:  # fmt: skip
+    """Draw measured torques, those of the fit, and their difference."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    N = len(names)
+    figure, axes = plt.subplots(
+        N, 1, figsize=(10, 1.7 * N + 0.6), sharex=True, squeeze=False, layout="constrained"
+    )
+    for j, (one, name) in enumerate(zip(axes[:, 0], names, strict=True)):
+        moving = np.where(data.moving[:, j], 1.0, np.nan)
+        one.plot(data.t, data.tau[:, j], color="0.6", lw=1.0, label="measured")
+        one.plot(data.t, torques[:, j] * moving, "C0", lw=1.2, label="computed, in motion")
+        one.plot(data.t, (data.tau - torques)[:, j] * moving, "C3", lw=0.8, label="residual")
+        one.set_ylabel(f"{name}\nN m")
+        one.grid(alpha=0.3)
+    axes[0, 0].set_title(title)
+    axes[0, 0].legend(fontsize="small", ncols=3)
+    axes[-1, 0].set_xlabel("s")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=100)
+    plt.close(figure)

@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
@@ -19,7 +20,6 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import equations_library_of, library_of
 from arm_emulator.machine.core_calls import ARM, REFUSED
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
-from arm_emulator.machine.linear_drive import LinearDrive
 from arm_emulator.machine.plant_state import ROWS, SET, PlantState, bounds_of
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import varied_number
@@ -276,3 +276,65 @@ class CoreMachine(Turns):
         """Have what has a place in `truth` written there."""
         self.core.arm_get_truth(self.machine, truth)
         return truth
+
+
+@dataclass(frozen=True, eq=False)
+class LinearDrive(ByValue):
+    """The linear part of one joint's drive, as the core states it (core/mechanics/drive.hpp).
+
+    Of a progressive gear it is the linearisation where that is not wound up.
+
+    With its n states z, D dz/dt = F (z, q, v, u), and the torque on the link is G (z, q, v, u) less
+    `carried` times the link's acceleration.
+    """
+
+    D: Array  # (n,), 0 where a state follows at once
+    F: Array  # (n, n + 3)
+    G: Array  # (n + 3,)
+    carried: float  # kg m2, of a rotor behind a rigid gear
+    current: Array  # (n + 3,), A of the motor by (z, q, v, u)
+    motor_angle: Array  # (n + 3,), rad
+
+    @classmethod
+    def of(cls, row: Array, most: int) -> LinearDrive:
+        """Return the drive from a row of ``arm_linear_drives``, with places for `most` states."""
+        n, D, rows = int(row[0]), row[2 : 2 + most], row[2 + most :].reshape(most + 3, most + 3)
+        rows = rows[:, [*range(n), most, most + 1, most + 2]]
+        G, current, motor_angle = rows[most:]
+        return cls(D[:n], rows[:n], G, float(row[1]), current, motor_angle)
+
+
+@dataclass(frozen=True, eq=False)
+class Equations(ByValue):
+    """D dz/dt = f(z, q, v, u) and dv/dt = a(z, q, v, u), with what each joint does held.
+
+    Rows and columns are as in ``arm_linearise``: a drive may have fewer than K states.
+
+    Attributes:
+        x: z, q and v, ((K + 2) N,).
+        u: commands (N,).
+        states: places in x of the states of the drives, drive by drive.
+        D: (K N,), 0 of what follows at once.
+        by: derivatives of f, a, the motors' currents and their angles by x and u.
+        value: those themselves, ((K + 3) N,).
+        sticks: links that stick (N,).
+    """
+
+    x: Array
+    u: Array
+    states: NDArray[np.int64]
+    D: Array
+    by: Array
+    value: Array
+    sticks: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, x: Array, u: Array, numbers: Array) -> Equations:
+        """Return what ``arm_linearise`` has written."""
+        N = len(u)
+        K, rows = len(x) // N - 2, len(x) + N
+        table, D = numbers[: rows * (rows + 1)].reshape(rows, rows + 1), numbers[-(K + 2) * N :]
+        sticks, counts = D[K * N :].reshape(2, N)
+        states = [k * N + j for j in range(N) for k in range(int(counts[j]))]
+        there = np.array(states, np.int64)
+        return cls(x, u, there, D[: K * N], table[:, :-1], table[:, -1], sticks > 0.0)

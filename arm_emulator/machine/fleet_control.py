@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from arm_emulator.base.closed import Closed
+from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
-from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET
 from arm_emulator.machine.scene import Scene

@@ -26,10 +26,9 @@ from arm_emulator.machine.call_arguments import (
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
-from arm_emulator.machine.core_machine import Borrowed, CoreMachine
+from arm_emulator.machine.core_machine import Borrowed, CoreMachine, Equations
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.energy_flow import EnergyFlow
-from arm_emulator.machine.equations import Equations
 from arm_emulator.machine.inputs import check_inputs, further_inputs, further_rows
 from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace

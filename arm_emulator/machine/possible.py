@@ -9,8 +9,7 @@ from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.line import line_numbers
-from arm_emulator.machine.varied import Varied
-from arm_emulator.machine.varied_body import varied_body
+from arm_emulator.machine.varied import Varied, varied_body
 
 
 def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -> list[Varied]:

@@ -21,8 +21,7 @@ from arm_emulator.machine.parts.motor import CxxMotor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import measured_kinds, quantities, suite
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.varied import Varied
-from arm_emulator.machine.varied_body import AXES, TENSOR, expressions
+from arm_emulator.machine.varied import AXES, TENSOR, Varied, expressions
 
 
 def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.build.c_header import pointer
-from arm_emulator.machine.formula_library import TOOL_POSITION, formula_library
+from arm_emulator.machine.formula_rows import TOOL_POSITION, formula_library
 from arm_emulator.machine.scene import Scene
 
 Array = NDArray[np.float64]

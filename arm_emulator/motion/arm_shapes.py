@@ -20,8 +20,7 @@ from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics_model import WHERE
-from arm_emulator.motion.mesh_units import in_metres
-from arm_emulator.motion.package_folders import package_folders
+from arm_emulator.motion.mesh_units import in_metres, package_folders
 
 
 class ArmShapes(Lasting):

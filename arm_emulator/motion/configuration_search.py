@@ -10,7 +10,6 @@ import numpy.typing as npt
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.spread import spread
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -89,3 +88,16 @@ class ConfigurationSearch:
         self._goal.begin(self._starts[0])
         self._goal.aim(self._target, self._starts[0])
         self._left = _STEPS
+
+
+def spread(count: int, dimensions: int) -> FloatArray:
+    """Return points (count, dimensions) in [0, 1).
+
+    They are an additive sequence with the powers of the generalised golden ratio (Roberts 2018, The
+    unreasonable effectiveness of quasirandom sequences).
+    """
+    ratio = 2.0
+    for _ in range(64):  # the root of x^(n+1) = x + 1
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    powers = ratio ** -np.arange(1.0, dimensions + 1.0)
+    return np.asarray(np.mod(0.5 + np.outer(np.arange(1.0, count + 1.0), powers), 1.0))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.paced import Paced
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.take_over import Rest
 from arm_emulator.motion.way import Way, WayLimits
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.coming_orders import ComingOrders, check_wait
+from arm_emulator.motion.coming_orders import ComingOrders, TakenOrder, check_wait
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import JogCommand
@@ -26,7 +26,6 @@ from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.slowing_order import SlowingOrder
 from arm_emulator.motion.standstill import Flags, Standstill
 from arm_emulator.motion.stream_order import StreamOrder, is_near
-from arm_emulator.motion.taken_order import TakenOrder
 from arm_emulator.motion.target_stream import TargetStream
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.way_controller import LOST

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+import daqp
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.motion.box_qp import solve_in_box
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
 
@@ -299,3 +299,28 @@ def directions(J: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _size(error: FloatArray) -> float:
     return math.sqrt(float(error @ error))
+
+
+_FOUND = 1
+
+
+def solve_in_box(H: FloatArray, g: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the x within [low, high] that makes ``x' H x / 2 - g' x`` smallest, (N,).
+
+    Args:
+        H: symmetric and positive definite, (N, N).
+        g: (N,).
+        low: lower bounds (N,), finite.
+        high: upper bounds (N,), finite, none below its lower one.
+
+    Raises:
+        ArithmeticError: the solver fails.
+    """
+    n = len(g)
+    x, _, flag, _ = daqp.solve(
+        np.ascontiguousarray(H), -g, np.zeros((0, n)), high, low, np.zeros(n, dtype=np.int32)
+    )
+    if flag != _FOUND:
+        raise ArithmeticError(f"the quadratic program found no solution, exit flag {flag}")
+    # The solver keeps bounds within its tolerance only.
+    return np.clip(np.asarray(x, dtype=np.float64), low, high)

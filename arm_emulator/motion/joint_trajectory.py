@@ -21,7 +21,7 @@ import numpy.typing as npt
 from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.polynomials import beyond
+from arm_emulator.motion.joint_curve import beyond
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from arm_emulator.motion.package_folders import package_folders
+import pinocchio as pin
 
 _HEAD = 1 << 16  # bytes: the unit stands at the file's beginning
 _UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)\s*[\"']")
@@ -44,3 +45,20 @@ def in_metres(urdf: str) -> str:
             mesh.set("scale", " ".join(map(repr, scale)))
             changed = True
     return ET.tostring(robot, encoding="unicode") if changed else urdf
+
+
+def package_folders() -> list[str]:
+    """Return the folders of packages with meshes: those of the shell, and beside Pinocchio."""
+    found = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        found.append(str(Path(prefix) / "share"))
+    return _existing(found) + installed_package_folders()
+
+
+def installed_package_folders() -> list[str]:
+    """Return the folders of packages beside Pinocchio, which are found from every shell."""
+    return _existing([str(folder / "share") for folder in Path(pin.__file__).parents])
+
+
+def _existing(folders: list[str]) -> list[str]:
+    return [folder for folder in folders if folder and Path(folder).is_dir()]

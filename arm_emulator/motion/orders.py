@@ -15,12 +15,11 @@ from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.path_watch import PathWatch
 from arm_emulator.motion.path_way import plan_path
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 from arm_emulator.motion.trajectory_way import AsAsked, Delayed, InSeconds, Slower, within_limits

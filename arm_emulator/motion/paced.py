@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.motion.motion_over_time import Motion
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.way import WayLimits
 
 _LOOKS = 40

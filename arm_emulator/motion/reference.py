@@ -1,11 +1,28 @@
-"""Commanded motion of the joints at an instant, with the known derivatives."""
+"""A motion of the joints that is known to its end."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+
+class Motion(Protocol):
+    """Motion that the reference follows.
+
+    Attributes:
+        duration: [s]; from then on it rests.
+    """
+
+    @property
+    def duration(self) -> float:
+        """See above."""
+
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since its begin [s]."""
+
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.laws import Laws
-from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.orders import MOVING, Planned, Progress
 from arm_emulator.motion.paced import Paced
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.take_over import Rest
 
 _SECONDS = 1e-9

@@ -11,7 +11,6 @@ import ruckig
 
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.ruckig_result import found
 
 _BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit
 _HALTS = 1e-3  # share of a speed that counts as no motion
@@ -209,3 +208,19 @@ def _stopping(distance: FloatArray, acceleration: FloatArray, jerk: FloatArray) 
     with np.errstate(invalid="ignore", over="ignore"):
         long = np.sqrt(0.25 * ramp**2 + 2.0 * acceleration * d) - 0.5 * ramp
     return np.where(short <= ramp, short, long)
+
+
+def found(call: Callable[[], ruckig.Result]) -> None:
+    """Call ruckig for a motion.
+
+    Raises:
+        ArithmeticError: it finds none. Some of its results have no name in Python (-101, a motion
+            of hours), which is a ValueError there; others are a RuckigError of many lines.
+    """
+    try:
+        result = call()
+    except (ruckig.RuckigError, ValueError) as error:
+        line = next(line for line in f"{error}\n?".splitlines() if line.strip())
+        raise ArithmeticError(line.strip()) from None
+    if int(result) < 0:
+        raise ArithmeticError(str(result))

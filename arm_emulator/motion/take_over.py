@@ -12,7 +12,7 @@ import ruckig
 
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.ruckig_result import found
+from arm_emulator.motion.smooth_joints import found
 from arm_emulator.motion.way import WayLimits
 
 FloatArray = npt.NDArray[np.float64]

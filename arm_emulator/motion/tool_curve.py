@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.poses import Poses, rotations
+from arm_emulator.motion.tool_line import Poses, rotations
 
 FloatArray = npt.NDArray[np.float64]
 

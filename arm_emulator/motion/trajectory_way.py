@@ -14,9 +14,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import WHERE, JointMotion, JointTrajectory
-from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.path_way import InARow
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.way import Way, WayLimits
 from arm_emulator.motion.way_controller import WayController
 

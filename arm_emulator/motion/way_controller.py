@@ -30,10 +30,9 @@ from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_over_time import Motion
 from arm_emulator.motion.no_way import NoWay, PastEnd
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.take_over import Rest, TakeOver
 from arm_emulator.motion.target_ways import TargetWays
 from arm_emulator.motion.tool_line import joints_along

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.machine.scene import Scene
-from arm_emulator.motion.mesh_units import in_metres
-from arm_emulator.motion.package_folders import package_folders
+from arm_emulator.motion.mesh_units import in_metres, package_folders
 
 Array = NDArray[np.float64]
 GREY = (0.75, 0.76, 0.78)

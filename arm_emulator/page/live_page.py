@@ -17,16 +17,13 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.record_row import values_of
 from arm_emulator.machine.scene import Scene
 from arm_emulator.page.arm_scene import ArmScene
-from arm_emulator.page.choice import chosen
-from arm_emulator.page.event_list import EventList
 from arm_emulator.page.hands import Hands
 from arm_emulator.page.live_history import LiveHistory
-from arm_emulator.page.machine_tab import machine_tab
-from arm_emulator.page.number_table import machine_table
+from arm_emulator.page.machine_tab import TargetTab, machine_tab
+from arm_emulator.page.number_table import EventList, machine_table
 from arm_emulator.page.page_server import PageServer
 from arm_emulator.page.push_tab import PushTab
-from arm_emulator.page.signal_plot import SignalPlot
-from arm_emulator.page.target_tab import TargetTab
+from arm_emulator.page.signal_plot import SignalPlot, chosen
 
 PLOTTED = 0.25  # s, wall, between two plots and two tables
 SPANS = {"1 s": 1.0, "10 s": 10.0, "60 s": 60.0, "the whole run": math.inf}

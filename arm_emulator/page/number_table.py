@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,3 +46,54 @@ def _cell(value: Any) -> str:
     # Equal decimals let the eye compare the lines; what is too large or small for them is rare.
     fits = value == 0.0 or 0.5 * 10.0**-DECIMALS <= abs(value) < 1e5
     return f"{float(value) + 0.0:.{DECIMALS}f}" if fits else f"{float(value):.1e}"
+
+
+MOST = 40  # buttons: the newest events
+Event = tuple[int, str]  # tick and text
+
+
+class EventList:
+    """Buttons in the tab or folder in whose context this is made.
+
+    Args:
+        gui: of the server.
+        go: is called with the tick of an event that is clicked.
+    """
+
+    def __init__(self, gui: Any, go: Callable[[int], None]) -> None:
+        self._gui, self._go = gui, go
+        self._more = gui.add_markdown("No event yet.")
+        self._folder = gui.add_folder("Events, the newest first")
+        self._shown: list[tuple[Event, Any]] = []
+        self._before, self._order = 0, 0.0
+
+    def show(self, events: Sequence[Event]) -> None:
+        """Show other events: those that are listed already stay, and newer ones come above them."""
+        known = [event for event, _ in self._shown]
+        newest = list(events[-MOST:])
+        if known != newest[: len(known)]:
+            kept = 0
+            while kept < len(known) and newest[:1] and known[kept] != newest[0]:
+                kept += 1
+            if known[kept:] == newest[: len(known) - kept] and kept < len(known):
+                self._drop(kept)
+            else:
+                self._drop(len(known))
+        for event in newest[len(self._shown) :]:
+            self._add(event)
+        left = len(events) - len(newest)
+        text = f"{left} older events are not listed." if left else ""
+        self._more.content = text or ("" if events else "No event yet.")
+
+    def _drop(self, count: int) -> None:
+        for _, button in self._shown[:count]:
+            button.remove()
+        del self._shown[:count]
+
+    def _add(self, event: Event) -> None:
+        tick, text = event
+        self._order -= 1.0
+        with self._folder:
+            button = self._gui.add_button(f"{tick}: {text}", order=self._order, color="gray")
+        button.on_click(lambda _: self._go(tick))
+        self._shown.append((event, button))

@@ -13,11 +13,9 @@ from arm_emulator.base.escape import markdown_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session import Session
 from arm_emulator.page.arm_scene import ArmScene
-from arm_emulator.page.choice import chosen
-from arm_emulator.page.event_list import EventList
-from arm_emulator.page.number_table import machine_table, number_table
+from arm_emulator.page.number_table import EventList, machine_table, number_table
 from arm_emulator.page.page_server import PageServer
-from arm_emulator.page.signal_plot import FIRST, HEIGHT, SCALES, lines_of
+from arm_emulator.page.signal_plot import FIRST, HEIGHT, SCALES, chosen, lines_of
 from arm_emulator.page.subject import Subject
 from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.timeline import Timeline

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
 
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.page.choice import chosen
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 FIRST = "q"  # quantity of the first plot
@@ -71,3 +70,11 @@ class SignalPlot:
             return
         self._drawn = group
         self._chart.data, self._chart.series = data, lines_of(columns)
+
+
+def chosen(control: Any, known: Collection[str]) -> str:
+    """Return the value of a dropdown; the first known one replaces any other value."""
+    value = str(control.value)
+    if value not in known:
+        control.value = value = next(iter(known))
+    return value

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from arm_emulator.page.signal_history import SignalHistory
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.column import Column
+from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.runs.timeline import Timeline
 
 
@@ -36,3 +40,48 @@ class Subject:
         line.go_to(at)
         made = tuple((one.tick, one.name) for one in line.changes) if events is None else events
         return cls(line, last, history, made)
+
+
+MOST = 2000  # samples of a plot
+
+
+class SignalHistory:
+    """Rows of a machine at some ticks of a run.
+
+    Attributes:
+        ticks: of the samples (K,).
+        groups: quantities with their columns, such as "q".
+
+    Args:
+        line: timeline of a run with `session`, at its first tick; afterwards at the last.
+        last: its last tick.
+    """
+
+    def __init__(self, line: Timeline[Any], last: int) -> None:
+        every = max(1, -(-last // MOST))
+        row = RecordRow(line.run.session.plant)
+        rows, ticks = [row.take()], [line.tick]
+        while line.tick < last:
+            line.advance(min(every, last - line.tick))
+            rows.append(row.take())
+            ticks.append(line.tick)
+        self.ticks = np.array(ticks)
+        self._rows = np.concatenate(rows)
+        self.groups: dict[str, list[Column]] = {}
+        for column in columns_of(line.run.session.scene):
+            if len(column.path) > 1:
+                self.groups.setdefault(".".join(column.path[:-1]), []).append(column)
+
+    def values(self, group: str) -> NDArray[np.float64]:
+        """Return a quantity at all samples (K, columns)."""
+        columns = [one.of(self._rows).astype(np.float64) for one in self.groups[group]]
+        return np.stack(columns, axis=1)
+
+    def paths(self, group: str) -> list[tuple[str, ...]]:
+        """Return the names of a quantity's columns; empty: the run has no such quantity."""
+        return [tuple(one.path) for one in self.groups.get(group, ())]
+
+    def minus(self, other: SignalHistory, group: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Return ticks that both have (K,), and the quantity there minus that of the other."""
+        ticks, here, there = np.intersect1d(self.ticks, other.ticks, return_indices=True)
+        return ticks, self.values(group)[here] - other.values(group)[there]

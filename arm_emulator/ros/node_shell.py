@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import re
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -27,7 +29,6 @@ from arm_emulator.ros.end_anyway import end_anyway
 from arm_emulator.ros.end_with_parent import end_with_parent
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.node_log import NodeLog
 from arm_emulator.ros.shared_memory import clear_left_over
 
 # Commands: nothing is lost, and the newest counts. Receivers read all of them: with a depth of 1
@@ -279,3 +280,49 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
         heed_no_more()
     if code:
         sys.exit(code)
+
+
+PAUSE = 5.0  # s, wall: between two lines of one kind
+
+
+@dataclass
+class _Written:
+    """The newest line of one kind."""
+
+    at: float
+    left_out: int = 0
+
+
+class NodeLog:
+    """Lines of several kinds; of each at most one every `PAUSE`.
+
+    A line counts those that were left out before it.
+
+    Args:
+        logger: of the node.
+        now: clock [s].
+    """
+
+    def __init__(self, logger: Any, now: Callable[[], float] = time.monotonic) -> None:
+        self._logger, self._now = logger, now
+        self._written: dict[str, _Written] = {}
+
+    def trouble(self, kind: str, line: str) -> None:
+        """Log a warning of a kind."""
+        if due := self._due(kind, line):
+            self._logger.warning(due)
+
+    def outcome(self, kind: str, line: str) -> None:
+        """Log a regular outcome of a kind."""
+        if due := self._due(kind, line):
+            self._logger.info(due)
+
+    def _due(self, kind: str, line: str) -> str:
+        """Return the line as it is to be written, nothing if it is too early for it."""
+        now, last = self._now(), self._written.get(kind)
+        if last is not None and now - last.at < PAUSE:
+            last.left_out += 1
+            return ""
+        more = f" (and {last.left_out} more before)" if last is not None and last.left_out else ""
+        self._written[kind] = _Written(now)
+        return line + more

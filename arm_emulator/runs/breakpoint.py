@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from arm_emulator.base.given import as_kind
-from arm_emulator.machine.formula_library import BREAKPOINT, formula_library
+from arm_emulator.machine.formula_rows import BREAKPOINT, formula_library
 from arm_emulator.machine.listeners import leave, listen
 from arm_emulator.machine.plant import Plant
 from arm_emulator.runs.condition import Condition, WatchedCondition

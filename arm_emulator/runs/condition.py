@@ -12,8 +12,7 @@ from arm_emulator.base.column import Column
 from arm_emulator.base.formula import Combined, Formula, Window, parse_formula
 from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.formula_library import CONDITION, formula_library
-from arm_emulator.machine.formula_rows import FormulaRows
+from arm_emulator.machine.formula_rows import CONDITION, FormulaRows, formula_library
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene

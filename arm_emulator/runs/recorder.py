@@ -7,13 +7,17 @@ that crashes, leaves a whole file, and files cost the run no time of Python.
 from __future__ import annotations
 
 import contextlib
+import os
+import shlex
+import shutil
+import sys
 import threading
+from pathlib import Path
 
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
 from arm_emulator.runs.row_process import RowProcess
-from arm_emulator.view.viewer_command import viewer_command
 
 PROCESS = "arm_emulator.runs.recorder_process"
 PATIENCE = 90.0  # s, wall: for the end of a whole run's files on a slow disk
@@ -73,3 +77,16 @@ class Recorder:
         if trouble:
             where = str(self._kept.record or self._kept.rerun)
             raise Refusal("record", where, "accept every row", trouble)
+
+
+def viewer_command(source: str | Path) -> str:
+    """Return the command that shows a recording, for a shell in the working folder.
+
+    Args:
+        source: file of the recording, or address of a running stream.
+    """
+    viewer = Path(sys.executable).parent / "rerun"
+    by_path = shutil.which("rerun") or not viewer.exists()
+    # Without it, rerun takes whoever listens at its own port, 9876, for a viewer, and opens none.
+    connect = ["--connect"] if "://" in str(source) else []
+    return shlex.join(["rerun" if by_path else os.path.relpath(viewer), *connect, str(source)])

@@ -6,10 +6,9 @@ import bisect
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
-from arm_emulator.base.closed import Closed
+from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.uncopied import Uncopied
 
 
 @runtime_checkable

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.commanded import Commanded
 from arm_emulator.servo.held_motor import HeldMotor, Sum, held_motor
-from arm_emulator.servo.servo_config import JointServo
+from arm_emulator.servo.servo_config import Commanded, JointServo
 from arm_emulator.servo.servo_law import SERVO, Rows
 
 

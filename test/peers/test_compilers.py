@@ -25,7 +25,7 @@ from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.formula_library import formula_unit
+from arm_emulator.machine.formula_rows import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.c import middleware_unit

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 from cyclopts import Parameter
+from scipy import signal
 
-from arm_emulator.analysis.frequency_response import FrequencyResponse, frequency_response
-from arm_emulator.analysis.linearised import linearise
+from arm_emulator.analysis.linearised import LinearMachine, linearise
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene, load_scene
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
@@ -126,3 +129,47 @@ def _draw(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None
         axes.grid(alpha=0.3)
     figure.savefig(file, dpi=110)
     plt.close(figure)
+
+
+ComplexArray = npt.NDArray[np.complex128]
+PROMINENCE = 1.0  # dB, of a peak or a dip beside what surrounds it
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Speeds per unit of one joint's command, the other commands held.
+
+    Attributes:
+        frequency: (K,) [Hz].
+        motor: of the motor [rad/s per V, N m or A], complex (K,).
+        link: of the link [rad/s or m/s per V, N m or A], complex (K,).
+    """
+
+    frequency: Array
+    motor: ComplexArray
+    link: ComplexArray
+
+    @property
+    def resonances(self) -> Array:
+        """Frequencies at which the motor moves more than beside them [Hz]."""
+        return self._peaks(1.0)
+
+    @property
+    def antiresonances(self) -> Array:
+        """Frequencies at which the links hold the motor [Hz]."""
+        return self._peaks(-1.0)
+
+    def _peaks(self, sign: float) -> Array:
+        decibels = sign * 20.0 * np.log10(np.abs(self.motor))
+        at, _ = signal.find_peaks(decibels, prominence=PROMINENCE)
+        found: Array = self.frequency[at]
+        return found
+
+
+def frequency_response(machine: LinearMachine, joint: int, frequency: Array) -> FrequencyResponse:
+    """Return the response to the command of a joint, at frequencies (K,) [Hz], above 0."""
+    A, B = machine.A, machine.B[:, [joint]]
+    s: ComplexArray = (2j * np.pi * frequency).astype(np.complex128)
+    x = np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B)[..., 0].astype(np.complex128)
+    angle: ComplexArray = x @ machine.theta_m[joint] + machine.theta_m_by_u[joint, joint]
+    return FrequencyResponse(frequency, s * angle, x[:, machine.v.start + joint])

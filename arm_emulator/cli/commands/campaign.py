@@ -33,9 +33,8 @@ from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import Splitter
 from arm_emulator.campaign.summary import Summary, summary_of
-from arm_emulator.cli.case_bag import write_case_bag
+from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.command import command
-from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt
 from arm_emulator.cli.output import output
 from arm_emulator.cli.searched import case_of, print_findings, print_shrunk, record_case

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.analysis.holding import overloads
-from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
+from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
@@ -18,7 +19,6 @@ from arm_emulator.base.urdf_text import parse_urdf
 from arm_emulator.base.warning import warn
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.command import command
-from arm_emulator.cli.mode_table import mode_facts, mode_rows, page_table
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
 from arm_emulator.design.inertia_check import check_inertias, doubtful_inertias
@@ -155,3 +155,71 @@ def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionCon
     from arm_emulator.motion.controller import controller_for
 
     controller_for(urdf, joint_names, motion)
+
+
+HEADS = (
+    "joint",
+    "loop",
+    "largest",
+    "slowest swing",
+    "brake closed: largest",
+    "slowest swing",
+    "growth, 1/s",
+    "",
+)
+_NONE = 1e-3  # 1/s: rounding of an eigenvalue 0
+
+
+def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
+    """Return a row of `HEADS` for each joint and loop, and one of all joints in each loop."""
+    rows = []
+    figures = ModeLoops(scene, servo).figures
+    for alike in (True, False):
+        of_rows: dict[tuple[int, str], list[LoopFigure]] = {}
+        for one in figures:
+            if one.alike is alike:
+                key = -1 if alike else one.joint, one.loop.value
+                of_rows.setdefault(key, []).append(one)
+        for (j, loop), pair in sorted(of_rows.items(), key=lambda item: item[0][0]):
+            name = "all" if alike else scene.joint_names[j]
+            rows.append((name, loop, *_cells(pair)))
+    return rows
+
+
+def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
+    """Return the same for programs, a row for each loop with brakes open or closed."""
+    return [
+        {
+            "joint": "all" if one.alike else scene.joint_names[one.joint],
+            "loop": one.loop.value,
+            "braked": one.braked,
+            "radius": one.radius,
+            "swing": one.swing,
+            "frequency": one.frequency,
+            "growth": one.beyond,
+            "gain": one.gain,
+            "holds": one.holds,
+        }
+        for one in ModeLoops(scene, servo).figures
+    ]
+
+
+def _cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
+    by_brake = {one.braked: one for one in pair}
+    cells: list[str] = []
+    for braked in (False, True):
+        one = by_brake.get(braked)
+        cells.append("" if one is None else f"{one.radius:.4f}")
+        swings = one is not None and one.swing > 0.0
+        cells.append(f"{one.swing:.4f} at {one.frequency:.3g} Hz" if one and swings else "")
+    worst = max(by_brake.values(), key=lambda one: one.beyond)
+    gain = f", {worst.gain:g} of the command" if worst.gain != 1.0 else ""
+    cells.append(f"{worst.beyond if abs(worst.beyond) > _NONE else 0.0:.3g}{gain}")
+    cells.append("" if worst.holds else "withheld")
+    return tuple(cells)
+
+
+def page_table(rows: list[tuple[str, ...]]) -> str:
+    """Return rows as a table in Markdown."""
+    lines = [HEADS, ("---",) * len(HEADS), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

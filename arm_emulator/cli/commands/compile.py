@@ -17,7 +17,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.doors.fieldbus.drives_unit import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.formula_library import formula_unit
+from arm_emulator.machine.formula_rows import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.way_library import way_unit

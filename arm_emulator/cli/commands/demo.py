@@ -30,8 +30,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.new import scene_of_robot
 from arm_emulator.cli.options import Clock, SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.demo.demo_safety import report_safety
+from arm_emulator.demo.demo_plan import DemoPlan, report_safety
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import Arrival, PredictedRest, predicted_rest
 from arm_emulator.machine.scene import Scene, load_scene
@@ -48,7 +47,7 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.gains import Gains, check_fit, load_gains
-from arm_emulator.view.viewer_command import viewer_command
+from arm_emulator.runs.recorder import viewer_command
 from arm_emulator_msgs.msg import EmulatorStatus
 
 Array = NDArray[np.float64]

@@ -12,7 +12,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import package_of
@@ -199,7 +202,6 @@ def _domain() -> Finding:
 def _network() -> Finding:
     """Look at the nodes of the domain, of any program."""
     try:
-        from arm_emulator.ros.network_faults import network_faults
         from arm_emulator.ros.network_guest import guest
 
         with guest("doctor", "") as node:
@@ -279,3 +281,41 @@ def _late_wake_ups() -> list[float]:
         time.sleep(max(0.0, due - time.monotonic()))
         late.append(time.monotonic() - due)
     return late
+
+
+CLOCK = "rosgraph_msgs/msg/Clock"
+
+
+class NetworkFault(NamedTuple):
+    """A fault, in words.
+
+    Attributes:
+        grave: whether no node may go on so.
+        text: the fault.
+        remedy: remedy.
+    """
+
+    grave: bool
+    text: str
+    remedy: str
+
+
+def network_faults(node: Node) -> Iterator[NetworkFault]:
+    """Yield the faults among all that a node has discovered."""
+    for topic, kinds in node.get_topic_names_and_types():
+        offers = node.get_publishers_info_by_topic(topic)
+        if CLOCK in kinds and len(offers) > 1:
+            names = ", ".join(sorted(map(_name, offers)))
+            remedy = "end all but one, or give each network a ROS_DOMAIN_ID or namespace"
+            yield NetworkFault(True, f"{topic} has {len(offers)} publishers: {names}", remedy)
+        for wish in node.get_subscriptions_info_by_topic(topic):
+            for offer in offers:
+                level, reason = qos_check_compatible(offer.qos_profile, wish.qos_profile)
+                if level == QoSCompatibility.ERROR:
+                    why = str(reason).removeprefix("ERROR: ").strip(" ;")
+                    text = f"{topic}: {_name(wish)} hears nothing of {_name(offer)}: {why}"
+                    yield NetworkFault(False, text, "change the QoS of one of them")
+
+
+def _name(endpoint: Any) -> str:
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

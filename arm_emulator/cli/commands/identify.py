@@ -19,12 +19,17 @@ from arm_emulator.base.warning import given
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
-from arm_emulator.identification.doubts import doubts_of
 from arm_emulator.identification.fitted_scene import with_followers, write_fitted
 from arm_emulator.identification.found import Found, bodies_of, numbers_found
-from arm_emulator.identification.identified import Asked, Identified, gears_of, identified
+from arm_emulator.identification.identified import (
+    Asked,
+    Identified,
+    doubts_of,
+    draw_torques,
+    gears_of,
+    identified,
+)
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.identification.picture import draw_torques
 from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.torque_fit import TorqueFit
 from arm_emulator.identification.torque_model import matches

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
+from numpy.typing import NDArray
 
-from arm_emulator.analysis.wake_ups import QUANTILES, WakeUps, wake_ups
 from arm_emulator.base.busy import busy_processes
 from arm_emulator.base.count import check_count
 from arm_emulator.base.number import Number
@@ -15,7 +18,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.scene import Scene, load_scene
 
 RATE = Number("--rates", "Hz", at_least=1.0, at_most=20e3)
 SECONDS = Number("--seconds", "s", at_least=0.1, at_most=3600.0)
@@ -128,3 +133,59 @@ def _draw(found: list[WakeUps], picture: Path) -> None:
         raise Refusal("latency", f"picture {picture}", "be writable", error) from None
     finally:
         plt.close(figure)
+
+
+QUANTILES = (0.5, 0.99, 0.999, 1.0)
+
+
+@dataclass(frozen=True)
+class WakeUps:
+    """Wake-ups at the ends of periods.
+
+    Attributes:
+        period: between them [s].
+        late: by how much each was late [s].
+        spent: on each period's steps [s].
+        lost: periods that were over before their wake-up.
+        fifo: whether the thread ran under SCHED_FIFO.
+    """
+
+    period: float
+    late: NDArray[np.float64]
+    spent: NDArray[np.float64]
+    lost: int
+    fifo: bool
+
+    @property
+    def quantiles(self) -> list[float]:
+        """Lateness at `QUANTILES` [s]."""
+        return [float(np.quantile(self.late, part, method="higher")) for part in QUANTILES]
+
+
+def wake_ups(scene: Scene, period: float, seconds: float) -> WakeUps:
+    """Run the real-time loop of a scene, its motors at 0.
+
+    Args:
+        scene: the machine, of which each period computes the steps of one servo period.
+        period: wall time between wake-ups [s].
+        seconds: how long [s].
+
+    Raises:
+        Refusal: see `RealTimeLoop`.
+    """
+    plant = Plant(scene)
+    loop = RealTimeLoop(plant, round(period * 1e9), scene.cores[0])
+    late, spent = [], []
+    loop.start(0)
+    until = time.monotonic() + seconds
+    try:
+        while time.monotonic() < until:
+            loop.wait(0.1)
+            while (reached := loop.take()) is not None:
+                late.append(reached.lateness)
+                spent.append(reached.spent)
+    finally:
+        loop.stop()
+    figures = loop.figures
+    late_s, spent_s = (np.array(one, np.float64) * 1e-9 for one in (late, spent))
+    return WakeUps(period, late_s, spent_s, figures.lost_periods, bool(figures.fifo))

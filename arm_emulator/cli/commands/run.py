@@ -26,8 +26,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given
 from arm_emulator.build.c_header import CData
 from arm_emulator.build.flags import ARITHMETIC
+from arm_emulator.cli.case_bag import check_new_bag
 from arm_emulator.cli.command import command
-from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
 from arm_emulator.machine.diverged import Diverged
@@ -38,11 +38,10 @@ from arm_emulator.runs.goal import last_target, missed_order, missed_target
 from arm_emulator.runs.guarded import guarded
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.runs.order import NO_VECTOR, MoveTool
-from arm_emulator.runs.recorder import Recorder
+from arm_emulator.runs.recorder import Recorder, viewer_command
 from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.runs.timeline import Timeline
-from arm_emulator.view.viewer_command import viewer_command
 
 
 @command(

@@ -16,11 +16,10 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.pace import factor_of
-from arm_emulator.page.page_address import PageAddress
-from arm_emulator.page.page_token import VARIABLE, new_token
+from arm_emulator.page.page_address import VARIABLE, PageAddress, new_token
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
-from arm_emulator.ros.second_network import refuse_second_network
+from arm_emulator.ros.ros_domain import refuse_second_network
 
 
 @command(

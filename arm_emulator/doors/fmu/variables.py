@@ -16,7 +16,7 @@ from arm_emulator.machine.varied import Varied
 
 # Of outputs, by their kind.
 _TYPES = {"number": "Float64", "count": "Int64", "bits": "Int32", "flag": "Boolean"}
-# The masses of links, arm_emulator/machine/varied_body.py, by the beginning of their names.
+# The masses of links, arm_emulator/machine/varied.py, by the beginning of their names.
 _LINK_UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
 
 
