@@ -61,7 +61,7 @@ _MODULES = {
     "Fleet": "machine.fleet",
     "FleetControl": "machine.fleet_control",
     "FleetFrame": "machine.fleet_frame",
-    "FleetState": "machine.fleet_state",
+    "FleetState": "machine.core_machines",
     "FleetWay": "machine.fleet_way",
     "JacobianController": "motion.jacobian",
     "Kinematics": "motion.kinematics",

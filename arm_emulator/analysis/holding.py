@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from arm_emulator.analysis.servo_loop import poses
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Scene
@@ -95,8 +95,6 @@ def _springs(scene: Scene, q: Array) -> Array:
 # Mass matrix and weight of the links over poses, by Pinocchio.
 #
 # The bodies are the scene's own, payload and locked joints included.
-
-Array = NDArray[np.float64]
 
 
 class LinkLoads:

@@ -13,10 +13,11 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop
@@ -27,8 +28,6 @@ from arm_emulator.machine.parts.friction import LinkFriction
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.scene import Scene
-
-Array = NDArray[np.float64]
 
 ROWS = 6  # of a state: i, tm, wm, q, v, integral of the current controller [V]
 

@@ -9,17 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from arm_emulator.analysis.stability import at_rest
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.resting import Around, AtRest, Share, Stuck
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,6 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlant
@@ -22,11 +21,10 @@ from arm_emulator.analysis.stability import SmallMotions, contacts
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
-
-Array = NDArray[np.float64]
 
 HARMLESS = 0.1  # 1/s: what grows more slowly, e-fold in ten seconds, is drift
 FREE_TURN = math.pi  # rad either way, where a joint has no limits

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.target_table import load_target_table
-
-Array = NDArray[np.float64]
 
 
 def read_commands(path: Path, scene: Scene) -> Array:

@@ -6,15 +6,14 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from arm_emulator.base.couplings import Follows, followers, own_shafts
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import limits_of, parse_urdf
 
 WHERE = "robot_description"
 _ROUNDING = 1e-9  # rad or m
-FloatArray = npt.NDArray[np.float64]
 
 
 def shafts_of(joints: Sequence[str], urdf_xml: str) -> tuple[str, ...]:

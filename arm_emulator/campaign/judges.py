@@ -30,9 +30,9 @@ from arm_emulator.campaign.program import Program, Rows, Targets, judges
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.signals import units_of_signals
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.formula_rows import is_at_one_instant
 
-Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
 REDUCTIONS = ("max", "min", "mean", "rms", "last")
 _MEASURE = re.compile(r"\s*(\w+)\s*\((.*)\)\s*", re.DOTALL)

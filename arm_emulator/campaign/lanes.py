@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.bound_case import BoundCase, bound
@@ -23,11 +22,11 @@ from arm_emulator.campaign.program import BLOCK, Targets
 from arm_emulator.campaign.scenario import Scenario
 from arm_emulator.campaign.signals import FleetSampler
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.runs.servo_fleet import ServoFleet
 
-Array = NDArray[np.float64]
 WIDTH = 64  # runs at a time
 # Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power
 # of two would all begin in the same set of that cache.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from arm_emulator.machine.chain import Array
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.formula_rows import FORMULA, FormulaRows
 
-Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY))
 BLOCK = FORMULA.constant("FORMULA_BLOCK")

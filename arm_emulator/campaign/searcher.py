@@ -21,8 +21,8 @@ from arm_emulator.campaign.executor import failures_in
 from arm_emulator.campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.worker import Done, simulate
+from arm_emulator.machine.chain import Array
 
-Array = NDArray[np.float64]
 FOUND = "search.json"
 LEAST = "any requirement"
 

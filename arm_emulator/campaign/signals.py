@@ -14,6 +14,7 @@ from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.call_arguments import truth_at
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.measured import MeasuredPlace
@@ -22,7 +23,6 @@ from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.tool_chain import TOOL, ToolChain, tool_signals
 
-Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}

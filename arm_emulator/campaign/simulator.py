@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.bound_case import bound
@@ -17,6 +16,7 @@ from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario
 from arm_emulator.campaign.signals import Sampler
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.motion.pose import Pose
@@ -27,7 +27,6 @@ from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.servo_config import ServoConfig
 
-Array = NDArray[np.float64]
 ROOM = 4096  # samples in a batch for requirements
 MOST = 2**31  # ticks of a piece
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
@@ -22,8 +21,8 @@ from arm_emulator.campaign.lanes import RunsInLanes, runs_of
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.results import write_part
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.machine.chain import Array
 
-Array = NDArray[np.float64]
 _PR_SET_PDEATHSIG = 1
 _asked = {"end": False, "busy": False}
 

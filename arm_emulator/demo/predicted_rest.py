@@ -11,10 +11,10 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from arm_emulator.analysis.rest_shares import RestShares, rest_shares
 from arm_emulator.analysis.servo_loop import ServoLoops
+from arm_emulator.base.given import FloatArray
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.controller import Controller, controller_for
@@ -23,8 +23,6 @@ from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import Gains
-
-FloatArray = npt.NDArray[np.float64]
 
 # One in this many machines rests farther off than predicted; number of machines drawn.
 ONE_OF, DRAWN = 200, 30_000

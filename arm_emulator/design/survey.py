@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.servo_loop import FREE_SLIDE, FREE_TURN
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
-
-Array = NDArray[np.float64]
 
 POSES = 400
 MIDDLE = 0.7  # of a joint's range: where a start is looked for

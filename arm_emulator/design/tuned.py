@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.analysis.sampled_loop import Margins
 from arm_emulator.analysis.servo_at_rest import swing_at_rest
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_plant
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
@@ -23,7 +23,6 @@ from arm_emulator.machine.session import Session
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 POSES = 48  # over which link inertias are looked for

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 def further_inputs(scene: Scene) -> tuple[str, ...]:

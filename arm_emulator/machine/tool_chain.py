@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.build.c_header import pointer
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.formula_rows import TOOL_POSITION, formula_library
 from arm_emulator.machine.scene import Scene
 
-Array = NDArray[np.float64]
 TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
 
 

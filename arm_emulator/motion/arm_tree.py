@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
@@ -22,8 +22,6 @@ from arm_emulator.motion.kinematics import (
 )
 from arm_emulator.motion.kinematics_model import JOINT, WHERE
 from arm_emulator.motion.way_library import WAY, way_library
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class ArmTree(Lasting):

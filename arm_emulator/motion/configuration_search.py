@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 STARTS = 32
 _STEPS = 40  # from each

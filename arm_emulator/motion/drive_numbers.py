@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.number import number, numbers_of
 from arm_emulator.base.parameters import perhaps
 from arm_emulator.base.refusal import Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 SECTION = "joints"  # of the motion controller's parameter file
 

@@ -20,12 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.drive_numbers import DriveNumbers, column
 from arm_emulator.motion.link_torques import LinkTorques
-
-FloatArray = npt.NDArray[np.float64]
 
 # Share of the speed limit over which Coulomb friction grows from 0, without a step at the start.
 SMOOTH = 2e-3

@@ -7,12 +7,10 @@ import functools
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.motion.way_library import WAY, way_library
-
-FloatArray = npt.NDArray[np.float64]
 
 DERIVATIVES = 4  # the curve itself among them
 ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that begins outside

@@ -6,12 +6,10 @@ import math
 
 import daqp
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 REACHED = 1e-8  # rad (or m per reach): a tool this near to its target is there
 _AT_REST = 1e-6  # rad: shorter steps lead nowhere

@@ -19,11 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import beyond
-
-FloatArray = npt.NDArray[np.float64]
 
 WHERE = "joint_trajectory"
 MOST_POINTS = 10_000

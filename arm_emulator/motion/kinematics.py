@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
 from arm_emulator.base.closed import Closed
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import FloatArray, as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
@@ -20,8 +20,6 @@ from arm_emulator.base.shafts import Shafts, shafts_of
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics_model import JOINT, LINK, link_names, rate_limits, whole_model
 from arm_emulator.motion.pose import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 _Q = POSITION.named("q")
 _REACH = TOOL_POSITION.named("the length of the arm")

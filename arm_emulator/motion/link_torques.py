@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.motion.kinematics_model import JOINT, whole_model
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class LinkTorques(Lasting):

@@ -6,12 +6,10 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 _LATE = 100  # motion periods by which the tool may be behind its reference
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
@@ -20,8 +21,6 @@ from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along
 from arm_emulator.motion.tool_path import WHERE, ToolPath
 from arm_emulator.motion.way import AlongLimits, Way
 from arm_emulator.motion.way_controller import WayController
-
-FloatArray = npt.NDArray[np.float64]
 
 FEWEST_NODES = 32  # of a run between two stops
 MOST_NODES = 40_000

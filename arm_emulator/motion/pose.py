@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 # A quaternion this far from length 1, and a matrix this far from a rotation, is rounding of its
 # sender; farther, it is a mistake.

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
+
+from arm_emulator.base.given import FloatArray
 
 
 class Motion(Protocol):
@@ -22,9 +23,6 @@ class Motion(Protocol):
 
     def at(self, time: float) -> Reference:
         """Return the joints at a time since its begin [s]."""
-
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

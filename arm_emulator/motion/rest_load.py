@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from arm_emulator.base.given import FloatArray
 
 LEAST, MOST = 0.5, 2.0
 _SETTLED = 0.1  # s at rest before the motors' torques count: links swing after a motion

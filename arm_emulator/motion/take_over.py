@@ -7,15 +7,13 @@ on as they move, and each comes to rest at its angle, all at the same time.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ruckig
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import found
 from arm_emulator.motion.way import WayLimits
-
-FloatArray = npt.NDArray[np.float64]
 
 _MOMENT = 1e-7  # s, over which the jerk is measured: it is constant but for a few jumps
 

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import ruckig
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.configuration_search import spread
@@ -24,8 +24,6 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.smooth_joints import found
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import AlongLimits, Way, WayLimits
-
-FloatArray = npt.NDArray[np.float64]
 
 MUCH_LONGER = 1.5  # times the joints' line takes, and
 LONGER = 0.1  # s: then the joints' line is taken

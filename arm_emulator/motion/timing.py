@@ -13,12 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.build.c_header import pointer
 from arm_emulator.motion.way_library import way_library
-
-FloatArray = npt.NDArray[np.float64]
 
 POINTS = (0.0, 0.5, 1.0)  # of a piece, at which way.h asks for the limits
 _BESIDE = 1e-9  # of a piece: an end belongs to the piece that it is asked for

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 WHERE = "joint_trajectory"
 

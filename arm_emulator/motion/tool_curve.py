@@ -13,14 +13,12 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tool_line import Poses, rotations
-
-FloatArray = npt.NDArray[np.float64]
 
 SAME = 1e-9  # m, and rad: poses no farther apart are the same
 LEAST_CUT = 2e-3  # m: shorter arcs would be passed as slowly as a stop

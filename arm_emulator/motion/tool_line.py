@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.pose import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 NODES = (32, 128, 512)  # of the spline; more where it leaves the line between them
 OFF_THE_LINE = 1e-5  # rad, or m per reach: between nodes

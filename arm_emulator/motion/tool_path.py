@@ -14,13 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tool_curve import SAME, ToolCurve
-
-FloatArray = npt.NDArray[np.float64]
 
 WHERE = "tool_path"
 MOST_POSES = 5000

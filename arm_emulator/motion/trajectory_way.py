@@ -8,8 +8,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.joint_curve import JointCurve
@@ -18,8 +18,6 @@ from arm_emulator.motion.path_way import InARow
 from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.way import Way, WayLimits
 from arm_emulator.motion.way_controller import WayController
-
-FloatArray = npt.NDArray[np.float64]
 
 # A planner's points keep the limits; a spline through them exceeds them a little here and there.
 BETWEEN_POINTS = 1.05

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import FloatArray, as_kind
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
@@ -37,8 +37,6 @@ from arm_emulator.motion.take_over import Rest, TakeOver
 from arm_emulator.motion.target_ways import TargetWays
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import Way, WayLimits
-
-FloatArray = npt.NDArray[np.float64]
 
 LOST = 0.2  # rad (or m per reach) between arm and reference: something else moves the arm
 # Of the description's limits; the rest is for links that swing on their gears.

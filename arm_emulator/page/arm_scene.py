@@ -9,10 +9,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from arm_emulator.base.shafts import Shafts
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.mesh_units import in_metres, package_folders
 
-Array = NDArray[np.float64]
 GREY = (0.75, 0.76, 0.78)
 WAY = (31, 119, 180)
 OVER, OVER_WAY = (1.0, 0.5, 0.05), (255, 127, 14)  # of an arm that is laid over another

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.kinematics import Kinematics
@@ -16,8 +16,6 @@ from arm_emulator.runs.target_table import TargetTable
 # rad, or of the arm's length for a joint that slides: a tenth of what a servo without integral part
 # leaves is far below it, and an arm that fell, or met a stop, is far beyond it.
 NEAR = 0.01
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def last_target(scene: Scene, targets: TargetTable, ticks: int) -> FloatArray:

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
@@ -31,8 +29,6 @@ from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import ServoConfig
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class OfflineRun(Uncopied, Closed):

@@ -6,15 +6,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.joint_trajectory import ROUNDING, SPEED_BETWEEN_POINTS
 from arm_emulator.motion.kinematics import Kinematics
-
-FloatArray = npt.NDArray[np.float64]
 
 DEGREE = math.pi / 180.0
 MILLI = 1e-3

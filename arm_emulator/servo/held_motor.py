@@ -17,8 +17,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.products import product
 
 
@@ -120,8 +120,6 @@ def _one_period(x: float, y: float) -> FloatArray:
     A[2, 1] = 1.0
     return exponential(A)[:3, [0, 1, 3, 4]]
 
-
-FloatArray = npt.NDArray[np.float64]
 
 _TERMS = 14  # of the series; of a matrix of size 1/2 the rest is below 1e-16
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
@@ -25,7 +26,6 @@ from arm_emulator.servo.servo_numbers import servo_numbers
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 
-FloatArray = npt.NDArray[np.float64]
 Places = tuple[CData, CData, CData]  # pointers to arrays; NULL: not given
 
 _APPLIED = COMMAND.named("applied")

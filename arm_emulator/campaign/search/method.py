@@ -13,13 +13,9 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.variation import Variation
-
-Array = NDArray[np.float64]
+from arm_emulator.machine.chain import Array
 
 
 @dataclass(frozen=True)

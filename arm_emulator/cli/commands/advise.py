@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from numpy.typing import NDArray
 from rich.table import Table
 
 from arm_emulator.analysis.advice import Advice, Judge, Setting, check_error
@@ -26,13 +25,12 @@ from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
-
-Array = NDArray[np.float64]
 
 SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 

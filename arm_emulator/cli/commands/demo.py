@@ -16,7 +16,6 @@ import rclpy
 from cyclopts import Parameter
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -33,6 +32,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import DemoPlan, report_safety
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import Arrival, PredictedRest, predicted_rest
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.pose import Pose
@@ -49,8 +49,6 @@ from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.gains import Gains, check_fit, load_gains
 from arm_emulator.runs.recorder import viewer_command
 from arm_emulator_msgs.msg import EmulatorStatus
-
-Array = NDArray[np.float64]
 
 NEAR = 0.01  # of the way to the target: what counts as arrived without a prediction
 LATELY = 20  # 1 / the final share of the instructions, and of a prediction's radius

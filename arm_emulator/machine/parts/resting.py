@@ -8,11 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-
-FloatArray = NDArray[np.float64]
 
 
 class Shape(enum.Enum):
