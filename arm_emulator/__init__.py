@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
     from arm_emulator.machine.fleet_control import FleetControl as FleetControl
-    from arm_emulator.machine.fleet_frame import FleetFrame as FleetFrame
+    from arm_emulator.machine.fleet_control import FleetFrame as FleetFrame
     from arm_emulator.machine.fleet_way import FleetWay as FleetWay
     from arm_emulator.machine.measured import Measured as Measured
     from arm_emulator.machine.plant import Plant as Plant
@@ -60,7 +60,7 @@ _MODULES = {
     "FittedNumbers": "identification.fit_numbers",
     "Fleet": "machine.fleet",
     "FleetControl": "machine.fleet_control",
-    "FleetFrame": "machine.fleet_frame",
+    "FleetFrame": "machine.fleet_control",
     "FleetState": "machine.core_machines",
     "FleetWay": "machine.fleet_way",
     "JacobianController": "motion.jacobian",

@@ -23,10 +23,9 @@ from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_m
 from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.stability import attempts, what_holds
 from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
-from arm_emulator.bags.recorded_commands import read_commands
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.advise import advise as advise_scene
-from arm_emulator.cli.commands.advise import demo_commands
+from arm_emulator.cli.commands.advise import demo_commands, read_commands
 from bench.advice import CLASSES, judge_scene
 from oracles.event_reference import reference_with_events
 from oracles.random_machines import machine

@@ -21,9 +21,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from arm_emulator import PlantState, Refusal, Session
-from arm_emulator.bags.bad_commit import first_bad_commit
 from arm_emulator.bags.first_difference import FirstDifference, Side, first_difference
 from arm_emulator.cli.command_line import main
+from arm_emulator.cli.commands.bisect import first_bad_commit
 from arm_emulator.machine import compiler
 from arm_emulator.machine.build_facts import build_facts, other_builds
 from arm_emulator.machine.measured_fields import MeasuredFields
@@ -358,7 +358,7 @@ def test_the_commit_that_changes_bits_is_found(
     git("commit", "-qam", "other bits")
     for k in range(4):
         git("commit", "-q", "--allow-empty", "-m", f"after {k}")
-    monkeypatch.setattr("arm_emulator.bags.bad_commit.ROOT", clone)
+    monkeypatch.setattr("arm_emulator.cli.commands.bisect.ROOT", clone)
     _, title = first_bad_commit(plain[0], str(scene), "HEAD~9", "HEAD")
     assert title == "other bits"
     with pytest.raises(Refusal, match="must repeat the bag, got a difference"):

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Plant, Refusal, Session
-from arm_emulator.page.desk import Desk, _PipedHands
-from arm_emulator.page.machine_hands import MachineHands
+from arm_emulator.page.desk import Desk, MachineHands, _PipedHands
 
 
 @contextmanager

@@ -15,9 +15,9 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.identify import identify
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import filtered
-from arm_emulator.identification.fitted_scene import with_followers, write_fitted
 from arm_emulator.identification.found import numbers_found
 from arm_emulator.identification.free_run_fit import fit_free_runs
+from arm_emulator.identification.identified import with_followers, write_fitted
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import looked_over
 from arm_emulator.identification.read_run import read_run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.page.live_history import MOST, NEWEST, LiveHistory
+from arm_emulator.page.live_page import MOST, NEWEST, LiveHistory
 
 KIND = np.dtype([("t", "f8"), ("tick", "i8"), ("q", "f8", (2,))])
 

@@ -14,8 +14,7 @@ from arm_emulator.analysis.torque_terms import TorqueTerms
 from arm_emulator.bags.explanation import acting
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.bags.recorded_view import write_view
-from arm_emulator.cli.commands.film import film
+from arm_emulator.cli.commands.film import film, write_view
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.ros.bag import Bag

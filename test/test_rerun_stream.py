@@ -19,9 +19,8 @@ import psutil
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.view.rerun_batches import QUANTITIES
+from arm_emulator.view.rerun_batches import QUANTITIES, ToolPosition
 from arm_emulator.view.rerun_stream import RerunStream
-from arm_emulator.view.tool_position import ToolPosition
 
 NAMES = ("turn", "lift", "swing")
 MS = 1_000_000  # ns

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arm_emulator.view.sample_queue import SampleQueue
+from arm_emulator.view.rerun_batches import SampleQueue
 
 
 def test_queue_keeps_order_and_counts_what_finds_no_place() -> None:

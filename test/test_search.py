@@ -27,8 +27,7 @@ from arm_emulator.campaign.search.falsification import Bayes, CmaEs
 from arm_emulator.campaign.search.sensitivity import Morris, Sobol
 from arm_emulator.campaign.search.subset import Subset
 from arm_emulator.campaign.searcher import Searcher
-from arm_emulator.campaign.shrinking import fewest, shrink
-from arm_emulator.campaign.shrunk_files import write_shrunk
+from arm_emulator.campaign.shrinking import fewest, shrink, write_shrunk
 from arm_emulator.campaign.simulator import Simulator
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -18,8 +18,7 @@ from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.report import write_report
 from arm_emulator.campaign.results import Results
 from arm_emulator.campaign.search.splitting import Origin, Splitting
-from arm_emulator.campaign.shrinking import shrink
-from arm_emulator.campaign.shrunk_files import write_shrunk
+from arm_emulator.campaign.shrinking import shrink, write_shrunk
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import Splitter, failed_forks
 from arm_emulator.campaign.summary import summary_of

@@ -14,8 +14,14 @@ from arm_emulator import Kinematics, Pose, Refusal, load_scene
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.path_way import InARow, plan_path
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.tool_curve import ToolCurve
-from arm_emulator.motion.tool_path import LONGEST, MOST_POSES, ROUNDED, ToolLimits, ToolPath
+from arm_emulator.motion.tool_path import (
+    LONGEST,
+    MOST_POSES,
+    ROUNDED,
+    ToolCurve,
+    ToolLimits,
+    ToolPath,
+)
 from arm_emulator.motion.way_controller import WayController
 
 SECOND = 1_000_000_000

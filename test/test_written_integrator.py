@@ -19,7 +19,7 @@ from arm_emulator.cli.commands.advise import advise as advise_scene
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.identification.fitted_scene import write_fitted
+from arm_emulator.identification.identified import write_fitted
 
 
 def scene_copy(folder: Path, **replaced: str) -> Path:

@@ -15,9 +15,8 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.energy_flow import EnergyFlow
 from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant import EnergyFlow, Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.motion_report import Kind, State

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.campaign.bound_case import BoundCase, bound
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
 from arm_emulator.campaign.judges import Judges
@@ -21,7 +20,7 @@ from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import BLOCK, Targets
 from arm_emulator.campaign.scenario import Scenario
 from arm_emulator.campaign.signals import FleetSampler
-from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.simulator import BoundCase, Simulator, bound
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_way import FleetWay

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.campaign.bound_case import bound
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case
+from arm_emulator.campaign.fault import changes_of
 from arm_emulator.campaign.judges import Judges
 from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
-from arm_emulator.campaign.scenario import Move, Scenario
+from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
 from arm_emulator.campaign.signals import Sampler
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.change import Change
+from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
@@ -211,3 +212,37 @@ class Simulator:
 
 def _points(move: Move, p_WT: Array) -> Array:
     return move.points if move.way == "to" else p_WT + move.points
+
+
+class BoundCase(NamedTuple):
+    """A run with all that it draws in its file.
+
+    Attributes:
+        scenario, servo: of this run.
+        changes: what its faults and forks set, with the ticks before which that happens, ascending.
+        last: tick at which it ends.
+    """
+
+    scenario: Scenario
+    servo: ServoConfig
+    changes: list[tuple[int, Change]]
+    last: int
+
+
+def bound(campaign: Campaign, case: Case) -> BoundCase:
+    """Return a run of a campaign as a machine gets it.
+
+    Raises:
+        Refusal: a drawn value that is out of range.
+    """
+    drawn = campaign.draws_sections
+    given = campaign.with_values(case.values) if drawn else campaign.nominal
+    scenario, faults, servo = given
+    there = [fault for name, fault in faults.items() if name not in case.without]
+    changes = changes_of(there, campaign.scene, case.values) if there else []
+    noise: list[tuple[int, Change]]
+    noise = [(tick, NumberChange("seed", seed)) for tick, seed in case.reseeds]
+    changes = sorted(noise + changes, key=lambda one: one[0])
+    seconds = min(case.seconds, scenario.seconds)
+    last = max(1, ticks_of(seconds, campaign.scene.servo_period))
+    return BoundCase(scenario, servo, changes, last)

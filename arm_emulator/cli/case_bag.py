@@ -9,7 +9,7 @@ import yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
-from arm_emulator.campaign.shrunk_files import scene_data
+from arm_emulator.campaign.shrinking import scene_data
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged

@@ -17,8 +17,7 @@ from arm_emulator.campaign.case import Case, case_with, drawn_case
 from arm_emulator.campaign.forking import forked_case
 from arm_emulator.campaign.results import ABOUT, INDEX, Results
 from arm_emulator.campaign.search.method import Finding
-from arm_emulator.campaign.shrinking import shrink
-from arm_emulator.campaign.shrunk_files import write_shrunk
+from arm_emulator.campaign.shrinking import shrink, write_shrunk
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import failed_forks
 from arm_emulator.cli.case_bag import check_new_bag, write_case_bag

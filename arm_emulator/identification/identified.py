@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 
+from arm_emulator.base.config_files import check_own
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_text
+from arm_emulator.base.yaml_file import MOST_BYTES, edited, read_yaml
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered
 from arm_emulator.identification.found import Found
@@ -17,8 +24,9 @@ from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.torque_fit import TorqueFit, explained, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel, matches
-from arm_emulator.machine.chain import Array
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.chain import Array, Body, Frame
+from arm_emulator.machine.overrides import override
+from arm_emulator.machine.scene import Scene, load_scene
 
 
 @dataclass(frozen=True)
@@ -165,3 +173,139 @@ def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: P
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=100)
     plt.close(figure)
+
+
+def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return numbers together with those that follow them and differ from them."""
+    found = dict(numbers)
+    for joint in scene.joints:
+        for part in joint.parts:
+            place = f"joints.{joint.name}.{part.section}"
+            known = part.numbers()
+            own = {key: found[f"{place}.{key}"] for key in known if f"{place}.{key}" in found}
+            new = part.with_numbers(**own)
+            for key, one in known.items():
+                if one.follows in own and getattr(part, key) != getattr(part, one.follows):
+                    found[f"{place}.{key}"] = getattr(new, key)
+    return found
+
+
+def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[str, float],
+                 bodies: Sequence[Body], heading: str) -> None:  # fmt: skip
+    """Write a scene with other numbers, and a URDF with other bodies beside it.
+
+    Args:
+        file: the scene to write; its URDF goes to ``urdf/NAME.urdf`` beside it.
+        scene_file: the original scene.
+        scene: the same, loaded.
+        numbers: values by their dotted names below the scene.
+        bodies: bodies moved by its joints, without the payload, in the core's frames.
+        heading: lines to stand at its top, as comments.
+
+    Raises:
+        Refusal: it cannot be written, is shipped, or does not read back equal.
+    """
+    urdf = file.parent / "urdf" / f"{file.stem}.urdf"
+    for one in (file, urdf):
+        check_own("identify", one)
+    values: dict[str, float | str] = {name: float(f"{v:.9g}") for name, v in numbers.items()}
+    values |= {"name": file.stem, "urdf": f"urdf/{urdf.name}"}
+    comments = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
+    try:
+        urdf.parent.mkdir(parents=True, exist_ok=True)
+        urdf.write_text(_with_bodies(scene, in_urdf(scene, bodies)), encoding="utf-8")
+        text = comments + _replaced(scene_file, values)
+        if not scene.trusted_inertias:
+            text = text.rstrip() + "\n" + _trust([joint.link for joint in scene.chain.links])
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise Refusal("identify", f"file {file}", "be writable", error.strerror) from None
+    _check_written(load_scene(file), numbers)
+
+
+def _trust(links: Sequence[str]) -> str:
+    """Return the key that exempts links: parameters that fit torques need not fit shapes."""
+    listed = yaml.safe_dump({"trusted_inertias": list(links)}, sort_keys=False)
+    return f"\n# Identified parameters, not those of bodies.\n{listed}"
+
+
+def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
+    """Refuse a scene without the numbers that were to be written."""
+    for joint in scene.joints:
+        for part in joint.parts:
+            for key in part.numbers():
+                name = f"joints.{joint.name}.{part.section}.{key}"
+                wanted, got = numbers.get(name), getattr(part, key)
+                if wanted is not None and abs(got - wanted) > 1e-6 * abs(wanted):
+                    raise Refusal(scene.where, name, f"be {wanted:g}, as found", got)
+
+
+def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
+    """Return a scene's text with some values by their dotted places.
+
+    If each has a place of its own, the rest of the text is kept. Where joints share a
+    section by an alias, or a place is not there yet, the scene is written anew.
+    """
+    text = read_text(file, MOST_BYTES)
+    nodes = dict[str, yaml.Node]()
+    _collect(yaml.compose(text, yaml.SafeLoader), "", nodes)
+    shared = Counter(id(node) for node in nodes.values())
+    wanted = [nodes.get(name) for name in values]
+    if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
+        data = read_yaml(file)
+        for name, value in values.items():
+            override(data, name, value, file.name)
+        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    edits = [
+        (node.start_mark.index, node.end_mark.index, str(value))
+        for node, value in zip(wanted, values.values(), strict=True)
+        if node is not None
+    ]
+    return edited(text, edits)
+
+
+def _collect(node: yaml.Node | None, place: str, nodes: dict[str, yaml.Node]) -> None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            _collect(value, f"{place}.{key.value}" if place else str(key.value), nodes)
+    elif node is not None:
+        nodes[place] = node
+
+
+def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
+    """Return the URDF with the bodies of its moving links; links fixed to them get none."""
+    robot = ET.fromstring(scene.urdf)
+    links = {element.get("name"): element for element in robot.findall("link")}
+    for joint in scene.chain.links:
+        body = bodies.get(joint.link)
+        if body is None:
+            continue
+        for name in joint.links:
+            for old in links[name].findall("inertial"):
+                links[name].remove(old)
+        links[joint.link].insert(0, _inertial(body))
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _inertial(body: Body) -> ET.Element:
+    com = body.moment / body.mass
+    tensor = body.inertia - body.mass * (com @ com * np.eye(3) - np.outer(com, com))
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(f"{x:.12g}" for x in com))
+    ET.SubElement(element, "mass", value=f"{body.mass:.12g}")
+    places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+    numbers = {f"i{name}": f"{tensor[at]:.12g}" for name, at in places.items()}
+    ET.SubElement(element, "inertia", numbers)
+    return element
+
+
+def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
+    """Return the bodies of the joints' child links, in their frames, by name.
+
+    Args:
+        scene: the machine.
+        bodies: of its chain, in the core's frames.
+    """
+    pairs = zip(scene.chain.links, bodies, strict=True)
+    return {joint.link: body.seen_from(Frame(joint.axes.T)) for joint, body in pairs}

@@ -23,8 +23,7 @@ from arm_emulator.machine.core_calls import ARM, FLEET, REFUSED
 from arm_emulator.machine.core_machine import Borrowed
 from arm_emulator.machine.core_machines import CoreMachines
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.fleet_control import FleetControl
-from arm_emulator.machine.fleet_frame import FleetFrame
+from arm_emulator.machine.fleet_control import FleetControl, FleetFrame
 from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.machine.inputs import check_inputs, further_rows
 from arm_emulator.machine.plant import INSIDE, Plant

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
+from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
@@ -28,7 +29,6 @@ from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
 from arm_emulator.machine.core_machine import Borrowed, CoreMachine, Equations
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.energy_flow import EnergyFlow
 from arm_emulator.machine.inputs import check_inputs, further_inputs, further_rows
 from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace
@@ -455,3 +455,15 @@ class Plant(CoreMachine):
 def _again(scene: Scene, of_fleet: bool) -> Plant:
     """Return a plant like one that was pickled, before its state."""
     return Plant(scene, core=fleet_library_of(scene) if of_fleet else None)
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyFlow(ByValue):
+    """Energy supplied to and dissipated by each joint, (N,): W now, J over a time.
+
+    The supply and the share of the external wrench that turns this joint supply it.
+    A motor with different torque and back-EMF constants gets the difference, too.
+    """
+
+    given: Array
+    dissipated: Array  # in windings, gears and friction

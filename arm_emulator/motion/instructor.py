@@ -9,7 +9,14 @@ import numpy as np
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.coming_orders import ComingOrders, TakenOrder, check_wait
+from arm_emulator.motion.coming_orders import (
+    ComingOrders,
+    TakenOrder,
+    check_wait,
+    path_order,
+    stop_order,
+    trajectory_order,
+)
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import JogCommand
@@ -18,15 +25,13 @@ from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, Kind, Reports, State
-from arm_emulator.motion.new_orders import path_order, stop_order, trajectory_order
 from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.orders import MOVING, Order, Planned, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.slowing_order import SlowingOrder
 from arm_emulator.motion.standstill import Flags, Standstill
-from arm_emulator.motion.stream_order import StreamOrder, is_near
-from arm_emulator.motion.target_stream import TargetStream
+from arm_emulator.motion.target_stream import StreamOrder, TargetStream, is_near
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.way_controller import LOST
 

@@ -10,14 +10,19 @@ direction still steps the tool stops: no joint can change its speed at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.tool_curve import SAME, ToolCurve
+from arm_emulator.motion.tool_line import Poses, rotations
 
 WHERE = "tool_path"
 MOST_POSES = 5000
@@ -127,3 +132,220 @@ def _in_order(times_ns: Sequence[int], count: int) -> list[int]:
                 f"{times_ns[i] * _SECONDS:g} s",
             )
     return list(times_ns)
+
+
+# Curves of the tool through poses: lines and arcs of circles, orientation turning evenly along.
+#
+# A curve is a row of segments. Along each one its measure x grows from 0 to `length`: the distance
+# that the tool goes or, where it turns more than it goes, the angle by which it turns times
+# `per_turn`. So a tool that stands and turns goes along its curve too, and of two limits, of speed
+# and of turning speed, the one that counts is kept.
+
+SAME = 1e-9  # m, and rad: poses no farther apart are the same
+LEAST_CUT = 2e-3  # m: shorter arcs would be passed as slowly as a stop
+STRAIGHT = 1e-6  # of a distance: three points this near to a line lie on it
+
+
+class _Segments(NamedTuple):
+    """Arrays of all segments (S, ...), or the values of one of them (0-dimensional arrays)."""
+
+    p0: FloatArray
+    R0: FloatArray
+    gone: FloatArray
+    tangent: FloatArray
+    normal: FloatArray
+    curvature: FloatArray
+    turn: FloatArray
+
+
+class ToolCurve(Lasting):
+    """Segments (S,), each from a pose to the next; segments between equal poses are left out.
+
+    On a segment, with l the distance gone and k its curvature:
+
+        p = p0 + tangent sin(k l) / k + normal (1 - cos(k l)) / k,   R = exp(turn x / length) R0
+
+    Args:
+        poses: through which it goes, two or more.
+        per_turn: measure of a turn by 1 rad [m/rad], > 0.
+        arcs: whether the poses 0, 1, 2, then 2, 3, 4 and so on lie on an arc of a circle each;
+            three on a line stay on it.
+        blend: where two lines meet, an arc begins this far before the corner [m], at most in the
+            middle of a line.
+        rounding: corners so flat that an arc which passes them this near [m] begins `LEAST_CUT`
+            or more before them, or in the middle of a line, are rounded by it whatever `blend` is.
+
+    Attributes:
+        length: measure of each segment (S,) [m].
+        ends: measure from the start to the end of each segment (S,) [m].
+        at_poses: measure from the start to each pose (K,) [m], were `blend` 0.
+    """
+
+    def __init__(
+        self,
+        poses: Sequence[Pose],
+        per_turn: float,
+        arcs: bool = False,
+        blend: float = 0.0,
+        rounding: float = 0.0,
+    ) -> None:
+        self._per_turn = per_turn
+        points = np.array([pose.p_WT for pose in poses])
+        segments = _lines(points, np.array([pose.R_WT for pose in poses]))
+        if arcs:
+            segments = _bent_to_arcs(points, segments)
+        apart = (segments.gone > SAME) | (np.linalg.norm(segments.turn, axis=1) > SAME)
+        whole = np.where(apart, self._measure(segments), 0.0)
+        self.at_poses = np.concatenate([[0.0], np.cumsum(whole)])
+        segments = _Segments(*(column[apart] for column in segments))
+        if (blend > 0.0 or rounding > 0.0) and len(segments.gone) > 1:
+            segments = _with_round_corners(segments, blend, rounding)
+        self._segments = segments
+        self.length = self._measure(segments)
+        self.ends = np.cumsum(self.length)
+
+    def __len__(self) -> int:
+        """Return the number of segments."""
+        return len(self.length)
+
+    def poses(self, x: FloatArray) -> Poses:
+        """Return the tool at measures x (K,) from the start, between 0 and the end."""
+        i = np.minimum(np.searchsorted(self.ends, x, side="right"), len(self) - 1)
+        part = np.clip(1.0 - (self.ends[i] - x) / self.length[i], 0.0, 1.0)
+        one = _Segments(*(column[i] for column in self._segments))
+        k, gone = one.curvature, part * one.gone
+        bent = k > 0.0
+        radius = 1.0 / np.where(bent, k, 1.0)
+        ahead = np.where(bent, radius * np.sin(k * gone), gone)
+        aside = np.where(bent, 2.0 * radius * np.sin(0.5 * k * gone) ** 2, 0.0)
+        p = one.p0 + ahead[:, None] * one.tangent + aside[:, None] * one.normal
+        return Poses(p, rotations(part[:, None] * one.turn) @ one.R0)
+
+    def curvature(self) -> FloatArray:
+        """Return, for each segment, the acceleration across at measure speed 1, (S,) [1/m]."""
+        rate = self._segments.gone / self.length
+        return np.asarray(self._segments.curvature * rate**2)
+
+    def kinks(self) -> FloatArray:
+        """Return how much the change per measure differs where segments meet (S - 1,) [m/m].
+
+        Of the position, or of the orientation times `per_turn`, whichever is larger.
+        """
+        one = self._segments
+        rate, angle = (one.gone / self.length)[:, None], (one.curvature * one.gone)[:, None]
+        leaving = rate * (one.tangent * np.cos(angle) + one.normal * np.sin(angle))
+        position = np.linalg.norm(rate[1:] * one.tangent[1:] - leaving[:-1], axis=1)
+        turning = self._per_turn * one.turn / self.length[:, None]
+        orientation = np.linalg.norm(np.diff(turning, axis=0), axis=1)
+        return np.asarray(np.maximum(position, orientation))
+
+    def _measure(self, segments: _Segments) -> FloatArray:
+        angle = np.linalg.norm(segments.turn, axis=1)
+        return np.asarray(np.maximum(segments.gone, self._per_turn * angle))
+
+
+def _lines(points: FloatArray, R: FloatArray) -> _Segments:
+    """Return the lines between points (K, 3), with the turns between orientations (K, 3, 3)."""
+    step = np.diff(points, axis=0)
+    gone = np.linalg.norm(step, axis=1)
+    relative = R[1:] @ np.swapaxes(R[:-1], 1, 2)
+    return _Segments(
+        p0=points[:-1],
+        R0=R[:-1],
+        gone=gone,
+        tangent=step / np.maximum(gone, SAME)[:, None],
+        normal=np.zeros_like(step),
+        curvature=np.zeros_like(gone),
+        turn=np.array([pin.log3(one) for one in relative]).reshape(-1, 3),
+    )
+
+
+def _bent_to_arcs(points: FloatArray, segments: _Segments) -> _Segments:
+    """Return arcs instead of lines through each three points that are not on a line."""
+    gone, curvature = np.array(segments.gone), np.array(segments.curvature)
+    tangent, normal = segments.tangent.copy(), segments.normal.copy()
+    for i in range(0, len(points) - 2, 2):
+        circle = _circle(*points[i : i + 3])
+        if circle is None:
+            continue
+        center, axis = circle
+        for j in (i, i + 1):
+            out, to = points[j] - center, points[j + 1] - center
+            radius = float(np.linalg.norm(out))
+            angle = math.atan2(axis @ np.cross(out, to), out @ to) % (2.0 * math.pi)
+            gone[j], curvature[j] = radius * angle, 1.0 / radius
+            tangent[j], normal[j] = np.cross(axis, out) / radius, -out / radius
+    return segments._replace(gone=gone, tangent=tangent, normal=normal, curvature=curvature)
+
+
+def _with_round_corners(segments: _Segments, blend: float, rounding: float) -> _Segments:
+    """Return the same segments with arcs where two lines meet, tangent to both."""
+    tangent, gone = segments.tangent, np.asarray(segments.gone)
+    cosine = np.einsum("ij,ij->i", tangent[:-1], tangent[1:])
+    line = (np.asarray(segments.curvature) == 0.0) & (gone > SAME)
+    corner = line[:-1] & line[1:] & (np.abs(cosine) < 1.0 - STRAIGHT)
+    middle = 0.5 * np.minimum(gone[:-1], gone[1:])
+    # An arc that begins d before a corner of a small angle passes it at d angle / 4.
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    near = np.minimum(4.0 * rounding / np.maximum(angle, STRAIGHT), middle)
+    near = np.where(near >= np.minimum(LEAST_CUT, middle), near, 0.0)
+    cut = np.where(corner, np.maximum(np.minimum(blend, middle), near), 0.0)
+    cut = np.concatenate([[0.0], cut, [0.0]])  # at the start of segment i, and at its end
+    return _rows(_cut_and_joined(segments, cut))
+
+
+def _rows(rows: Iterable[_Segments]) -> _Segments:
+    return _Segments(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def _cut_and_joined(segments: _Segments, cut: FloatArray) -> Iterable[_Segments]:
+    """Yield each segment without its cut ends, and the arc to the next one where it is cut."""
+    count = len(cut) - 1
+    every = [_Segments(*(column[i] for column in segments)) for i in range(count)]
+    for i, one in enumerate(every):
+        whole = float(one.gone)
+        rest = whole - cut[i] - cut[i + 1]
+        if rest == whole:
+            yield one
+            continue
+        if rest > SAME:
+            yield one._replace(
+                p0=one.p0 + cut[i] * one.tangent,
+                R0=pin.exp3(cut[i] / whole * one.turn) @ one.R0,
+                gone=np.asarray(rest),
+                turn=rest / whole * one.turn,
+            )
+        if cut[i + 1] > 0.0:
+            yield _corner(one, every[i + 1], float(cut[i + 1]))
+
+
+def _corner(one: _Segments, onward: _Segments, cut: float) -> _Segments:
+    """Return the arc from a line to the next, from `cut` before their corner to `cut` after it."""
+    cosine = float(one.tangent @ onward.tangent)
+    sine = float(np.linalg.norm(np.cross(one.tangent, onward.tangent)))
+    angle = math.atan2(sine, cosine)
+    radius = cut / math.tan(0.5 * angle)
+    normal = onward.tangent - cosine * one.tangent
+    R = pin.exp3((1.0 - cut / float(one.gone)) * one.turn) @ one.R0
+    R_after = pin.exp3(cut / float(onward.gone) * onward.turn) @ onward.R0
+    return _Segments(
+        p0=one.p0 + (float(one.gone) - cut) * one.tangent,
+        R0=R,
+        gone=np.asarray(radius * angle),
+        tangent=one.tangent,
+        normal=normal / np.linalg.norm(normal),
+        curvature=np.asarray(1.0 / radius),
+        turn=pin.log3(R_after @ R.T),
+    )
+
+
+def _circle(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return center and axis of the circle through three points in this order; None of a line."""
+    ab, ac = b - a, c - a
+    across = np.cross(ab, ac)
+    twice_area = float(np.linalg.norm(across))
+    longest = max(float(np.linalg.norm(side)) for side in (ab, ac, c - b))
+    if twice_area <= STRAIGHT * longest**2:
+        return None
+    to_center = (ac @ ac) * np.cross(across, ab) + (ab @ ab) * np.cross(ac, across)
+    return a + to_center / (2.0 * twice_area**2), across / twice_area

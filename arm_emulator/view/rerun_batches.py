@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts
@@ -24,8 +25,6 @@ from arm_emulator.view.rerun_blueprint import (
     WORLD_AXES,
     blueprint,
 )
-from arm_emulator.view.sample_queue import Array, Times
-from arm_emulator.view.tool_position import ToolPosition
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -366,3 +365,148 @@ def _path(*parts: str) -> str:
     import rerun as rr
 
     return rr.new_entity_path(list(parts))
+
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+
+class SampleQueue:
+    """Samples of `width` quantities for `joints` joints, from one writer to one reader.
+
+    `put` never blocks, never raises and only copies the arrays. The reader converts them
+    to rows and finds invalid ones. When the reader has fallen behind by `capacity` samples, new
+    ones are dropped.
+
+    Attributes:
+        dropped: samples that found no room, or were invalid.
+        newest: time of the last sample taken in [ns].
+    """
+
+    def __init__(self, capacity: int, width: int, joints: int) -> None:
+        self.dropped = 0
+        self.newest = 0
+        self._capacity = capacity
+        self._shape = (width, joints)
+        # Appending and popping are safe between threads.
+        self._samples: deque[tuple[int, list[Array]]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def put(self, time: int, quantities: Sequence[Array]) -> None:
+        """Append one sample: its time [ns] and, per quantity, (joints,) values."""
+        if len(self._samples) >= self._capacity:
+            self.dropped += 1
+            return
+        try:
+            self._samples.append((time, [values.copy() for values in quantities]))
+        except Exception:  # numbers without `copy`, or no quantities at all
+            self.dropped += 1
+            return
+        self.newest = time
+
+    def take(self, limit: int) -> tuple[Times, Array]:
+        """Remove and return up to `limit` oldest samples: times (K,) [ns], rows (K, width, N)."""
+        count = min(len(self._samples), limit)
+        return self._stack([self._samples.popleft() for _ in range(count)])
+
+    def _stack(self, samples: list[tuple[int, list[Array]]]) -> tuple[Times, Array]:
+        try:
+            times = np.array([time for time, _ in samples], np.int64)
+            rows = np.array([quantities for _, quantities in samples], np.float64)
+            if times.ndim == 1 and rows.shape == (len(samples), *self._shape):
+                return times, rows
+        except (TypeError, ValueError, OverflowError):
+            pass
+        if len(samples) > 1:  # leave out those that are at fault
+            parts = [self._stack([sample]) for sample in samples]
+            return np.concatenate([t for t, _ in parts]), np.concatenate([r for _, r in parts])
+        self.dropped += len(samples)
+        return np.empty(0, np.int64), np.empty((0, *self._shape))
+
+
+if TYPE_CHECKING:
+    from rerun.urdf import UrdfJoint, UrdfTree
+
+
+class ToolPosition:
+    """Forward kinematics of one link's origin.
+
+    Walking from the tool to the base, each joint moves the point p by its own motion and then by
+    its placement: p <- R (p turned about the axis by q) + o, the turn by Rodrigues' formula.
+
+    Args:
+        tree: the URDF.
+        joint_names: the moving joints, in the order of the columns of q.
+        tool: the link whose origin is wanted.
+
+    Raises:
+        Refusal: the tool is no link of the URDF.
+    """
+
+    def __init__(self, tree: UrdfTree, joint_names: Sequence[str], tool: str) -> None:
+        joints = tree.joints()
+        above = {joint.child_link: joint for joint in joints}
+        links = {tree.root_link().name, *above}
+        if tool not in links:
+            raise Refusal("URDF", "tool", "be a link of it", tool, ", ".join(sorted(links)))
+        columns = {name: column for column, name in enumerate(joint_names)}
+        self._steps: list[_Step] = []
+        self._p_start = np.zeros(3)  # the tool in the frame of the last moving link
+        link = tool
+        while link in above:
+            joint = above[link]
+            R, origin = _rotation(*joint.origin_rpy), np.array(joint.origin_xyz)
+            if joint.name in columns:
+                self._steps.append(_Step(joint, columns[joint.name], R, origin))
+            elif self._steps:
+                self._steps[-1].place(R, origin)
+            else:
+                self._p_start = R @ self._p_start + origin
+            link = joint.parent_link
+
+    def __call__(self, q: Array) -> Array:
+        """Return p_WT (K, 3) [m], the tool in the URDF's root frame, for q (K, N) [rad or m]."""
+        p = np.tile(self._p_start, (len(q), 1))
+        for step in self._steps:
+            p = step.move(p, q[:, step.column, None])
+        return p
+
+
+class _Step:
+    """A moving joint: its column of q, its axis, and its placement in the moving link before it."""
+
+    def __init__(self, joint: UrdfJoint, column: int, R: Array, origin: Array) -> None:
+        self.column = column
+        self._prismatic = joint.joint_type == "prismatic"
+        self._R, self._origin = R, origin
+        self._axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        x, y, z = self._axis
+        self._cross_T = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+
+    def place(self, R: Array, origin: Array) -> None:
+        """Hang this joint's placement on a fixed joint before it."""
+        self._R = R @ self._R
+        self._origin = R @ self._origin + origin
+
+    def move(self, p: Array, position: Array) -> Array:
+        """Move points p (K, 3) by the joint at `position` (K, 1) and by its placement."""
+        if self._prismatic:
+            p = p + position * self._axis
+        else:
+            across = p @ self._cross_T
+            p = p + np.sin(position) * across + (1.0 - np.cos(position)) * (across @ self._cross_T)
+        return p @ self._R.T + self._origin
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), the order of URDF."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

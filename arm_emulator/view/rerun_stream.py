@@ -30,8 +30,7 @@ from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.wheel import need_wheel
-from arm_emulator.view.rerun_batches import QUANTITIES, RerunBatches
-from arm_emulator.view.sample_queue import Array, SampleQueue
+from arm_emulator.view.rerun_batches import QUANTITIES, Array, RerunBatches, SampleQueue
 
 if TYPE_CHECKING:
     import rerun as rr

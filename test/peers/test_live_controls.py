@@ -34,8 +34,8 @@ from machines import own_three_axis
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.page import live_page
+from arm_emulator.page.desk import MachineHands
 from arm_emulator.page.live_page import LivePage
-from arm_emulator.page.machine_hands import MachineHands
 from bench.page_browsers import CAMERA
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.bags.timeline_bag import LeaveChanges, TargetedRun, ordered_run, write_timeline
+from arm_emulator.bags.targeted_run import LeaveChanges, TargetedRun
+from arm_emulator.bags.timeline_bag import ordered_run, write_timeline
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName

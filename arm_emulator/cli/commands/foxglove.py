@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
@@ -13,7 +15,6 @@ from arm_emulator.cli.output import output
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_tree import names_of, read_joints, root_of
-from arm_emulator.view.foxglove_layout import foxglove_layout
 
 
 @command(of_ros=True, keys="`file`, `panels`")
@@ -44,3 +45,120 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     output.line(f"{file}: {len(panels)} panels")
     output.facts({"file": file, "panels": list(panels)})
     return 0
+
+
+# Layout of Foxglove and Lichtblick for the topics of a network, or of its bag.
+#
+# Both read the same JSON: panels by their names with their settings, and a tree of the panels.
+
+ROOM = 62.0  # per cent of the width for the arm
+COLOURS = (
+    "#569cd6", "#f08c32", "#6ebe64", "#d65a5a", "#aa82d2", "#50c3c3", "#dcbe50", "#dc82b4",
+)  # fmt: skip
+# Of each joint: title, topic and field.
+PLOTS = (
+    ("Position, true [rad or m]", "emulator/joint_states", "position"),
+    ("Position, measured", "joint_states", "position"),
+    ("Speed, true [rad/s or m/s]", "emulator/joint_states", "velocity"),
+    ("Torque of the gear [N m or N]", "emulator/joint_states", "effort"),
+    ("Motor current [A]", "motor_states", "current"),
+    ("Motor command", "motor_states", "applied"),
+)
+STATES = (
+    ("Motion", "motion/status", "state"),
+    ("Change by hand", "emulator/events", "kind"),
+    ("Phase", "emulator/status", "phase"),
+)
+
+
+def foxglove_layout(
+    root: str, joints: Sequence[str], further: Mapping[str, str], namespace: str = ""
+) -> dict[str, Any]:
+    """Return a layout: the arm, signals of its joints, states, events and health.
+
+    Args:
+        root: root link of the robot description.
+        joints: names in the order of the scene.
+        further: more fields of motor_states with a value per joint, and their units.
+        namespace: of all topics, such as "/cell1".
+    """
+    base = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
+
+    def plot(title: str, topic: str, field: str) -> dict[str, Any]:
+        paths = [
+            _path(f"{base}{topic}.{field}[{k}]", name, COLOURS[k % len(COLOURS)])
+            for k, name in enumerate(joints)
+        ]
+        return {"title": title, "paths": paths, "xAxisVal": "timestamp", "showLegend": True}
+
+    more = [
+        (f"{name} [{unit}]" if unit else name, "motor_states", name)
+        for name, unit in further.items()
+    ]
+    plots = {
+        f"Plot!{topic.replace('/', '_')}_{field}": plot(title, topic, field)
+        for title, topic, field in (*PLOTS, *more)
+    }
+    speed = "Plot!speed"
+    paths = [_path(f"{base}emulator/status.real_time_factor", "times real time", COLOURS[0])]
+    plots[speed] = {"title": "Speed of logical time", "paths": paths, "xAxisVal": "timestamp"}
+    states = [
+        {"value": f"{base}{topic}.{field}", "label": title, "timestampMethod": "headerStamp"}
+        for title, topic, field in STATES
+    ]
+    tabs = [
+        {"title": one["title"].partition(" [")[0], "layout": panel} for panel, one in plots.items()
+    ]
+    panels = {
+        "3D!arm": _arm(root, base),
+        "Tab!signals": {"activeTabIdx": 0, "tabs": tabs},
+        **plots,
+        "StateTransitions!states": {"paths": states, "isSynced": True},
+        "RawMessages!events": {"topicPath": f"{base}emulator/events"},
+        "DiagnosticSummary!health": {"minLevel": 0, "topicToRender": f"{base}diagnostics"},
+    }
+    right = _split(
+        "column", "Tab!signals", _split("column", "StateTransitions!states", "RawMessages!events")
+    )
+    left = _split("column", "3D!arm", "DiagnosticSummary!health", 75.0)
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1.0},
+        "layout": _split("row", left, right, ROOM),
+    }
+
+
+def _path(value: str, label: str, colour: str) -> dict[str, Any]:
+    how = {"enabled": True, "timestampMethod": "headerStamp"}
+    return {"value": value, "label": label, "color": colour, **how}
+
+
+def _split(direction: str, first: Any, second: Any, share: float = 50.0) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": share}
+
+
+def _arm(root: str, base: str) -> dict[str, Any]:
+    """Return the settings of the picture: the robot description, moved by true joint angles."""
+    arm = {
+        "layerId": "foxglove.Urdf", "instanceId": "arm", "label": "Arm", "visible": True,
+        "sourceType": "topic", "topic": f"{base}robot_description", "framePrefix": "",
+        "controlMode": "jointStates", "jointStatesTopic": f"{base}emulator/joint_states",
+        "displayMode": "visual",
+    }  # fmt: skip
+    grid = {
+        "layerId": "foxglove.Grid", "instanceId": "grid", "label": "Floor", "visible": True,
+        "frameId": root, "size": 4, "divisions": 16,
+    }  # fmt: skip
+    return {
+        "followMode": "follow-none",
+        "followTf": root,
+        "scene": {"meshUpAxis": "z_up"},
+        "cameraState": {
+            "distance": 2.5, "phi": 65.0, "thetaOffset": 45.0, "perspective": True,
+            "target": [0.0, 0.0, 0.4], "fovy": 45.0,
+        },
+        "layers": {"arm": arm, "grid": grid},
+        "topics": {f"{base}tool_target": {"visible": True}},
+    }  # fmt: skip

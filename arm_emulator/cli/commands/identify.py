@@ -13,13 +13,13 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
-from arm_emulator.identification.fitted_scene import with_followers, write_fitted
 from arm_emulator.identification.found import Found, bodies_of, numbers_found
 from arm_emulator.identification.identified import (
     Asked,
@@ -28,13 +28,17 @@ from arm_emulator.identification.identified import (
     draw_torques,
     gears_of,
     identified,
+    with_followers,
+    write_fitted,
 )
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.identification.read_run import read_run
+from arm_emulator.identification.read_run import read_run, run_of
 from arm_emulator.identification.torque_fit import TorqueFit
 from arm_emulator.identification.torque_model import matches
 from arm_emulator.identification.wind_up import stiffness_found
+from arm_emulator.machine.plant_state import link_angle_per_count
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.ros.bag import Bag
 
 DELAYED = ("tau", "q_link")
 LONGEST_DELAY = 0.1  # s
@@ -129,7 +133,6 @@ def _stages() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
 def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
     if not data.is_dir() and data.suffix not in (".mcap", ".db3"):
         return read_run(data, nominal, angles, side)
-    from arm_emulator.bags.bag_run import read_bag_run  # ROS, where it is needed
 
     return read_bag_run(data, nominal)
 
@@ -198,3 +201,46 @@ def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequenc
     heading += [f"warning: {doubt}" for doubt in doubts]
     values = with_followers(scene, values)
     write_fitted(out, file, scene, values, bodies_of(scene, fit), "\n".join(heading))
+
+
+def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
+    """Read the motor states of a bag: counts and currents, or commanded torques.
+
+    Raises:
+        Refusal: it cannot be read, something is missing, or samples are not sound.
+    """
+    t = list[float]()
+    counts, current, command, at_link = (list[list[float]]() for _ in range(4))
+    tick = -1
+    for _, state in RecordedTopics(Bag(path)).read("motor_states"):
+        if state.tick == tick:
+            continue  # published again, as no answer came
+        tick = state.tick
+        names = list(state.joint_names)
+        for joint in scene.joint_names:
+            if joint not in names:
+                raise Refusal(str(path), "joints", f"be those of {scene.where}", ", ".join(names))
+        order = [names.index(joint) for joint in scene.joint_names]
+        t.append(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec)
+        for into, of in (
+            (counts, state.encoder_counts), (current, state.current),
+            (command, state.applied), (at_link, state.link_encoder_counts),
+        ):  # fmt: skip
+            into.append([of[k] if len(of) else 0 for k in order])
+    if not t:
+        raise Refusal(str(path), "bag", "have motor_states", "none")
+    q_motor = (np.array(counts, np.float64) + 0.5) * link_angle_per_count(scene)
+    units = np.array([joint.unit == "N m" for joint in scene.joints])
+    Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
+    tau = np.array(current, np.float64) * np.nan_to_num(Kt)
+    # A command is reported at the end of the period in which it held: here, half of it before.
+    applied = np.array(command, np.float64)
+    later = np.vstack([applied[1:], applied[-1:]])
+    tau = np.where(units, 0.5 * (applied + later), tau)
+    signals = {"t": np.array(t), "q_motor": q_motor, "tau": tau}
+    link = np.array(at_link, np.float64)
+    if link.any():
+        per = [joint.sensors.link_encoder for joint in scene.joints]
+        scale = [2.0 * np.pi / one.counts_per_turn if one else np.nan for one in per]
+        signals["q_link"] = (link + 0.5) * np.array(scale)
+    return run_of(signals, scene, str(path))
