@@ -1,7 +1,7 @@
 """Tool paths: poses in a row, and the curve through them with the places where the tool stops.
 
 The tool first goes to the first pose from where it is, and rests in it. Then it follows the curve
-of tool_curve.py, as fast as limits of the tool and of the joints allow, or so that it is in each
+of `ToolCurve`, as fast as limits of the tool and of the joints allow, or so that it is in each
 pose at the time that the pose is stamped with.
 
 Flat corners are rounded, so that the tool passes them no farther than `ROUNDED` away. Where the
