@@ -16,9 +16,8 @@ from PIL import Image
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
-from arm_emulator.view.film import write_gif
+from arm_emulator.view.film import take_screenshots, write_gif
 from arm_emulator.view.rerun_stream import RerunStream
-from arm_emulator.view.screenshot import take_screenshots
 
 SCENE = "ur5"
 SIDE = 0.3  # m, of the square across which the tool goes

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.cli.commands.latency import latency, wake_ups
+from arm_emulator.cli.commands.latency import answers_in_time, latency, wake_ups
 from arm_emulator.cli.output import output
-from arm_emulator.ros.answers_in_time import answers_in_time
 
 
 @pytest.mark.parametrize("rate", [200.0, 3000.0])

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.page.guard import Guard, _put_title
 from arm_emulator.page.page_address import PageAddress
+from arm_emulator.page.page_server import Guard, _put_title
 
 TOKEN = "s3cret-token"
 OWN = {"Host": "127.0.0.1:8765"}

@@ -10,11 +10,10 @@ import pytest
 from draws import some
 
 from arm_emulator import OfflineRun, Pose, Refusal, Scene, load_gains, load_scene
-from arm_emulator.analysis.rest_shares import rest_shares
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.demo import verdict
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.demo.predicted_rest import Arrival, predicted_rest
+from arm_emulator.demo.predicted_rest import Arrival, predicted_rest, rest_shares
 from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder, unblurred
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part

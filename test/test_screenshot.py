@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.view.screenshot import take_screenshot
+from arm_emulator.view.film import take_screenshot
 
 DRIVERLESS = "mesa-vulkan-drivers"
 

@@ -16,8 +16,7 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
-from arm_emulator.runs.target_limits import check_targets
-from arm_emulator.runs.target_table import TargetTable, load_target_table
+from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
 
 SECONDS = Number("seconds", "s", above=0.0, at_most=1e6, text="how long a run lasts")
 AT = Number("at", "s", at_least=0.0, at_most=1e6, text="when it holds from")

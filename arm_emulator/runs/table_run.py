@@ -22,8 +22,7 @@ from arm_emulator.machine.session import Session
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep
-from arm_emulator.runs.target_limits import check_targets
-from arm_emulator.runs.target_table import TargetTable, load_target_table
+from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
 from arm_emulator.servo.drives import Drives
 
 _PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed

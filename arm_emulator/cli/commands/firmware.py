@@ -37,8 +37,7 @@ from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator.runs.goal import last_target, missed_target
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, off_target
-from arm_emulator.runs.target_limits import check_targets
-from arm_emulator.runs.target_table import load_target_table
+from arm_emulator.runs.target_table import check_targets, load_target_table
 
 _WHERE = ("stdout", "pty", "none")
 
