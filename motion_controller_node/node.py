@@ -29,12 +29,12 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 from arm_emulator.base.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.follow_goal import check_points, tolerances_of
-from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import SECTIONS, MotionConfig

@@ -13,7 +13,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from arm_emulator.analysis.reference import ROWS, STIFF, Array, ReferenceMachine
+from arm_emulator.analysis.reference import ROWS, STIFF, ReferenceMachine
+from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
 ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from scipy import linalg
 
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
-from arm_emulator.servo.held_motor import FloatArray, held
+from arm_emulator.base.given import FloatArray
+from arm_emulator.servo.held_motor import held
 
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import struct
 import zlib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -34,6 +32,7 @@ from mcap.writer import MCAP0_MAGIC
 from arm_emulator.base.mcap_records import CutOff, Damaged, McapFile, Record
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import open_file
+from arm_emulator.base.whole_file import flush_to_disk, write_all
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -205,33 +204,6 @@ def _write_end(file: Path, whole: _Whole) -> None:
         stream.seek(whole.end)
         write_all(stream, end)
         flush_to_disk(stream.fileno())
-
-
-def write_all(stream: IO[bytes], data: bytes) -> None:
-    """Write to a file without a buffer, which may accept a part at a time.
-
-    Raises:
-        OSError: not all bytes were written.
-    """
-    rest = memoryview(data)
-    while rest:
-        taken = stream.write(rest)
-        if not taken:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        rest = rest[taken:]
-
-
-def flush_to_disk(descriptor: int) -> None:
-    """Wait for the disk: some report only now that they are full, or over a quota.
-
-    Raises:
-        OSError: not all bytes were written.
-    """
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # fsync is not supported
-            raise
 
 
 def _statistics(whole: _Whole) -> Statistics:

@@ -19,6 +19,7 @@ from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.kept import SUFFIXES, check_suffix
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
+from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk
 
 CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not by size
 ROWS_OF_CHUNK = 256
@@ -69,8 +70,6 @@ class CsvFile:
     """A heading with units, then a line per row; values that are not finite are empty cells."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
-        from arm_emulator.base.unbuffered_file import UnbufferedFile
-
         self._file, self._columns, self._stream = file, columns, UnbufferedFile(file)
         self._stream.write(",".join(_cell(one.heading) for one in columns).encode() + b"\n")
         # End of the last whole line.
@@ -84,8 +83,6 @@ class CsvFile:
 
     def close(self) -> None:
         """Complete the file."""
-        from arm_emulator.base.mcap_end import flush_to_disk
-
         flush_to_disk(self._stream.fileno())
         self._stream.close()
 
@@ -104,8 +101,6 @@ class McapFile:
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         need_wheel("record", "mcap", "mcap")
         from mcap.writer import CompressionType, Writer
-
-        from arm_emulator.base.unbuffered_file import UnbufferedFile
 
         self._file, self._stream = file, UnbufferedFile(file)
         self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
@@ -140,8 +135,6 @@ class McapFile:
 
     def close(self) -> None:
         """Write the index."""
-        from arm_emulator.base.mcap_end import flush_to_disk
-
         self._mcap.finish()
         flush_to_disk(self._stream.fileno())
         self._stream.close()
@@ -163,8 +156,6 @@ class _WholeAtTheEnd:
         self._part.touch(exist_ok=False)
 
     def _publish(self) -> None:
-        from arm_emulator.base.mcap_end import flush_to_disk
-
         with self._part.open("rb") as stream:
             flush_to_disk(stream.fileno())
         self._part.rename(self._file)

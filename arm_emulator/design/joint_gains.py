@@ -35,8 +35,8 @@ import numpy as np
 
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.held_motor import FloatArray
 from arm_emulator.servo.servo_config import Commanded, JointServo
 
 SENSITIVITY = 2.0

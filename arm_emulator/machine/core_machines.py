@@ -19,7 +19,6 @@ from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.call_arguments import Commands, by_joint, options_of, refusal_of
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.chosen_arms import chosen_arms
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
@@ -366,3 +365,32 @@ class FleetState(ByValue):
     q: Array  # rad or m, link side
     v: Array  # rad/s or m/s, link side
     gear_torque: Array  # N m or N, on the link
+
+
+def chosen_arms(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bool_]:
+    """Return which arms are chosen, as a mask (count,).
+
+    Args:
+        where: for refusals.
+        arms: a mask (count,) or indices; None: all.
+        count: of arms.
+
+    Raises:
+        Refusal: no such arms.
+    """
+    if arms is None:
+        return np.ones(count, bool)
+    try:
+        chosen = np.asarray(arms)
+    except Exception:  # any error of a foreign object means that it has no numbers
+        chosen = np.asarray(None)
+    if chosen.dtype == np.bool_ and chosen.shape == (count,):
+        return np.ascontiguousarray(chosen)
+    mask = np.zeros(count, bool)
+    whole = chosen.dtype.kind in "iu" or chosen.size == 0
+    if not whole or chosen.ndim > 1 or (np.abs(chosen + 0.5) > count).any():
+        raise Refusal(where, "arms", f"be a mask of {count}, or indices of {count} arms", arms)
+    mask[chosen.astype(np.int64)] = True
+    if mask.sum() < chosen.size:  # such as a mask of 0 and 1
+        raise Refusal(where, "arms", f"be a mask of {count}, or indices, each once", arms)
+    return mask

@@ -14,11 +14,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.urdf_text import UNLIMITED
-from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.mesh_units import in_metres, package_folders
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collisions import collisions_of
-from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.no_way import NoWay

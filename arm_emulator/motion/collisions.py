@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.arm_shapes import ArmShapes
-from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.obstacles import Obstacle
 
 _DRAWN = 100  # configurations

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.coming_orders import (
     ComingOrders,
@@ -18,7 +19,7 @@ from arm_emulator.motion.coming_orders import (
     trajectory_order,
 )
 from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.jog import JogCommand
 from arm_emulator.motion.jog_order import JogOrder
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint

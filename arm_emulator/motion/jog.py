@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.bound import VELOCITY
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.base.given import FloatArray
+from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.jog import JogCommand, JogStatus
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints

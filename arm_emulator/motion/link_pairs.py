@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.arm_shapes import ArmShapes
-from arm_emulator.motion.instruction import FloatArray
 
 DRAWN = 10_000  # configurations: MoveIt's own assistant draws as many
 _JUDGED = 200  # of them for `ALWAYS`

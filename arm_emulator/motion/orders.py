@@ -8,9 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.going_on import GoingOn
-from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.laws import Laws

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.base.given import FloatArray
+from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.orders import MOVING, Planned, Progress

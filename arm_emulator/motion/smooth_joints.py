@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ruckig
 
-from arm_emulator.motion.instruction import FloatArray
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.reference import Reference
 
 _BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.base.given import FloatArray
+from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.reference import Reference
 

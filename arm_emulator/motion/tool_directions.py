@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.motion.instruction import FloatArray
+from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.jog import JogStatus
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig

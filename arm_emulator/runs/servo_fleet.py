@@ -20,7 +20,7 @@ from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.chosen_arms import chosen_arms
+from arm_emulator.machine.core_machines import chosen_arms
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.scene import Scene

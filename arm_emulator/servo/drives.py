@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.bound import BRAKE_CLOSED
+from arm_emulator.base.given import FloatArray
 from arm_emulator.build.c_header import NULL, pointer
-from arm_emulator.servo.servo import FloatArray, Servo, ServoConfig
+from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.search.method import Array, Course, Finding, Method
+from arm_emulator.campaign.search.method import Course, Finding, Method
 from arm_emulator.campaign.variation import Variation
+from arm_emulator.machine.chain import Array
 
 WORST = -1e9  # margin of a run that diverged
 

@@ -11,8 +11,9 @@ from scipy import special
 
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.search.method import Array, Course, Finding, Method
+from arm_emulator.campaign.search.method import Course, Finding, Method
 from arm_emulator.campaign.variation import Variation
+from arm_emulator.machine.chain import Array
 
 CONFIDENCE = 0.95
 TAIL = 0.01  # on either side of the quantiles that Morris' steps keep within
