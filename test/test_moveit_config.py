@@ -15,8 +15,14 @@ import yaml
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.design import ros2_control
-from arm_emulator.design.moveit_package import LAUNCHES, MACHINE, moveit_files, package_name
-from arm_emulator.design.moveit_semantics import GROUP, srdf
+from arm_emulator.design.moveit_package import (
+    GROUP,
+    LAUNCHES,
+    MACHINE,
+    moveit_files,
+    package_name,
+    srdf,
+)
 from arm_emulator.motion.mesh_units import package_folders
 
 SCENES = ("three_axis", "ur5", "panda")
@@ -27,7 +33,7 @@ DRAWN = 500
 def files(request: pytest.FixtureRequest) -> tuple[str, dict[str, str]]:
     name = request.param
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("arm_emulator.design.moveit_semantics.srdf.__defaults__", (DRAWN,))
+        patch.setattr("arm_emulator.design.moveit_package.srdf.__defaults__", (DRAWN,))
         return name, moveit_files(load_scene(name), load_gains(name).motion, name)
 
 

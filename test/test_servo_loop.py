@@ -13,7 +13,6 @@ from draws import some
 from arm_emulator import Refusal, Servo, Session, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop
-from arm_emulator.analysis.servo_at_rest import swing_at_rest
 from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import (
     OVERSHOOT,
@@ -25,6 +24,7 @@ from arm_emulator.design.joint_gains import (
     joint_plant,
     joint_servo,
 )
+from arm_emulator.design.tuned import swing_at_rest
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.held_motor import held, held_motor
 from arm_emulator.servo.servo import ServoConfig

@@ -8,13 +8,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from arm_emulator.base.escape import xml_text
 from arm_emulator.build.unit import stem_of
-from arm_emulator.design import moveit_semantics as semantics
 from arm_emulator.design import ros2_control
+from arm_emulator.design.ros2_control import TRAJECTORY_CONTROLLER
 from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.urdf_tree import names_of, read_joints, root_of
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.kinematics_model import rate_limits
+from arm_emulator.motion.link_pairs import DRAWN, link_pairs
 from arm_emulator.motion.mesh_units import package_folders
 from arm_emulator.motion.motion_config import MotionConfig
 
@@ -137,17 +142,17 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         "CMakeLists.txt": _CMAKE.format(**words),
         ".setup_assistant": _yaml(_assistant(name, package)),
         f"config/{name}.urdf.xacro": _description(scene, package),
-        f"config/{name}.srdf": semantics.srdf(scene),
+        f"config/{name}.srdf": srdf(scene),
         "config/ros2_controllers.yaml": ros2_control.controllers(scene),
         "config/moveit.rviz": _yaml(_rviz()),
         "launch/network.launch.py": _NETWORK.format(**words),
     }
     contents = {
-        "kinematics": semantics.kinematics(scene),
-        "joint_limits": semantics.joint_limits(scene, motion),
-        "pilz_cartesian_limits": semantics.cartesian_limits(motion),
-        "moveit_controllers": semantics.trajectory_execution(scene, network=False),
-        "network_controllers": semantics.trajectory_execution(scene, network=True),
+        "kinematics": kinematics(scene),
+        "joint_limits": joint_limits(scene, motion),
+        "pilz_cartesian_limits": cartesian_limits(motion),
+        "moveit_controllers": trajectory_execution(scene, network=False),
+        "network_controllers": trajectory_execution(scene, network=True),
     }
     texts |= {f"config/{file}.yaml": _yaml(content) for file, content in contents.items()}
     for file, function in LAUNCHES.items():
@@ -209,23 +214,146 @@ def _rviz() -> dict[str, Any]:
     planning = {
         "Class": "moveit_rviz_plugin/MotionPlanning",
         "Name": "MotionPlanning",
-        "Planning Request": {"Planning Group": semantics.GROUP},
+        "Planning Request": {"Planning Group": GROUP},
         "Planning Scene Topic": "monitored_planning_scene",
         "Robot Description": "robot_description",
         "Value": True,
     }
     grid = {"Class": "rviz_default_plugins/Grid", "Name": "Grid", "Value": True}
     view = {"Class": "rviz_default_plugins/Orbit", "Name": "Current View", "Distance": 3.0,
-            "Pitch": 0.5, "Yaw": 0.8, "Target Frame": semantics.WORLD}  # fmt: skip
+            "Pitch": 0.5, "Yaw": 0.8, "Target Frame": WORLD}  # fmt: skip
     tools = ["Interact", "MoveCamera", "Select"]
     return {
         "Panels": [{"Class": f"rviz_common/{one}", "Name": one} for one in ("Displays", "Views")],
         "Visualization Manager": {
             "Displays": [grid, planning],
-            "Global Options": {"Fixed Frame": semantics.WORLD},
+            "Global Options": {"Fixed Frame": WORLD},
             "Tools": [{"Class": f"rviz_default_plugins/{one}"} for one in tools],
             "Value": True,
             "Views": {"Current": view},
         },
         "Window Geometry": {"Height": 900, "Width": 1400},
+    }
+
+
+GROUP = "arm"
+WORLD = "world"
+ACTION = "follow_joint_trajectory"
+FREE = 6  # joints that can reach any pose
+
+
+def base_link(scene: Scene) -> str:
+    """Return the link that no joint moves."""
+    robot = ET.fromstring(scene.urdf)
+    links = names_of(robot, "link", scene.where)
+    return root_of(links, read_joints(robot, links, scene.where), scene.where)
+
+
+def named_states(scene: Scene) -> dict[str, list[float]]:
+    """Return poses by name: where the scene starts, and all joints at 0 where limits allow it."""
+    arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    states = {"start": [float(one) for one in scene.start]}
+    within = (arm.lower <= 0.0) & (arm.upper >= 0.0)
+    if np.all(within) and any(states["start"]):
+        states["zero"] = [0.0] * len(scene.joints)
+    return states
+
+
+def srdf(scene: Scene, drawn: int = DRAWN) -> str:
+    """Return the SRDF of a scene's robot.
+
+    Args:
+        scene: the machine.
+        drawn: configurations in which links are tested for contact (`link_pairs`).
+
+    Raises:
+        Refusal: a mesh of the robot that cannot be read.
+    """
+    base = base_link(scene)
+    robot = ET.Element("robot", name=ET.fromstring(scene.urdf).get("name") or scene.name)
+    group = ET.SubElement(robot, "group", name=GROUP)
+    ET.SubElement(group, "chain", base_link=base, tip_link=scene.tool)
+    for name, positions in named_states(scene).items():
+        state = ET.SubElement(robot, "group_state", name=name, group=GROUP)
+        for joint, value in zip(scene.joint_names, positions, strict=True):
+            ET.SubElement(state, "joint", name=joint, value=f"{value!r}")
+    if base != WORLD:
+        ET.SubElement(robot, "virtual_joint", name=f"{WORLD}_to_{base}", type="fixed",
+                      parent_frame=WORLD, child_link=base)  # fmt: skip
+    for pair in link_pairs(scene.urdf, scene.joint_names, drawn):
+        ET.SubElement(robot, "disable_collisions", link1=pair.first, link2=pair.second,
+                      reason=pair.reason.value)  # fmt: skip
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def joint_limits(scene: Scene, motion: MotionConfig) -> dict[str, Any]:
+    """Return the content of joint_limits.yaml: what our motion control would keep, too."""
+    limits = rate_limits(scene.urdf)
+    of_joints = {}
+    for name in scene.joint_names:
+        values = {
+            "velocity": min(limits[name].velocity, motion.velocity_limit),
+            "acceleration": min(limits[name].acceleration, motion.acceleration_limit),
+        }
+        of_joints[name] = {
+            key: given
+            for what, value in values.items()
+            for key, given in ((f"has_{what}_limits", True), (f"max_{what}", value))
+        }
+    return {
+        "default_velocity_scaling_factor": 1.0,
+        "default_acceleration_scaling_factor": 1.0,
+        "joint_limits": of_joints,
+    }
+
+
+def cartesian_limits(motion: MotionConfig) -> dict[str, Any]:
+    """Return the content of pilz_cartesian_limits.yaml: of the tool on our paths."""
+    limits = {
+        "max_trans_vel": motion.tool_speed,
+        "max_trans_acc": motion.tool_acceleration,
+        "max_trans_dec": -motion.tool_acceleration,
+        "max_rot_vel": motion.tool_turn_speed,
+    }
+    return {"cartesian_limits": limits}
+
+
+def kinematics(scene: Scene) -> dict[str, Any]:
+    """Return the content of kinematics.yaml; fewer than `FREE` joints reach positions alone."""
+    solver = {
+        "kinematics_solver": "kdl_kinematics_plugin/KDLKinematicsPlugin",
+        "kinematics_solver_search_resolution": 0.005,
+        "kinematics_solver_timeout": 0.05,
+    }
+    arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    if arm.to_tool.sum() < FREE:
+        solver["position_only_ik"] = True
+    return {GROUP: solver}
+
+
+def trajectory_execution(scene: Scene, network: bool) -> dict[str, Any]:
+    """Return the content of a file *_controllers.yaml of MoveIt.
+
+    Args:
+        scene: the machine.
+        network: whether the action is that of our motion controller, in the root namespace.
+    """
+    # MoveIt joins the controller's name and its action_ns.
+    name, inner = (ACTION, "") if network else (TRAJECTORY_CONTROLLER, ACTION)
+    one = {
+        "type": "FollowJointTrajectory",
+        "action_ns": inner,
+        "default": True,
+        "joints": list(scene.joint_names),
+    }
+    simple = "moveit_simple_controller_manager"
+    return {
+        "trajectory_execution": {
+            "allowed_execution_duration_scaling": 1.2,
+            "allowed_goal_duration_margin": 0.5,
+            "allowed_start_tolerance": 0.01,
+        },
+        "moveit_controller_manager": f"{simple}/MoveItSimpleControllerManager",
+        simple: {"controller_names": [name], name: one},
     }

@@ -12,7 +12,11 @@ from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
-from arm_emulator.build.c_header import NULL, CData, pointer
+from arm_emulator.build.c_header import NULL, CData, Header, pointer
+from arm_emulator.build.flags import CPP_FLAGS
+from arm_emulator.build.unit import Unit, compiled_once
+from arm_emulator.core import CORE
+from arm_emulator.motion.cpp import FOLDER
 from arm_emulator.motion.kinematics import (
     POSE_ROWS,
     POSITION_ROWS,
@@ -21,7 +25,6 @@ from arm_emulator.motion.kinematics import (
     tool_frame,
 )
 from arm_emulator.motion.kinematics_model import JOINT, WHERE
-from arm_emulator.motion.way_library import WAY, way_library
 
 
 class ArmTree(Lasting):
@@ -163,3 +166,15 @@ class ArmTree(Lasting):
 
 def _doubles(values: Any) -> FloatArray:
     return np.ascontiguousarray(np.array(values, dtype=np.float64))
+
+
+WAY = Header(FOLDER / "way.h")
+
+
+def way_unit() -> Unit:
+    """Return their sources."""
+    source = '#include "way.cpp"\n'
+    return Unit("way", source, CPP_FLAGS, (FOLDER, CORE), (WAY,), "motion", "the ways", "way.cpp")
+
+
+way_library = compiled_once(way_unit)

@@ -30,8 +30,7 @@ from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.orders import MOVING, Order, Planned, Progress, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.slowing_order import SlowingOrder
-from arm_emulator.motion.standstill import Flags, Standstill
+from arm_emulator.motion.standstill import Flags, SlowingOrder, Standstill
 from arm_emulator.motion.target_stream import StreamOrder, TargetStream, is_near
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.way_controller import LOST

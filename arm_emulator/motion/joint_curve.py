@@ -10,7 +10,7 @@ import numpy as np
 
 from arm_emulator.base.given import FloatArray
 from arm_emulator.build.c_header import CData, pointer
-from arm_emulator.motion.way_library import WAY, way_library
+from arm_emulator.motion.arm_tree import WAY, way_library
 
 DERIVATIVES = 4  # the curve itself among them
 ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that begins outside

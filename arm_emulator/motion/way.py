@@ -18,10 +18,9 @@ from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.build.c_header import NULL, pointer
-from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.arm_tree import WAY, ArmTree, way_library
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.way_library import WAY, way_library
 
 FEWEST_PIECES = 24  # of the timing
 MOST_PIECES = 400  # of a way in which the ramps decide how many it has
