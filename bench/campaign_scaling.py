@@ -26,7 +26,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from arm_emulator.base.process import processor_time
 from arm_emulator.campaign.campaign_file import load_campaign
 from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.crew import Crew, Pool
@@ -35,6 +34,7 @@ from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.results import Results, digest_of
 from bench.campaign_kills import LONGEST, Cluster
 from bench.many_runs import FAULTS
+from bench.measure import processor_time
 
 PER_TASK = {"Dask": 1e-3, "hyperqueue": 1e-4}  # s of the scheduler, hand-out and end together
 WAY = 1e-3  # s that a message is on its way

@@ -20,12 +20,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from arm_emulator.base.process import processor_time
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
 from bench.lockstep import listener
+from bench.measure import processor_time
 from bench.page_browsers import browsers, drawing, page_process, resident, sent, taking
 
 SECONDS = 5.0  # wall, of each run

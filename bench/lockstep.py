@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.process import processor_time
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.ros.bringup import NODES, Bringup
 from arm_emulator.ros.c import FOLDER as ROS_FOLDER
 from arm_emulator.ros.ros_domain import own_domain
+from bench.measure import processor_time
 
 ROUNDS = 6000
 SECONDS = 5.0  # wall, of each lock-step run

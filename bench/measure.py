@@ -222,3 +222,14 @@ def _processor() -> str:
         name += f" (family {values['cpu family']}, model {values.get('model', '?')})"
     simd = [flag for flag in ("avx2", "avx512f") if flag in values.get("flags", "").split()]
     return ", ".join([name, *simd])
+
+
+def processor_time(process: int) -> float:
+    """Return the processor time that a process has spent [s].
+
+    Raises:
+        OSError: there is no such process.
+    """
+    # The name in brackets may have blanks and brackets of its own.
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -1,4 +1,4 @@
-"""Joints while some of them cannot move, without power or with closed brakes."""
+"""Joints while some of them cannot move, by power or brakes, and motions that slow down."""
 
 from __future__ import annotations
 
