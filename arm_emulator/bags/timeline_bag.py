@@ -1,4 +1,4 @@
-"""A timeline written as a bag, which names the bag of the run that it forked from."""
+"""A timeline written as a bag, which names the bag that it forked from, and made again from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects that refuse attributes that they do not have, and name the nearest that they have."""
+"""Objects that name the nearest of their attributes for an unknown one, or refuse to be copied."""
 
 from __future__ import annotations
 

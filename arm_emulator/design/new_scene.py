@@ -20,7 +20,8 @@ from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, 
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
 from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
-from arm_emulator.design.mesh_file import move_meshes, own_collisions, own_shapes
+from arm_emulator.design.mesh_file import move_meshes
+from arm_emulator.design.own_collisions import own_collisions, own_shapes
 from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
 from arm_emulator.design.robot_file import forget_impossible, read_limits, robot_text, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text

@@ -1,4 +1,4 @@
-"""A formula as rows of core/boundary/formula.h."""
+"""A formula as rows of core/boundary/formula.h, and the library that computes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Units of meshes: COLLADA files name theirs, which coal does not read; others are in metres."""
+"""Units of meshes, of which COLLADA files name theirs, and the folders of packages with meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers of joints as tables of Markdown."""
+"""Numbers of joints as tables of Markdown, and events as a list."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The address at which a page is served."""
+"""The address at which a page is served, and its token."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part of a run that a page shows."""
+"""The part of a run that a page shows, with the history of its signals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint targets from a table: a CSV file with the columns `t` and the joints' names."""
+"""Joint targets from a CSV file with columns `t` and the joints, and limits that they exceed."""
 
 from __future__ import annotations
 
