@@ -16,7 +16,6 @@ import numpy as np
 
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlant
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.stability import SmallMotions, contacts
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
@@ -247,7 +246,7 @@ def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
     Raises:
         Refusal: see `check_loops`.
     """
-    warn_of_scene(scene)
+    warn(*scene.warnings)
     for line in check_loops(scene, servo):
         warn(line)
 

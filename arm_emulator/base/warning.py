@@ -7,7 +7,8 @@ import sys
 given: list[str] = []  # by this process
 
 
-def warn(text: str) -> None:
-    """Print a warning."""
-    given.append(text)
-    print(f"warning: {text}", file=sys.stderr)
+def warn(*texts: str) -> None:
+    """Print warnings."""
+    given.extend(texts)
+    for text in texts:
+        print(f"warning: {text}", file=sys.stderr)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.kept import Kept
+from arm_emulator.base.warning import warn
 from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
@@ -24,7 +24,7 @@ def served_session(scene: Scene, clock: str, kept: Kept, page: str | None) -> It
         kept: records of it.
         page: address of its page in the browser, if any.
     """
-    warn_of_scene(scene)
+    warn(*scene.warnings)
     waits = clock != "realtime"
     if waits:
         session = Session(scene, "lockstep", "first_answer")

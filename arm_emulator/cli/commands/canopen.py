@@ -11,11 +11,11 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.analysis.mode_loops import withheld_words
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.address import host_and_port
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
@@ -43,7 +43,7 @@ def load_segment(
     """
     file = find_scene(scene_name)
     scene, servo = load_scene(file), load_gains(file).servo
-    warn_of_scene(scene)
+    warn(*scene.warnings)
     check_servo(scene, servo)
     drives = Drives(Plant(scene), servo, CANOPEN)
     return Segment(drives, first, lockstep=lockstep, sync_period=sync_period)

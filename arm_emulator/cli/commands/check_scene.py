@@ -11,7 +11,6 @@ from cyclopts import Parameter
 
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
@@ -112,7 +111,7 @@ def check_scene(name: str) -> Checked:
         scene.where, scene.joint_names, tuple(scene.assumed), **files, missing=tuple(missing)
     )
     if missing:
-        warn_of_scene(scene)
+        warn(*scene.warnings)
         return checked
     gains = load_gains(file)
     check_fit(scene, gains.servo, gains.motion)

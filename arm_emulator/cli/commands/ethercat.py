@@ -11,10 +11,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.analysis.mode_loops import withheld_words
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Keep, PageAt, SceneName
@@ -109,7 +109,7 @@ def write_esi(scene_name: str, file: Path) -> int:
 def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     path = find_scene(scene_name)
     scene = load_scene(path)
-    warn_of_scene(scene)
+    warn(*scene.warnings)
     servo = load_gains(path).servo
     check_servo(scene, servo)
     return scene, Segment(scene, servo, lockstep)

@@ -17,11 +17,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.run import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile, When
@@ -74,7 +74,7 @@ def firmware(
     """
     kept.check("firmware")
     machine = load_scene(find_scene(scene))
-    warn_of_scene(machine)
+    warn(*machine.warnings)
     wiring = load_board(board, machine.joint_names)
     check = partial(check_targets, machine)
     table = None if targets is None else load_target_table(targets, machine.joint_names, check)

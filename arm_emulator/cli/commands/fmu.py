@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.base.warning import warn
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
@@ -37,7 +37,7 @@ def fmu(
     """
     names = None if varied is None else [one for one in varied.split(",") if one]
     machine = load_scene(scene, {} if names is None else {"varied": names})
-    warn_of_scene(machine)
+    warn(*machine.warnings)
     export(machine, out, target or TARGET, fmi, windows)
     parameters = f", {len(machine.varied)} parameters" if machine.varied else ""
     output.line(

@@ -16,14 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from cyclopts import Parameter
 
-from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.warning import given
+from arm_emulator.base.warning import given, warn
 from arm_emulator.build.c_header import CData
 from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.cli.case_bag import check_new_bag
@@ -154,7 +153,7 @@ def _run_table(
         if library is None:
             warn_of_loops(one.session.scene, load_gains(find_scene(scene)).servo)
         else:
-            warn_of_scene(one.session.scene)
+            warn(*one.session.scene.warnings)
         with contextlib.closing(one):
             return _report_table(one, targets, seconds, kept), output.collected, given
 
