@@ -59,7 +59,8 @@ WINDOWS = ((20, 3), (80, 3), (320, 3), (40, 6), (80, 6))
 SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
 # Three numbers for schemes that place events at steps. Runs with the first numbers of steps are
 # coarse. A fine run has so many times as many, and its largest error is smaller by the last factor
-# at least. An event may lie well in a step or badly, so that single errors scatter.
+# at least. An event may lie well in a step or badly, so that single errors scatter. Where all of
+# the coarse runs diverge, a finer one stands for them.
 COARSE, FINER, FALLS = (20, 40, 80), 32, 4.0
 CANDIDATES = 40  # machines, of which the one with the most new pairs is taken
 
@@ -254,8 +255,15 @@ def judge(
         truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
         coarse = [_apart(run(steps), truth) for steps in COARSE]
         largest = max((one for one in coarse if one < math.inf), default=math.inf)
+        begin, halvings = COARSE[0], round(math.log2(FINER))
+        # No coarse run has come to its end: the first finer one that does takes their place.
+        steps = COARSE[-1]
+        while largest == math.inf and steps < finest // FALLS:
+            steps *= 2
+            begin, halvings = steps, round(math.log2(finest / steps))
+            largest = _apart(run(steps), truth)
         errors = largest, _apart(run(finest), truth)
-        return verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
+        return verdict(errors, begin, halvings, math.log(FALLS, FINER))
     for steps, halvings in WINDOWS:
         runs = [run(steps << k, scheme, "located") for k in range(halvings + 2)]
         found = verdict(tuple(map(_apart, runs, runs[1:])), steps, halvings, ORDER)
