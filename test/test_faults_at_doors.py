@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,8 +47,10 @@ from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.doors.fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator.doors.fmu.export import export
+from arm_emulator.doors.json_lines import JsonLinesServer
 from arm_emulator.doors.tcp import TcpServer
 from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
+from arm_emulator.doors.unix_socket import UnixSocketServer
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.firmware import Firmware
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
@@ -134,7 +137,8 @@ class ByTcp(BySession):
 
     def _begin(self) -> None:
         super()._begin()
-        self.server, self.on = TcpServer(self.session, port=0), True
+        self.server: JsonLinesServer = TcpServer(self.session, port=0)
+        self.on = True
 
     def _power(self, on: bool) -> None:
         self.on = on  # with each command
@@ -150,6 +154,16 @@ class ByTcp(BySession):
         reply = json.loads(self.server.answer(json.dumps(given).encode()))
         if "refused" in reply:
             raise Refused(reply["refused"])
+
+
+class ByUnixSocket(ByTcp):
+    title = "Unix socket"
+
+    def _begin(self) -> None:
+        BySession._begin(self)
+        with TemporaryDirectory() as folder:
+            self.server = UnixSocketServer(self.session, Path(folder) / "s")
+        self.on = True
 
 
 class ByUdp(ByTcp):
@@ -575,7 +589,7 @@ def test_each_door_is_in_the_table_and_refuses_in_the_same_words() -> None:
 @pytest.mark.parametrize(
     "door",
     [
-        ByPlant(), BySession(), ByTcp(), ByUdp(), ByModbus(), ByRun(),
+        ByPlant(), BySession(), ByTcp(), ByUnixSocket(), ByUdp(), ByModbus(), ByRun(),
         ByDrives("EtherCAT", ETHERCAT), ByDrives("CANopen", CANOPEN),
     ],
     ids=lambda door: door.title,

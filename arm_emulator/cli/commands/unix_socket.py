@@ -1,0 +1,41 @@
+"""Serve control software of this machine by lines of JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.base.kept import NOTHING
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
+from arm_emulator.cli.output import output
+from arm_emulator.cli.served import served_session
+from arm_emulator.doors.unix_socket import UnixSocketServer
+from arm_emulator.machine.scene import load_scene
+
+
+@command(until_stopped=True, keys="`scene`, `address`, `clock`")
+def unix_socket(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    listen: Annotated[Path, Parameter(metavar="FILE")] = Path("arm.sock"),
+    clock: Clock = "lockstep",
+    page: PageAt = None,
+    kept: Keep = NOTHING,
+) -> int:
+    """Serve clients by a Unix socket, one after the other, until Ctrl-C.
+
+    Args:
+        listen: file that clients connect to.
+    """
+    kept.check("unix-socket")
+    machine = load_scene(scene)
+    with served_session(machine, clock, kept, page) as session:
+        server = UnixSocketServer(session, listen)
+        output.facts({"scene": machine.name, "address": server.path, "clock": clock})
+        print(f"unix-socket: scene {machine.name}, {server.path}, clock {clock}", flush=True)
+        server.serve()
+    return 0
