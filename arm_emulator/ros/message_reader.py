@@ -137,7 +137,7 @@ class MessageReader:
                 self._order.arrange(names, values, self._rows[path].bound)
         except Refusal as reason:
             return reason
-        raise AssertionError(f"{self._topic}: {path} was refused without a reason")
+        return Refusal(self._topic, path, "be readable", "another value")  # C alone knows why
 
     def _read_row_into(self, field: CData, type_: str, row: Row, N: int) -> None:
         kind = {"double": np.float64, "int64": np.int64}.get(type_)
