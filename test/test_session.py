@@ -250,3 +250,38 @@ def test_the_time_of_steps_is_that_of_the_core_alone() -> None:
     spent = session.step_wall_ns
     _ = session.state, session.measured, session.energy, session.plant.save()
     assert session.step_wall_ns == spent, "looking at the machine does not"
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_random_offers_are_what_their_ticks_and_bits_make_them(clock: str) -> None:
+    """Against a list of the accepted commands of the run, of which the last two are known."""
+    rng, one = np.random.default_rng(7), session(clock, "first_answer")
+    accepted: list[tuple[int, float]] = []
+    left, found = -1, set()
+    for _ in range(3000):
+        now, tick = one.tick, one.tick + int(rng.integers(-4, 3))
+        volt = float(rng.integers(0, 2))
+        newest = accepted[-1][0] if accepted else -1
+        if tick > now:
+            kind = "before the reset" if not accepted and tick <= left else "future"
+        elif (tick, volt) in accepted[-2:]:
+            kind = "repeated"
+        elif tick < newest or (clock == "lockstep" and accepted and tick < now):
+            kind = "stale"
+        else:
+            kind = "new"
+        found.add(kind)
+        if kind == "new":
+            one.offer(tick, NAMES, [volt, 0.0, 0.0])
+            accepted[-1:] = [*accepted[-1:], (tick, volt)] if tick != newest else [(tick, volt)]
+        else:
+            with pytest.raises(Refusal, match=rf"tick must be .* \({kind}\)") as refusal:
+                one.offer(tick, NAMES, [volt, 0.0, 0.0])
+            assert isinstance(refusal.value, Needless) == (kind in ("repeated", "before the reset"))
+        if rng.random() < 0.01:
+            left, accepted = one.tick, []
+            one.reset()
+        elif one.may_advance and rng.random() < 0.5:
+            one.advance()
+            assert one.measured.applied[0] == (accepted[-1][1] if accepted else 0.0)
+    assert found == {"new", "repeated", "stale", "future", "before the reset"}
