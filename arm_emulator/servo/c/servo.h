@@ -14,9 +14,10 @@
  * V = R i_ref + Kb omega + Rc (i_ref - i).
  *
  * A drive that closes a current loop takes a current in the place of a voltage. To the law that is
- * a winding of 1 ohm without back EMF whose voltages are amperes (arm_emulator/servo/servo_config.py):
- * read A for V in all that follows. A drive that is commanded a torque measures no current: the
- * torque that is predicted takes its place, with a torque constant of 1; read N m for V and A.
+ * a winding of 1 ohm without back EMF whose voltages are amperes
+ * (arm_emulator/servo/servo_config.py): read A for V in all that follows. A drive that is commanded
+ * a torque measures no current: the torque that is predicted takes its place, with a torque
+ * constant of 1; read N m for V and A.
  *
  * The announced torque of a target is multiplied by a factor that the servo learns: how much the
  * observed load changes per announced change, by least squares, from SERVO_LEAST to SERVO_MOST. So
