@@ -62,6 +62,8 @@ SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
 # at least. An event may lie well in a step or badly, so that single errors scatter. Where all of
 # the coarse runs diverge, a finer one stands for them.
 COARSE, FINER, FALLS = (20, 40, 80), 32, 4.0
+# Where the error of a fine run has not fallen, that of so many times as many steps must have.
+STILL_FINER = 16
 CANDIDATES = 40  # machines, of which the one with the most new pairs is taken
 
 # Numbers that switch a part off, by the end of their names. Other numbers are 0, where they may.
@@ -263,7 +265,13 @@ def judge(
             begin, halvings = steps, round(math.log2(finest / steps))
             largest = _apart(run(steps), truth)
         errors = largest, _apart(run(finest), truth)
-        return verdict(errors, begin, halvings, math.log(FALLS, FINER))
+        found = verdict(errors, begin, halvings, math.log(FALLS, FINER))
+        if found.in_order:
+            return found
+        # Coarse runs whose events lie well, or all alike, hide the order, which is of small steps.
+        truth = run(2 * STILL_FINER * finest, LOCATING_SCHEMES[0], "located")
+        errors = _apart(run(finest), truth), _apart(run(STILL_FINER * finest), truth)
+        return verdict(errors, finest, round(math.log2(STILL_FINER)), math.log(FALLS, STILL_FINER))
     for steps, halvings in WINDOWS:
         runs = [run(steps << k, scheme, "located") for k in range(halvings + 2)]
         found = verdict(tuple(map(_apart, runs, runs[1:])), steps, halvings, ORDER)
