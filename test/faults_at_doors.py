@@ -1,4 +1,4 @@
-"""The same faults at every door: what comes of each, and in which words.
+"""Faults that are done to every door, with the results and the words of refusals.
 
 What doors do stands in test/faults_at_doors.json, from which the page of doors has its table.
 `FAULTS_AT_DOORS=write pytest test/test_faults_at_doors.py` writes it anew.

@@ -126,7 +126,8 @@ def _spread(
         off = off + rng.multivariate_normal(np.zeros(len(q)), noise, DRAWN)
     rows = off @ kinematics.jacobian(q).T
     share = 1.0 - 1.0 / ONE_OF
-    # Of second order in all deviations, times the reach: see `oracles.predicted_residual`.
+    # The tool moves by terms of second order in all deviations, too, times the reach: see
+    # `oracles.predicted_residual`.
     bounds = shares.within.sum()
     second = np.full(rows.shape[1], bounds * (0.5 * bounds + np.abs(shares.centre).sum()))
     second[:POSITION_ROWS] *= kinematics.reach

@@ -374,7 +374,7 @@ def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float)
     ticks = round(_TIMES / joint.position_gain / period)
     ticks = min(max(ticks, _FEWEST), _MOST)
     count = 2.0 * math.pi / joint.counts_per_turn
-    # The same joint at all places, side by side.
+    # A servo controls the joint at each place; all places advance together.
     states = SERVO.rows("servo_state", len(_PLACES))
     data = SERVO.pointer("servo_joint", numbers)
     servos = [

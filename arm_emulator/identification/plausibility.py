@@ -186,7 +186,7 @@ SIGNALS = {"tau": "torque", "q_motor": "angle"}
 NEIGHBOURS = 7  # samples, of which the middle one is judged
 AROUND = 101  # samples, whose usual distance from their neighbours is the reference
 TIMES = 12.0  # the usual distance
-# Of the signal's spread: smaller outliers are harmless, and torque may jump at reversals.
+# Outliers below this share of the signal's spread are harmless: torque may jump at reversals.
 LEAST = {"tau": 0.6, "q_motor": 2e-5}
 ROUNDS = 3  # since neighbours hide each other
 MOST = 0.05  # of the samples: with more it is no measurement

@@ -288,7 +288,7 @@ class Rows:
     """Limits at places along a way, by the derivatives of c = (dsigma/dt)^2, in parts of them."""
 
     most: FloatArray
-    """Of c, (P,)."""
+    """Largest c at each place, (P,)."""
     firsts: FloatArray
     """|f0 + fc c + fd c'| <= 1, (3, P, F)."""
     thirds: FloatArray

@@ -49,13 +49,13 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
 
 # Layout of Foxglove and Lichtblick for the topics of a network, or of its bag.
 #
-# Both read the same JSON: panels by their names with their settings, and a tree of the panels.
+# The JSON that both read has panels by their names with their settings, and a tree of the panels.
 
 ROOM = 62.0  # per cent of the width for the arm
 COLOURS = (
     "#569cd6", "#f08c32", "#6ebe64", "#d65a5a", "#aa82d2", "#50c3c3", "#dcbe50", "#dc82b4",
 )  # fmt: skip
-# Of each joint: title, topic and field.
+# Each plot of a joint has a title, a topic and a field.
 PLOTS = (
     ("Position, true [rad or m]", "emulator/joint_states", "position"),
     ("Position, measured", "joint_states", "position"),
