@@ -96,7 +96,7 @@ class Answers:
             setattr(self.pointer, name, value)
 
     @property
-    def any(self) -> bool:
+    def has_command(self) -> bool:
         """Whether a command of this run is known."""
         return bool(self.pointer.known)
 
@@ -108,7 +108,7 @@ class Answers:
     @property
     def rows(self) -> Array:
         """The newest command with further inputs, 0 before the first one (1 + I, N)."""
-        return self._newest.copy() if self.any else self._zero
+        return self._newest.copy() if self.has_command else self._zero
 
     def take(
         self,

@@ -84,7 +84,6 @@ class RealTimeLoop(Clock, Turns):
         ARM.fill(truth, energy=self._energy, **places)
         self._commands = commands_of(plant.scene)
         self._further = np.zeros((len(further_inputs(plant.scene)), N))
-        self._zero = np.zeros(N)
         places = {"joint": self._commands, "further": self._further}
         self._command = ARM.new("arm_command", tick=-1, **places)
 
@@ -114,7 +113,7 @@ class RealTimeLoop(Clock, Turns):
         """Restart at tick 0, see `Clock.begin`."""
         while self.take() is not None:
             pass
-        self.command(-1, self._zero)
+        self.command(-1, np.zeros(self._N))
         self._calls.arm_real_time_clear_figures(self.handle)
 
     def start(self, tick: int) -> None:

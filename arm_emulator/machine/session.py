@@ -220,7 +220,7 @@ class Session(Turns):
         """
         with self.between_ticks():
             self.plant.restore(saved)
-            self._take_machine()
+            self.take_note()
 
     @in_turn
     def save(self) -> dict[str, Any]:
@@ -244,7 +244,7 @@ class Session(Turns):
             raise Refusal("Session.return_to", "saved", "be what `save` has returned", type(saved))
         with self.between_ticks():
             self.plant.restore(saved["machine"])
-            self._take_machine()
+            self.take_note()
             self._answers.restore(saved["answers"])
             self.plant.ticks.tick = saved["tick"]
             for name in _PLACE:
@@ -266,7 +266,7 @@ class Session(Turns):
         wanted = StateOfJoints(self.plant, joint_names, given)
         with self.between_ticks():
             self.plant.put(wanted.where, wanted.rows())
-            self._take_machine()
+            self.take_note()
 
     @in_turn
     def set_varied(self, name: str, value: float) -> None:
@@ -277,7 +277,7 @@ class Session(Turns):
         """
         with self.between_ticks():
             self.plant.set_parameter(name, value)
-            self._take_machine()
+            self.take_note()
 
     @in_turn
     def acts_already(self, link: str, wrench: ExternalWrench) -> bool:
@@ -298,10 +298,11 @@ class Session(Turns):
         """
         with self.between_ticks():
             self.plant.set_external_wrench(link, wrench)
-            self._take_machine()
+            self.take_note()
 
-    def _take_machine(self) -> None:
-        """Take over the machine's new state."""
+    @in_turn
+    def take_note(self) -> None:
+        """Take note of a machine that was changed, or that code in C has advanced."""
         self._powered = self.plant.powered
         self.fault = self.plant.diverged
         self._read.forget()
@@ -346,7 +347,7 @@ class Session(Turns):
             return Phase.STOPPED
         if self._paused or self._standing:
             return Phase.PAUSED
-        if not self._answers.any:
+        if not self._answers.has_command:
             return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING
         return Phase.WAITING if self.lockstep and not self.answered else Phase.RUNNING
 
@@ -441,14 +442,8 @@ class Session(Turns):
     @property
     def last_tick(self) -> int:
         """The tick at which commands that answer each tick in time do not suffice to go on."""
-        waits = self.lockstep and self.phase is Phase.WAITING and self._answers.any
+        waits = self.lockstep and self.phase is Phase.WAITING and self._answers.has_command
         return (END_OF_TIME - 1) // self.period_ns if waits else self.tick
-
-    @in_turn
-    def take_note(self) -> None:
-        """Take note of servo periods that code in C has let pass, over `Plant.ticks`."""
-        self.fault = self.plant.diverged
-        self._read.forget()
 
     @property
     def clock(self) -> Clock:
@@ -524,7 +519,7 @@ class Session(Turns):
             return f"stopped, reset first: {self.fault}"
         if not self.paused:
             return "not paused, pause first"
-        if self.lockstep and self._answers.any and not self.answered:
+        if self.lockstep and self._answers.has_command and not self.answered:
             return f"no motor command answers tick {self.tick} yet"
         self.advance()
         return "" if self.fault is None else f"stopped: {self.fault}"

@@ -78,7 +78,7 @@ int real_time_ticks_take(void* with, const uint8_t* data, int64_t size) {
   const motor_commands* commands = &ticks->commands;
   if (!ticks->open) return ROS_FOR_PYTHON;
   const int64_t answered = motor_commands_read(&ticks->commands, data, size);
-  if (answered <= ticks->answers->tick) return ROS_FOR_PYTHON;
+  if (answered < 0) return ROS_FOR_PYTHON;
   pthread_mutex_lock(&ticks->locks->numbers);
   const int result = tick_answers_take(ticks->answers, ticks->tick, answered, commands->came);
   if (result == ANSWER_NEW) ros_log_put(&ticks->log, commands->number, data, size);
