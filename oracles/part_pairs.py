@@ -59,8 +59,7 @@ WINDOWS = ((20, 3), (80, 3), (320, 3), (40, 6), (80, 6))
 SIZES = (0.5, 1.0, 4.0)  # of commands, in mixtures.LARGEST
 # Three numbers for schemes that place events at steps. Runs with the first numbers of steps are
 # coarse. A fine run has so many times as many, and its largest error is smaller by the last factor
-# at least. An event may lie well in a step or badly, so that single errors scatter. Where all of
-# the coarse runs diverge, a finer one stands for them.
+# at least. An event may lie well in a step or badly, so that single errors scatter.
 COARSE, FINER, FALLS = (20, 40, 80), 32, 4.0
 # Where the error of a fine run has not fallen, that of so many times as many steps must have.
 STILL_FINER = 16
@@ -257,18 +256,11 @@ def judge(
         truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
         coarse = [_apart(run(steps), truth) for steps in COARSE]
         largest = max((one for one in coarse if one < math.inf), default=math.inf)
-        begin, halvings = COARSE[0], round(math.log2(FINER))
-        # No coarse run has come to its end: the first finer one that does takes their place.
-        steps = COARSE[-1]
-        while largest == math.inf and steps < finest // FALLS:
-            steps *= 2
-            begin, halvings = steps, round(math.log2(finest / steps))
-            largest = _apart(run(steps), truth)
         errors = largest, _apart(run(finest), truth)
-        found = verdict(errors, begin, halvings, math.log(FALLS, FINER))
+        found = verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
         if found.in_order:
             return found
-        # Coarse runs whose events lie well, or all alike, hide the order, which is of small steps.
+        # Coarse runs that diverge, or whose events lie alike, hide the order of small steps.
         truth = run(2 * STILL_FINER * finest, LOCATING_SCHEMES[0], "located")
         errors = _apart(run(finest), truth), _apart(run(STILL_FINER * finest), truth)
         return verdict(errors, finest, round(math.log2(STILL_FINER)), math.log(FALLS, STILL_FINER))
