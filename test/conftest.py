@@ -39,7 +39,7 @@ pytest.register_assert_rewrite(
 # of the machine idle.
 LONGEST = """
 sensitivities lockstep snippets part_contract campaign schemes by_hand_bags new doubles
-predicted_rest fleet up recording network stream external_wrench mode_loops bags doctor ways
+fleet up recording network stream external_wrench mode_loops bags doctor ways
 identification faults_at_doors library_examples motor_kinds couplings threads collisions
 doubtful_records validation compiler copies arm_loops at_rest linearised sensors recorder search
 launch random_scenes json located load_friction spoiled_files brake hard_cases stability inputs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -15,9 +16,11 @@ from draws import some
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.demo.predicted_rest import NEAR, predicted_rest
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_file import example_robot_data
-from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import load_offline_run
 
 needs_robots = pytest.mark.skipif(
@@ -25,22 +28,10 @@ needs_robots = pytest.mark.skipif(
 )
 
 
-def expected_deviations(scene_name: str) -> np.ndarray:
-    """The same experiment in one process, (instructions + 1, 3) [m]."""
-    run = load_offline_run(scene_name)
-    session, forward = run.session, run.controller.kinematics.forward
-    R_WT, p_WT = forward(session.scene.start)
-    period_ns = session.period_ns * run.motion_ticks
-    plan = DemoPlan.load(find_scene(session.scene.name), period_ns)
-    target = Pose(p_WT + plan.displacement, R_WT)
-    orientation = target.quaternion()
-    run.instructor.add(plan.settle_ns, Pose.from_quaternion(target.p_WT, orientation))
-    run.advance(plan.settle_ns // session.period_ns)
-    deviations = []
-    for _ in range(plan.instructions + 1):
-        deviations.append(target.p_WT - forward(session.state.q)[1])
-        run.advance(run.motion_ticks)
-    return np.array(deviations)
+def given(scene_name: str) -> tuple[Scene, Gains, DemoPlan]:
+    file = find_scene(scene_name)
+    gains = load_gains(file)
+    return load_scene(file), gains, DemoPlan.load(file, round(gains.motion.period * 1e9))
 
 
 def signal_of(recording: Path, entity: str) -> dict[int, float]:
@@ -76,7 +67,9 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     deviations = np.array(summary["deviations_m"])
 
     # Three processes state to the last bit what one process states.
-    assert np.array_equal(deviations, expected_deviations(scene))
+    predicted = predicted_rest(*given(scene))
+    assert np.array_equal(deviations, predicted.deviations)
+    assert summary["predicted_mm"] == summary["residual_mm"] and summary["target"] == "reached"
 
     assert summary["scene"] == scene and summary["clock"] == "lockstep"
     start = np.linalg.norm(deviations[0]) * 1e3
@@ -85,11 +78,8 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     distance = np.linalg.norm(deviations, axis=1)
     below = np.flatnonzero(distance < 0.01 * distance[0])  # never, where gravity winds gears up
     assert summary["instructions_to_1_percent"] == (int(below[0]) if len(below) else None)
-    off = float(np.linalg.norm(deviations[-1] * 1e3 - summary["predicted_mm"]))
-    assert (off <= summary["predicted_radius_mm"]) == summary["residual_within_prediction"]
-    assert summary["residual_within_prediction"] and summary["target"] == "reached"
     printed = done.stderr
-    assert "the residual is within the prediction" in printed
+    assert "the target is reached, and the residual is the predicted one" in printed
     assert printed.index("predicted residual (mm)") < printed.index("instruction "), (
         "before the run"
     )
@@ -113,3 +103,23 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     end = forward(np.array([values[max(values)] for values in signals]))[1]
     # 1 mm: what is left by encoders and by gears under the weight is below (docs/validation).
     assert np.linalg.norm(end - forward(machine.start)[1] - plan.shown) < 1e-3
+
+
+def test_what_is_missed_is_named() -> None:
+    """A place beside the predicted one, a target out of reach, one that is not reached yet."""
+    scene, gains, plan = given("three_axis")
+    met = predicted_rest(scene, gains, plan)
+    assert met.target == "reached" and met.missed_by(met.deviations, exact=True) == ""
+    beside = met.deviations + 0.5 * NEAR * np.linalg.norm(met.deviations[0]) * np.eye(3)[0]
+    assert met.missed_by(beside, exact=False) == ""
+    assert "beside the predicted place" in met.missed_by(beside, exact=True)
+    assert "beside the predicted place" in met.missed_by(met.deviations + 1e-3, exact=False)
+    way = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="way"))
+    far = dataclasses.replace(plan, displacement=np.array([5.0, 0.0, 0.0]), instructions=400)
+    for target, one in (
+        ("out of reach", far),
+        ("not yet there", dataclasses.replace(plan, instructions=3)),
+    ):
+        found = predicted_rest(scene, way, one)
+        assert found.target == target
+        assert f"the target is {target}" in found.missed_by(found.deviations, exact=True)

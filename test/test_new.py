@@ -396,4 +396,4 @@ def test_one_command_from_a_robot_to_a_moving_arm(tmp_path: Path) -> None:
         capture_output=True, text=True, timeout=300, env=os.environ, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "the residual is within the prediction" in done.stdout
+    assert "the target is reached, and the residual is the predicted one" in done.stdout

@@ -18,7 +18,6 @@ ComplexArray = npt.NDArray[np.complex128]
 _THETA, _CURRENT, _APPLIED, _TARGET = (
     INPUTS.index(name) for name in ("theta", "current", "applied", "target")
 )
-_DOUBLINGS = 40
 _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 
 
@@ -124,80 +123,8 @@ class SampledLoop:
         if delay == 0:
             added[:n] = plant.G
         self._added = added
-        self._by_noise = self._noise_of(servos, applied + N * delay, n)
         self.poles: ComplexArray = np.linalg.eigvals(A).astype(np.complex128)
         self.radius = float(np.abs(self.poles).max())
-
-    def _noise_of(
-        self, servos: list[LinearServo], newest: int, n: int
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the effect of noise of motor angles and currents on a period."""
-        N, s = len(servos), len(STATES)
-        by_noise = np.zeros((2, len(self.A), N))
-        for out, place in zip(by_noise, (_THETA, _CURRENT), strict=True):
-            for j, servo in enumerate(servos):
-                out[n + s * j : n + s * (j + 1), j] = servo.B[:, place]
-                out[newest + j, j] = servo.D[place]
-            if newest == n + s * N:  # no dead time: it acts in this period
-                out[:n] = self.plant.G @ out[newest : newest + N]
-        return by_noise[0], by_noise[1]
-
-    def unrest(self, angle: npt.ArrayLike, current: npt.ArrayLike) -> FloatArray:
-        """Return the covariance of the link positions under white noise (N, N) [rad2].
-
-        Args:
-            angle: standard deviations of the motors' measured angles (N,) [rad].
-            current: and of their currents (N,) [A].
-        """
-        return self._of_links(_settled(self.A, self._added_by_noise(angle, current)))
-
-    def unrest_of_followers(
-        self,
-        angle: npt.ArrayLike,
-        current: npt.ArrayLike,
-        ratios: FloatArray,
-        share: float,
-        periods: int,
-    ) -> FloatArray:
-        """Return the same with targets that follow the measured angles, when the next one is due.
-
-        Args:
-            angle: as for `unrest`.
-            current: as for `unrest`.
-            ratios: link turns per motor turn (N,).
-            share: weight of the measured angle in a target; 1: nothing else draws it.
-            periods: servo periods from target to target.
-        """
-        n, N = len(self.A), len(ratios)
-        S = np.diag(np.square(angle))
-        measured = np.zeros((N, n))  # share of the link angles, in which the targets are
-        measured[:, : self._states] = share * ratios[:, None] * self.plant.theta
-        by_angle = np.vstack([self._by_noise[0], np.zeros((N, N))])
-        # States, then targets, which are constant between updates.
-        between = np.block([[self.A, self.B], [np.zeros((N, n)), np.eye(N)]])
-        anew = np.block(
-            [[self.A + self.B @ measured, np.zeros((n, N))], [measured, np.zeros((N, N))]]
-        )
-        by_anew = by_angle + np.vstack([self.B, np.eye(N)]) * (share * ratios)
-        others = np.zeros((n + N, n + N))
-        others[:n, :n] = self._added_by_noise(np.zeros(N), current)
-        Q, F = by_anew @ S @ by_anew.T + others, anew
-        added = by_angle @ S @ by_angle.T + others
-        for _ in range(periods - 1):
-            Q, F = between @ Q @ between.T + added, between @ F
-        return self._of_links(_settled(F, Q))
-
-    def _added_by_noise(self, angle: npt.ArrayLike, current: npt.ArrayLike) -> FloatArray:
-        """Return the covariance that noise adds to the states per period."""
-        by_angle, by_current = self._by_noise
-        Q = (by_angle * np.square(angle)) @ by_angle.T
-        added: FloatArray = Q + (by_current * np.square(current)) @ by_current.T
-        return added
-
-    def _of_links(self, covariance: FloatArray) -> FloatArray:
-        q = self.plant.q
-        of_links: FloatArray = q @ covariance[: self._states, : self._states] @ q.T
-        return of_links
 
     @property
     def stable(self) -> bool:
@@ -284,14 +211,3 @@ def _margins(w: FloatArray, S: ComplexArray) -> Margins:
         float((lag / frequency).min(initial=math.inf)),
         float(np.abs(S).max()),
     )
-
-
-def _settled(A: FloatArray, Q: FloatArray) -> FloatArray:
-    """Return the sum of A^k Q A'^k, its length doubled until it no longer changes."""
-    P = Q
-    for _ in range(_DOUBLINGS):
-        added = A @ P @ A.T
-        P, A = P + added, A @ A
-        if np.abs(added).max(initial=0.0) <= 1e-12 * np.abs(P).max(initial=0.0):
-            break
-    return P

@@ -12,7 +12,6 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import DELAY
 from arm_emulator.machine.parts.fault import FALLS, HOLDS, STUCK, Fault, rise, sensor_fault, share
 from arm_emulator.machine.parts.part import Part, PartNumber, number
-from arm_emulator.machine.parts.resting import AtRest, Share
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
 MOST_JOINTS = 4096  # that draws keep apart
@@ -120,7 +119,3 @@ class AnalogSensor(Converter):
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         return [*super().members(joint, places), ("delay", str(self.delay))]
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Our servo uses none but those of currents."""
-        return Share()

@@ -9,9 +9,6 @@ from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unknown
-
-NO_TORQUE = 1e-6  # N m, N: rounding
 
 
 @register_part
@@ -41,17 +38,6 @@ class BacklashGear(ElasticGear):
                 magnitude=rise("rad", 1e-3, 1.0),
             ),
         )
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Anywhere within the play, unless a torque holds the teeth on one side."""
-        share = super().rests(at)
-        if abs(at.torque.centre) > at.torque.within + NO_TORQUE or isinstance(share, str):
-            return share
-        # The link's stop takes its play, too.
-        felt = [one for one in at.torque.unknown if one.shape is Shape.SIDE]
-        shape, often = (Shape.SIDE, felt[0].often) if felt else (Shape.ENDS, 0.5)
-        play = Around(0.0, (Unknown(0.5 * self.backlash, shape, often=often),))
-        return Share(ahead=at.torque.scaled(1.0 / self.stiffness) + play)
 
     def wind_up(self, torque: float) -> float:
         """Return the gear's wind-up at rest, with the play."""

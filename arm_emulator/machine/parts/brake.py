@@ -13,7 +13,6 @@ from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -54,10 +53,6 @@ class Brake(Part):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: in motion it is open."""
         return np.zeros_like(motion.t)
-
-    def rests(self, at: AtRest) -> Share | str:
-        """It is open while the drives have power."""
-        return Share()
 
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:

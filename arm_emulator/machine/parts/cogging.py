@@ -10,7 +10,6 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
@@ -39,10 +38,6 @@ class Cogging(Extra):
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
         return {"waves": [[4.0, scaled(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral takes up a constant torque."""
-        return Share()
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

@@ -10,7 +10,6 @@ from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -93,9 +92,6 @@ class Counterbalance(Extra):
                 magnitude=share(0.5),
             ),
         )
-
-    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
-        return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     def check(self, section: Section) -> None:  # noqa: D102
         least = 0.01 * self.base_distance

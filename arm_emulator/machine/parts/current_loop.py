@@ -16,7 +16,6 @@ from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.motor import Circuit, CxxMotor, Motor, Rating
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -60,10 +59,6 @@ class CurrentLoop(Decorator):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: measured torques are those behind it."""
         return np.zeros_like(motion.t)
-
-    def rests(self, at: AtRest) -> Share | str:
-        """None: the servo's integral compensates its error."""
-        return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
         gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 
 
 @register_part
@@ -16,7 +15,3 @@ class CurrentSensor(AnalogSensor):
     reads = "now.current"
     field = "current"
     channel = 2
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral takes up a constant error."""
-        return Share(current_noise=self.noise or 0.0)

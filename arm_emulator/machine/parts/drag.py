@@ -9,7 +9,6 @@ from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -44,7 +43,3 @@ class Drag(Extra):
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         torque: Array = self.coefficient * np.abs(motion.speed) * motion.speed
         return torque
-
-    def rests(self, at: AtRest) -> Share | str:
-        """None: it vanishes at rest."""
-        return Share()

@@ -16,15 +16,6 @@ from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import (
-    Around,
-    AtRest,
-    Shape,
-    Share,
-    Stuck,
-    Unknown,
-    waves_at,
-)
 
 # Resolution of a joint without an encoder, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
@@ -251,32 +242,6 @@ class Encoder(Part):
         """Counts after which its word begins anew; 0: never."""
         return 2**self.bits if self.bits is not None else 0
 
-    def rests(self, at: AtRest) -> Share | str:
-        """Error of a count, within which our servo makes no correction."""
-        if self.missed:
-            return "misses edges, which sum up"
-        if self.held:
-            return "loses readings"
-        if self.flips:
-            return "has wrong bits"
-        count, ratio = self.turn / self.counts_per_turn, abs(at.ratio)
-        if self.wrap and abs(at.start) > 0.5 * count * self.wrap:
-            return "does not know how often the motor has turned"
-        waves = [
-            (1.0, self.eccentricity or 0.0, self.eccentricity_phase or 0.0),
-            (float(self.ripple_order), self.ripple or 0.0, self.ripple_phase or 0.0),
-        ]
-        own = sum(amplitude for _, amplitude, _ in waves)  # the servo turns the motor by them
-        errors = waves_at(waves, at.theta, at.theta_within + own)
-        shown = Around((self.offset or 0.0) + errors.centre, errors.unknown)
-        noise, half = self.noise or 0.0, 0.5 * count
-        left = half * unblurred(noise / count)
-        return Share(
-            ahead=shown.scaled(at.ratio) + Around(0.0, (Unknown(ratio * left, Shape.SIDE),)),
-            stuck=Stuck(short=ratio * left),
-            angle_noise=math.hypot(noise, (half - left) / math.sqrt(3.0)),
-        )
-
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         whole = {
             "kind": f"arm::EncoderKind::{self.kind}",
@@ -289,19 +254,6 @@ class Encoder(Part):
             "ripple_order": cxx_literals.number(self.ripple_order),
         }
         return [*whole.items(), *super().members(joint, places)]
-
-
-def unblurred(noise: float) -> float:
-    """Return the share of half a count by which the mean of many counts under noise is off.
-
-    The mean of a sawtooth over normally distributed noise: each wave of its Fourier series is
-    exp(-2 pi^2 k^2 noise^2) times as large.
-
-    Args:
-        noise: standard deviation [counts].
-    """
-    waves = (math.exp(-2.0 * (math.pi * k * noise) ** 2) / k for k in range(1, 20))
-    return min(1.0, 2.0 / math.pi * sum(waves))
 
 
 @register_part
@@ -324,7 +276,3 @@ class LinkEncoder(Encoder):
     def reports(self) -> tuple[Output, ...]:
         """Counts, and its index."""
         return self.outputs[:1] if self.index == INDICES[0] else self.outputs
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Our servo does not use it."""
-        return Share()

@@ -13,7 +13,6 @@ from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 _BEYOND = Number(
@@ -80,9 +79,6 @@ class EndStops(Extra):
                 magnitude=rise("rad", 0.1, 10.0, signed=True),
             ),
         )
-
-    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
-        return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     @property
     def stops(self) -> tuple[float, float]:  # noqa: D102

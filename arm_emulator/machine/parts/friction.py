@@ -12,11 +12,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-
-# Share of links that rest at their sliding torque, or more (bench/residuals.py).
-MOSTLY = 0.9
 
 
 class Friction(Part):
@@ -65,24 +61,9 @@ class Friction(Part):
     def sticks(self) -> bool:  # noqa: D102
         return self.coulomb > 0.0
 
-    def holds(self, torque: float) -> float:
-        """Return the breakaway torque of a shaft under a torque of the gear on it [N m]."""
-        return self.breakaway
-
-    def slides(self, torque: float) -> float:
-        """Return the friction of a shaft that has just stopped, likewise [N m]."""
-        return self.coulomb
-
     def check(self, section: Section) -> None:  # noqa: D102
         if self.breakaway > 0.0 and self.coulomb == 0.0:
             raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
-
-
-def sticking_link(at: AtRest, holds: float, slides: float) -> Share:
-    """Return the torque at rest of a link that stops sliding and then sticks."""
-    stuck = at.stuck(holds, slides) if at.rigid else Stuck()
-    torque = (Unknown(-holds, Shape.SIDE, slides / holds, MOSTLY),) if holds else ()
-    return Share(torque=Around(0.0, torque), stuck=stuck)
 
 
 @register_part
@@ -90,11 +71,6 @@ class LinkFriction(Friction):
     """Friction at the link."""
 
     section = "friction"
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Leave a gear wound up; without a spring the link sticks with its rotor."""
-        holds, slides = self.holds(at.torque.centre), self.slides(at.torque.centre)
-        return sticking_link(at, holds, slides)
 
 
 class OfRotor(Friction):
@@ -105,11 +81,6 @@ class OfRotor(Friction):
     usual_dry = 0.01
     usual_viscous = 1e-5
     usual_speed = 6.0
-
-    def rests(self, at: AtRest) -> Share | str:
-        """A rotor sticks until the servo's integral exceeds its breakaway torque."""
-        torque, at_link = at.ratio * at.torque.centre, 1.0 / abs(at.ratio)
-        return Share(stuck=at.stuck(at_link * self.holds(torque), at_link * self.slides(torque)))
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

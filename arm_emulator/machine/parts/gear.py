@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,7 +10,6 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
@@ -50,15 +48,6 @@ class Gear(Part):
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
         return {"ratio": scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The motor is ahead of its link by the wind-up."""
-        centre, within = at.torque.centre, at.torque.within
-        if not within:
-            return Share(ahead=Around(self.wind_up(centre)))
-        low, high = self.wind_up(centre - within), self.wind_up(centre + within)
-        gives = at.torque.scaled(0.5 * (high - low) / within)
-        return Share(ahead=replace(gives, centre=0.5 * (low + high)))
 
     def wind_up(self, torque: float) -> float:
         """Return the wind-up of the gear at rest [rad], at the link."""

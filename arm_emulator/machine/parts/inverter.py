@@ -10,7 +10,6 @@ from arm_emulator.machine.parts.fault import GROWS, Fault, rise
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -40,10 +39,6 @@ class Inverter(Decorator):
         text = "the inverter's transistors switch later or conduct worse"
         sets = {"motor.inverter.voltage_error": GROWS}
         return (Fault("inverter_ages", text, sets=sets, magnitude=rise("1", 1.0, 1e3)),)
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral replaces what is lost."""
-        return Share()
 
     def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         kind = f"arm::InvertedMotor<{inner.type}>"

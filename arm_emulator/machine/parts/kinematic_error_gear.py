@@ -11,7 +11,6 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share, waves_at
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
 
@@ -66,15 +65,6 @@ class KinematicErrorGear(ElasticGear):
             if steepest > 0.9 * most:
                 rule = f"have order times amplitude sum up to at most {0.9 * most:g}"
                 raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The error at the angles of rest, as far as these are known."""
-        share = super().rests(at)
-        if isinstance(share, str):
-            return share
-        motor = waves_at(self.motor, at.theta, at.theta_within)
-        link = waves_at(self.link, at.q, abs(at.ratio) * at.theta_within)
-        return Share(ahead=share.ahead + motor.scaled(-1.0) + link.scaled(-1.0))
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

@@ -44,12 +44,6 @@ class LoadFriction(Friction):
         torque: Array = dry + self.load * np.abs(motion.gear_torque)
         return torque
 
-    def holds(self, torque: float) -> float:  # noqa: D102
-        return super().holds(torque) + self.load * abs(torque)
-
-    def slides(self, torque: float) -> float:  # noqa: D102
-        return super().slides(torque) + self.load * abs(torque)
-
     @property
     def sticks(self) -> bool:  # noqa: D102
         return self.coulomb > 0.0 or self.load > 0.0

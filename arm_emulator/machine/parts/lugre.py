@@ -8,10 +8,8 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, rise, rising
-from arm_emulator.machine.parts.friction import sticking_link
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
@@ -96,10 +94,6 @@ class LinkLuGre(LuGre):
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
         return cls.drawn_of(rng, dry=(0.2, 2.0), bend=(2e-3, 2e-2), damping=(0.3, 3.0))
 
-    def rests(self, at: AtRest) -> Share | str:
-        """Its bristles stay bent, and the gear stays wound up."""
-        return sticking_link(at, self.breakaway, self.coulomb)
-
 
 @register_part
 class RotorLuGre(LuGre):
@@ -114,8 +108,3 @@ class RotorLuGre(LuGre):
         return cls.drawn_of(
             rng, dry=(0.003, 0.03), bend=(0.2, 1.0), damping=(3e-4, 3e-3), stribeck=5.0
         )
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The rotor sticks until the servo's integral exceeds its breakaway torque."""
-        at_link = 1.0 / abs(at.ratio)
-        return Share(stuck=at.stuck(at_link * self.breakaway, at_link * self.coulomb))

@@ -10,7 +10,6 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.part import Part, number
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -205,10 +204,6 @@ class Motor(Part):
     def servo_data(self) -> ServoData | None:
         """Return its data for a servo; None: our servo cannot drive it."""
         return None
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral compensates a constant torque."""
-        return Share()
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:
         """Return its largest torques at the link through a gear, by their causes."""

@@ -25,7 +25,6 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng, usual
 from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.varied import Varied
 
@@ -92,13 +91,6 @@ class Part(Declared):
     def sticks(self) -> bool:
         """Whether it holds a shaft exactly at rest, up to a breakaway torque."""
         return False
-
-    def rests(self, at: AtRest) -> Share | str:
-        """Return this part's contribution to the error at rest, or why it is unknown.
-
-        It is asked twice: for its torque, and then, with all torques known, for the rest.
-        """
-        return "states no share"
 
     @classmethod
     def numbers(cls) -> dict[str, PartNumber]:

@@ -10,7 +10,6 @@ from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
@@ -48,10 +47,6 @@ class TorqueRipple(Decorator):
     @classmethod
     def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
         return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral takes up a constant torque."""
-        return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
         # More would turn the torque about at some angles.

@@ -16,7 +16,6 @@ from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 LEAST, MOST = 4, 256  # points
@@ -119,9 +118,6 @@ class TorqueTable(Extra):
             within = at[0] + np.mod(q - at[0], at[-1] - at[0])
         torque: Array = -PPoly(self.coefficients()[::-1], at)(within)
         return torque
-
-    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
-        return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     def coefficients(self) -> Array:
         """Return T0 to T3 of each piece (4, pieces), by PCHIP of the table with what is beyond it.

@@ -12,7 +12,6 @@ from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -94,10 +93,6 @@ class Winding(Decorator):
                 magnitude=rise("K", 40.0, 300.0),
             ),
         )
-
-    def rests(self, at: AtRest) -> Share | str:
-        """The servo's integral compensates the lower torque of a warm motor."""
-        return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.limit is not None and self.limit <= self.ambient:
