@@ -28,7 +28,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.new import scene_of_robot
 from arm_emulator.cli.options import Clock, SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.demo.demo_plan import DemoPlan, report_safety
+from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
 from arm_emulator.machine.chain import Array
@@ -61,7 +61,6 @@ class DemoResult:
     rotations: Array  # rad (K + 1,): angle between tool and target
     oriented: bool  # whether motion control holds the orientation
     real_time_factor: float
-    arrived: Array  # rad (N,), the joints at the end
 
 
 @command(
@@ -182,7 +181,6 @@ def _run(
         rotations=np.array([observer.rotation(k) for k in range(len(observed))]),
         oriented=controller.kinematics.rows > POSITION_ROWS,
         real_time_factor=logical / wall,
-        arrived=observed[-1],
     )
 
 
@@ -337,6 +335,4 @@ def _report(
     if len(below):
         console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")
     console.print(f"real-time factor          {result.real_time_factor:.2f}")
-    for line in report_safety(scene, result.arrived):
-        console.print(line)
     console.print(f"results: {out / 'fig4.png'}; the moving arm:", viewer_command(out / "demo.rrd"))
