@@ -19,6 +19,7 @@ if __name__ == "__main__":  # before slow imports
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ from emulator_node.real_time_ticks import READERS, HeldCommands
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.repeater import REPEAT_AFTER, Repeater
 from emulator_node.reports import Reports
-from emulator_node.services import BreakService, MachineServices, TimeServices
+from emulator_node.services import Services
 from emulator_node.simulation_services import SimulationServices, installed
 from emulator_node.stepper import Stepper
 from emulator_node.time_control import TimeControl
@@ -158,9 +159,7 @@ class EmulatorNode(ManagedNode):
             else AnsweredTicks(own, intake.commands, reports, health, breaks)
         )
         control = TimeControl(own, changes, health, status)
-        TimeServices(own, control)
-        MachineServices(own, changes)
-        BreakService(own, changes, breaks)
+        Services(own, control, changes, breaks)
         if installed():
             stepper = Stepper(own, control)
             intake.answered = stepper.go_on
@@ -208,11 +207,10 @@ class EmulatorNode(ManagedNode):
         if port < 0:
             return Watched(session.plant, None)
         # Not imported without a page: it takes messages of other nodes.
-        from emulator_node.page_hands import HandsOnNetwork
+        from emulator_node.page_hands import RosHands
 
-        period = session.scene.servo_period
-        factor = self._config.real_time_factor
-        hands = HandsOnNetwork(self.get_namespace(), period, session.lockstep, factor)
+        of_run = session.scene.servo_period, session.lockstep, self._config.real_time_factor
+        hands = partial(RosHands, self.get_namespace(), *of_run)
         watched = Watched(session.plant, f"{host}:{port}", hands)
         print(f"page: {watched.url}", flush=True)
         return watched

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Protocol
 
 import rclpy
 
@@ -19,29 +18,32 @@ from emulator_node.reports import Reports
 LOOK = 0.02  # s, wall: interval at which Python looks at the ticks of a loop
 
 
-class Pacer(Protocol):
+class Pacer:
     """Advances the session from tick to tick, and publishes each."""
 
     def start(self) -> None:
         """Begin, or go on after `close`."""
+        raise NotImplementedError
 
     def go_on(self) -> None:
-        """Leave this tick, unless it waits for something."""
+        """Leave this tick, unless it waits for something, or a loop leaves it."""
 
     def look(self) -> None:
         """Check whether time has to advance, or has advanced."""
+        raise NotImplementedError
 
     def catch_up(self) -> None:
         """Publish all ticks reached so far, before a change. Time must stand still."""
+        raise NotImplementedError
 
     def changed(self) -> None:
         """Take note of a machine that was changed at this tick. Time must stand still."""
 
     def close(self) -> None:
-        """End."""
+        """End what runs."""
 
 
-class LockstepPacer:
+class LockstepPacer(Pacer):
     """Ticks follow answers, and wait for the pace; a free run goes by the servo period."""
 
     def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
@@ -82,12 +84,6 @@ class LockstepPacer:
         """Do nothing: every tick is published when reached."""
         self._health.report_fault()
 
-    def changed(self) -> None:
-        """Do nothing: the machine is read at each tick."""
-
-    def close(self) -> None:
-        """Do nothing: no thread is running."""
-
     def _on_free_run(self) -> None:
         with self._lock:
             if self._session.phase is Phase.FREE_RUNNING:
@@ -101,7 +97,7 @@ class LockstepPacer:
             self.go_on()
 
 
-class LoopPacer:
+class LoopPacer(Pacer):
     """Ticks come from a loop. A thread in C publishes them; Python looks at the newest ones.
 
     Attributes:
@@ -125,9 +121,6 @@ class LoopPacer:
         self.ticks.begin()
         self._thread = threading.Thread(target=self._run, name="publisher")
         self._thread.start()
-
-    def go_on(self) -> None:
-        """Do nothing: the loop advances by itself."""
 
     def look(self) -> None:
         """Take note of the newest tick."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -34,29 +33,6 @@ PATIENCE = 5.0  # s, wall: for an answer
 PHASES = ("running free", "waiting", "running", "paused", "stopped")
 
 
-@dataclass(frozen=True)
-class HandsOnNetwork:
-    """Makes the actions in the page's process.
-
-    Attributes:
-        namespace: of the emulator's node.
-        period: servo period [s].
-        lockstep: whether time follows answers, and may be slowed down.
-        factor: of the pace, as it is now.
-    """
-
-    namespace: str
-    period: float
-    lockstep: bool
-    factor: float
-
-    def __call__(self) -> Hands:
-        """Return the actions."""
-        hands = RosHands(self.namespace, self.period, self.lockstep)
-        hands.factor = self.factor
-        return hands
-
-
 class RosHands(Hands):
     """A node that calls services and publishes topics.
 
@@ -64,9 +40,11 @@ class RosHands(Hands):
         namespace: of all nodes.
         period: servo period [s].
         lockstep: whether time follows answers, and may be slowed down.
+        factor: of the pace, as it is now.
     """
 
-    def __init__(self, namespace: str, period: float, lockstep: bool) -> None:
+    def __init__(self, namespace: str, period: float, lockstep: bool, factor: float = 0.0) -> None:
+        self.factor = factor
         rclpy.init(args=[], domain_id=None, signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self._node = node = rclpy.create_node("page", namespace=namespace)
         self._period, self._lock, self._news = period, threading.Lock(), News()

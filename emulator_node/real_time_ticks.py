@@ -50,7 +50,7 @@ class RealTimeTicks:
         truth = REAL_TIME_TICKS.ffi.addressof(self._snapshot, "truth")
         q, v, gear_torque = rows
         REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
-        self._messages = reports.beside(place.view(), rows)
+        self._messages = reports.filled_from(place.view(), rows)
         motor_state, joint_state, time = self._messages
         self._joint, self._held = commands_of(scene), ExitStack()
         self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)

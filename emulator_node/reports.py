@@ -51,39 +51,34 @@ class Reports:
         rows = np.zeros((len(TRUTH), len(session.scene.joints)))
         self.truth = truth_at(q=rows[0], v=rows[1], gear_torque=rows[2])
         create = own.node.create_publisher
-        self.motor_state = Outgoing(
+        self._of_ticks = (
             create(MotorState, "motor_states", STATE_PUB_QOS),
-            self._empty_motor_state(),
-            0,
-            self._fields.places(session.plant.measured_place),
-        )
-        self.joint_state = Outgoing(
             create(JointState, "emulator/joint_states", STATE_PUB_QOS),
-            self._empty_truth(),
-            1,
-            list(zip(TRUTH, rows, strict=True)),
+            create(Clock, "clock", STATE_PUB_QOS),
         )
-        self.clock = Outgoing(create(Clock, "clock", STATE_PUB_QOS), Clock(), 2)
-        self.outgoing = (self.motor_state, self.joint_state, self.clock)
+        self.outgoing = self.filled_from(session.plant.measured_place, rows)
+        self.motor_state, self.joint_state, self.clock = self.outgoing
         self._descriptions = create(String, "robot_description", DESCRIPTION_QOS)
         self._events = create(MachineEvent, "emulator/events", EVENT_QOS)
         self.publishers: list[Publisher] = [
-            *(one.publisher for one in self.outgoing), self._descriptions, self._events,
+            *self._of_ticks, self._descriptions, self._events,
         ]  # fmt: skip
         self.published_at = self.repeated_at = time.monotonic()
 
-    def beside(self, measured: Measured, truth: Numbers) -> tuple[Outgoing, Outgoing, Outgoing]:
-        """Return `outgoing` once more, for a thread that fills them from other places.
+    def filled_from(
+        self, measured: Measured, truth: Numbers
+    ) -> tuple[Outgoing, Outgoing, Outgoing]:
+        """Return the messages of each tick, filled by C from these places.
 
         Args:
             measured: arrays of measurements.
             truth: rows of `TRUTH`.
         """
-        motor_state, joint_state, clock = (one.publisher for one in self.outgoing)
-        places = self._fields.places(measured)
+        motor_state, joint_state, clock = self._of_ticks
+        rows = list(zip(TRUTH, truth, strict=True))
         return (
-            Outgoing(motor_state, self._empty_motor_state(), 0, places),
-            Outgoing(joint_state, self._empty_truth(), 1, list(zip(TRUTH, truth, strict=True))),
+            Outgoing(motor_state, self._empty_motor_state(), 0, self._fields.places(measured)),
+            Outgoing(joint_state, self._empty_truth(), 1, rows),
             Outgoing(clock, Clock(), 2),
         )
 

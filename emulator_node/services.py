@@ -19,16 +19,25 @@ from emulator_node.time_control import TimeControl
 MOST_SAVED = 1000  # states that are kept by name
 
 
-class TimeServices:
-    """Pause, step, reset and power."""
+class Services:
+    """Time and power; saving, restoring and setting the machine by hand; breakpoints."""
 
-    def __init__(self, own: Context, control: TimeControl) -> None:
-        self._session, self._lock, self._control = own.session, own.lock, control
+    def __init__(
+        self, own: Context, control: TimeControl, changes: Changes, breaks: Breaks
+    ) -> None:
+        self._session, self._gate, self._lock = own.session, own.gate, own.lock
+        self._control, self._changes, self._breaks = control, changes, breaks
+        self._saved: dict[str, bytes] = {}  # machines by name
         node = own.node
         node.create_service(SetBool, "~/pause", self._on_pause)
         node.create_service(Trigger, "~/step", self._on_step)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/power", self._on_power)
+        node.create_service(SaveState, "~/save_state", self._on_save_state)
+        node.create_service(RestoreState, "~/restore_state", self._on_restore_state)
+        node.create_service(SetState, "~/set_state", self._on_set_state)
+        node.create_service(SetVaried, "~/set_varied", self._on_set_varied)
+        node.create_service(BreakWhen, "~/break_when", self._on_break_when)
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
@@ -59,20 +68,6 @@ class TimeServices:
             "power on" if request.data else "power off: motors at 0 V, windings shorted"
         )
         return response
-
-
-class MachineServices:
-    """Saving, restoring and setting the machine by hand."""
-
-    def __init__(self, own: Context, changes: Changes) -> None:
-        self._session, self._gate, self._lock = own.session, own.gate, own.lock
-        self._changes = changes
-        node = own.node
-        self._saved: dict[str, bytes] = {}  # machines by name
-        node.create_service(SaveState, "~/save_state", self._on_save_state)
-        node.create_service(RestoreState, "~/restore_state", self._on_restore_state)
-        node.create_service(SetState, "~/set_state", self._on_set_state)
-        node.create_service(SetVaried, "~/set_varied", self._on_set_varied)
 
     def _on_save_state(
         self, request: SaveState.Request, response: SaveState.Response
@@ -143,16 +138,6 @@ class MachineServices:
                 response.message = str(reason)
                 return
             response.success, response.message = True, f"at tick {self._session.tick}"
-
-
-class BreakService:
-    """Breakpoints."""
-
-    def __init__(self, own: Context, changes: Changes, breaks: Breaks) -> None:
-        self._session, self._lock, self._changes, self._breaks = (
-            own.session, own.lock, changes, breaks,
-        )  # fmt: skip
-        own.node.create_service(BreakWhen, "~/break_when", self._on_break_when)
 
     def _on_break_when(
         self, request: BreakWhen.Request, response: BreakWhen.Response
