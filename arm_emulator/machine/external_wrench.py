@@ -60,47 +60,30 @@ def on_moving_link(
     if not isinstance(wrench.axes, str) or wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
     place, frame = _frame_of(scene, where, link)
-    if not arms:
-        return place, _moved(where, wrench, frame)
     force, moment, point = (
-        _rows(where, bound, values, arms)
+        _vectors(where, bound, values, arms)
         for bound, values in (
             (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
         )
     )  # fmt: skip
     if wrench.axes == "link":
-        force, moment = _turned(frame.R, force), _turned(frame.R, moment)
-    point = _turned(frame.R, point) + frame.p
+        force, moment = (applied(frame.R, one) + 0.0 for one in (force, moment))
+    point = applied(frame.R, point) + frame.p
+    if not arms:
+        force, moment, point = map(tuple, (force, moment, point))
     return place, ExternalWrench(force, moment, point, wrench.axes)
 
 
-def _moved(where: str, wrench: ExternalWrench, frame: Frame) -> ExternalWrench:
-    """Return the wrench of one machine in another frame."""
-    vectors = [
-        NONE if values is NONE else bound.row(where, values, 3)
-        for bound, values in (
-            (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
-        )
-    ]  # fmt: skip
-    if wrench.axes == "link":
-        vectors[:2] = [one if one is NONE else applied(frame.R, one) for one in vectors[:2]]
-    f, m, p = vectors
-    at = frame.p if p is NONE else applied(frame.R, p) + frame.p
-    return ExternalWrench(tuple(f), tuple(m), tuple(at), wrench.axes)
-
-
-def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
-    """Return vectors as rows (arms, 3)."""
+def _vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
+    """Return a vector (3,), or of a fleet a row for each arm (arms, 3)."""
+    if not arms:
+        return bound.row(where, values, 3)
     rows = bound.numbers(where, values)
     if rows.shape not in ((3,), (*arms, 3)):
         rule = f"have shape (3,) or ({arms[0]}, 3)"
         raise Refusal(where, bound.name, rule, rows.shape)
     bound.check(where, rows)
     return np.array(np.broadcast_to(rows, (*arms, 3)))
-
-
-def _turned(R: Array, rows: Array) -> Array:
-    return applied(R, rows)
 
 
 def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
