@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import subprocess
-import time
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 
 LONGEST_RUN = 900.0  # s; the largest scenes take a minute, more on a busy machine
-MOST_WORDS = 65536  # bytes of a compiler's output that are kept
+MOST_WORDS = 65536  # bytes of a compiler's output that are read
 
 
 def run_compiler(command: list[str], folder: Path, where: str, part: str) -> None:
@@ -30,28 +29,29 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
         Refusal: it cannot be run, fails, is killed, or does not end.
     """
     process: subprocess.Popen[bytes] | None = None
-    try:
-        with _signals_held_back():  # a signal at this point would orphan it
-            # In a session of its own, so that it can be ended with all its children.
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-        words = _listen(process)
-    except TimeoutError:
-        raise _failure(where, part, command, f"no end within {LONGEST_RUN:g} s") from None
-    except OSError as error:
-        raise _failure(where, part, command, error.strerror or str(error)) from None
-    finally:
-        if process is not None:
-            if process.returncode is None:
+    # A file, since processes that the compiler leaves behind may hold a pipe open.
+    with tempfile.TemporaryFile() as words:
+        try:
+            with _signals_held_back():  # a signal at this point would orphan it
+                # In a session of its own, so that it can be ended with all its children.
+                process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=words,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                )
+            process.wait(LONGEST_RUN)
+        except subprocess.TimeoutExpired:
+            raise _failure(where, part, command, f"no end within {LONGEST_RUN:g} s") from None
+        except OSError as error:
+            raise _failure(where, part, command, error.strerror or str(error)) from None
+        finally:
+            if process is not None and process.returncode is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-            assert process.stdout is not None
-            process.stdout.close()
+        words.seek(0)
+        text = words.read(MOST_WORDS).decode(errors="replace")
     if process.returncode == 0:
         return
     if process.returncode < 0:
@@ -60,8 +60,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
             end = f"ended by {signal.Signals(-process.returncode).name}"
     else:
         end = f"exit code {process.returncode}"
-    text = words.decode(errors="replace").replace(f"{folder}/", "")
-    lines = [line for line in text.splitlines() if line.strip()]
+    lines = [line for line in text.replace(f"{folder}/", "").splitlines() if line.strip()]
     reasons = [line for line in lines if "error" in line.lower()] or lines
     raise _failure(where, part, command, ": ".join([end, *reasons[:1]]))
 
@@ -74,33 +73,6 @@ def _signals_held_back() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _listen(process: subprocess.Popen[bytes]) -> bytes:
-    """Return the beginning of a process's output until it ends, even if others hold its pipe."""
-    assert process.stdout is not None
-    pipe = process.stdout.fileno()
-    deadline = time.monotonic() + LONGEST_RUN
-    words = b""
-    while process.poll() is None:
-        left = deadline - time.monotonic()
-        if left <= 0.0:
-            raise TimeoutError
-        if not select.select([pipe], [], [], min(left, 0.1))[0]:
-            continue
-        heard = os.read(pipe, MOST_WORDS)
-        if not heard:  # it has closed its output; the end is near
-            try:
-                process.wait(left)
-            except subprocess.TimeoutExpired:
-                raise TimeoutError from None
-        words += heard[: MOST_WORDS - len(words)]
-    while select.select([pipe], [], [], 0.0)[0] and len(words) < MOST_WORDS:
-        heard = os.read(pipe, MOST_WORDS)
-        if not heard:
-            break
-        words += heard
-    return words
 
 
 def _failure(where: str, part: str, command: list[str], got: str) -> Refusal:
