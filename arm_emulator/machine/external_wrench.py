@@ -69,9 +69,9 @@ def on_moving_link(
     if wrench.axes == "link":
         force, moment = (applied(frame.R, one) + 0.0 for one in (force, moment))
     point = applied(frame.R, point) + frame.p
-    if not arms:
-        force, moment, point = map(tuple, (force, moment, point))
-    return place, ExternalWrench(force, moment, point, wrench.axes)
+    if arms:
+        return place, ExternalWrench(force, moment, point, wrench.axes)
+    return place, ExternalWrench(tuple(force), tuple(moment), tuple(point), wrench.axes)
 
 
 def _vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
