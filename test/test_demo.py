@@ -105,7 +105,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     assert np.linalg.norm(end - forward(machine.start)[1] - plan.shown) < 1e-3
 
 
-def test_what_is_missed_is_named() -> None:
+def test_the_prediction_names_the_missed_target_or_place() -> None:
     """A place beside the predicted one, a target out of reach, one that is not reached yet."""
     scene, gains, plan = given("three_axis")
     met = predicted_rest(scene, gains, plan)

@@ -1,4 +1,4 @@
-"""Where the tool will rest: the plan carried out in one process, before the network moves the arm.
+"""Rest of the tool, predicted: the plan is carried out in one process before the network moves it.
 
 Arithmetic is portable, so that a network in lock-step ends there to the last bit.
 """
