@@ -153,11 +153,6 @@ class Cluster:
         self._processes[k].kill()
         self._processes[k].wait()
 
-    @property
-    def processes(self) -> list[int]:
-        """Its processes, by number."""
-        return [one.pid for one in self._processes]
-
     def end(self) -> None:
         """End all processes."""
         for k in range(len(self._processes)):
