@@ -1,11 +1,13 @@
-"""Picture of the page in a browser: ur5 in the middle of a move.
+"""Pictures of the page in a browser: ur5 in the middle of a move, and a running network.
 
-It needs requirements-peers.txt and Chromium.
+They need requirements-peers.txt and Chromium.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -13,23 +15,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from arm_emulator import Refusal, Timeline
+from arm_emulator import OfflineRun, Pose, Refusal, Timeline
 from arm_emulator.analysis.torque_terms import TermsNow
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.chain import Array
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import load_offline_run
-from bench.rewind import new_target
 
-SIZE: Any = {"width": 1280, "height": 720}
+LOOK: Any = {"width": 1280, "height": 720}
+LIVE: Any = {"width": 1000, "height": 620}
 LAST, AT = 2500, 1080  # ticks
-PATIENCE = 200_000  # ms, of software rendering
+PATIENCE = 200  # s, wall, of software rendering
 # WebGL without a GPU.
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+DRAG = "xpath=//*[text()='Drag a handle in the picture']/following::input[1]"
 
 
 @contextmanager
-def in_chromium(url: str, size: Any = SIZE) -> Iterator[Any]:
+def _in_chromium(url: str, size: Any) -> Iterator[Any]:
     """Open a page in Chromium without a window, of a size, in this block.
 
     Raises:
@@ -43,7 +51,7 @@ def in_chromium(url: str, size: Any = SIZE) -> Iterator[Any]:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chromium, headless=True, args=FLAGS)
         shown = browser.new_page(viewport=size)
-        shown.set_default_timeout(PATIENCE)
+        shown.set_default_timeout(1000 * PATIENCE)
         shown.goto(url)
         # The browser's remark on software rendering.
         shown.locator(".mantine-Notification-closeButton").first.click()
@@ -52,8 +60,14 @@ def in_chromium(url: str, size: Any = SIZE) -> Iterator[Any]:
         browser.close()
 
 
-def picture(folder: Path) -> Path:
-    """Draw the page into a folder, and return the picture's path.
+def new_target(run: OfflineRun, offset: Array) -> None:
+    """Send the tool to a place beside the start (3,) [m]."""
+    R_WT, p_WT = run.controller.kinematics.forward(run.session.scene.start)
+    run.instructor.add(run.session.logical_ns, Pose(p_WT + offset, R_WT))
+
+
+def look(folder: Path) -> Path:
+    """Draw the page of a run of ur5 into a folder, and return the picture's path.
 
     Raises:
         Refusal: Chromium is missing.
@@ -66,10 +80,54 @@ def picture(folder: Path) -> Path:
     page = RunPage(Subject.of(line, LAST), lambda: (TermsNow({}, {}), []))
     file = folder / "look.png"
     try:
-        with in_chromium(page.url) as shown:
+        with _in_chromium(page.url, LOOK) as shown:
             shown.get_by_role("tab", name="Plot").click()
             shown.locator(".uplot canvas").first.wait_for()
             shown.screenshot(path=file)
     finally:
         page.close()
+    return file
+
+
+def live(folder: Path) -> Path:
+    """Draw the page of a network of three_axis, with a handle that pulls at its forearm.
+
+    Raises:
+        Refusal: Chromium is missing.
+    """
+    scene, log, file = _pushed_scene(folder), folder / "log", folder / "live_page.png"
+    emulator = {"page_port": 0, "real_time_factor": 1.0}
+    network = Bringup(str(scene), start="first_answer", emulator=emulator, log=log)
+    with own_domain(), network, _in_chromium(_url_of(log / "emulator.log"), LIVE) as shown:
+        shown.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
+        shown.get_by_role("tab", name="Push").click()
+        shown.locator(DRAG).check()
+        shown.get_by_role("button", name="Pause", exact=True).click()
+        shown.get_by_text("s, paused").first.wait_for()
+        shown.screenshot(path=file)
+    return file
+
+
+def _url_of(log: Path) -> str:
+    """Return the address that the emulator prints into its log."""
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        found = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
+        if found:
+            return found[1]
+        time.sleep(0.1)
+    raise TimeoutError("the emulator prints no address")
+
+
+def _pushed_scene(folder: Path) -> Path:
+    """Write the three-axis arm, its links open to pushes, into a folder, and return its file."""
+    given = find_scene("three_axis")
+    data = yaml.safe_load(given.read_text(encoding="utf-8"))
+    data["urdf"] = str((given.parent / data["urdf"]).resolve())
+    data["external_wrench"] = True
+    for kind in ("servo", "motion"):
+        (folder / kind).mkdir()
+        shutil.copy(given.parent / kind / "three_axis.yaml", folder / kind)
+    file = folder / "three_axis.yaml"
+    file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     return file

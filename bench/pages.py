@@ -72,9 +72,9 @@ def _command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Pa
     return make
 
 
-def _bench(name: str) -> Callable[[Path], Path]:
+def _bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
     """Return what makes a picture by a bench that draws at once."""
-    return lambda scratch: importlib.import_module(f"bench.{name}").picture(scratch)
+    return lambda scratch: getattr(importlib.import_module(f"bench.{name}"), function)(scratch)
 
 
 def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:
@@ -97,8 +97,8 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "fig4.png": _command("fig4.png", "demo", "three_axis"),
     "kuka_kr300_run_B.png": _command("kuka_kr300_run_B.png", "validate", "kuka_kr300"),
     "kinds_of_moves.png": _bench("kinds_of_moves"),
-    "live_page.png": _bench("live_page_picture"),
-    "look.png": _bench("page_picture"),
+    "live_page.png": _bench("page_picture", "live"),
+    "look.png": _bench("page_picture", "look"),
     "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),
     "tool_paths.png": _bench("tool_paths"),
     "tune_ur5.png": _command("tune_ur5.png", "tune", "ur5"),

@@ -36,11 +36,16 @@ from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.page import live_page
 from arm_emulator.page.desk import MachineHands
 from arm_emulator.page.live_page import LivePage
-from bench.page_browsers import CAMERA
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")
 __all__ = ["browser"]  # a fixture
 pytest.importorskip("viser", reason="see requirements-peers.txt")
+# A browser's first message: without a camera the page sends it nothing but the first picture.
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.0, -1.0, 1.0),
+    "fov": 1.3, "near": 0.01, "far": 100.0, "image_height": 480, "image_width": 640,
+    "look_at": (0.0, 0.0, 0.3), "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
 VISCOUS = "joints.elbow.friction.viscous"
 BREAKS = "faults.elbow.gear_breaks"
 OPEN = f"""external_wrench: true

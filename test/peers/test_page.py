@@ -47,7 +47,7 @@ from arm_emulator.ros.bag_metadata import PARENT
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.order import Push, ScaleGains
 from arm_emulator.runs.timeline import Timeline
-from bench.rewind import new_target
+from bench.page_picture import new_target
 
 __all__ = ["browser"]  # a fixture
 viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
