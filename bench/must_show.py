@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from arm_emulator.machine.schemes.known import SCHEMES
 from bench import fleet
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, punctual
 from bench.ns_per_step import fastest_mujoco
@@ -39,7 +38,6 @@ def must_show(sections: dict[str, Any]) -> list[Row]:
         ("fleet", _fleet),
         ("work_precision", _at_error),
         ("stability_map", _stability),
-        ("energy_drift", _energy),
         ("threads", _threads),
         ("clocks", _clocks),
         ("first_use", _first_use),
@@ -124,18 +122,6 @@ def _stability(figures: dict[str, Any]) -> Iterator[Row]:
         holds = everywhere_bounded(figures, scheme)
         reached = "everywhere" if holds else "not everywhere"
         yield f"{scheme} bounded on the stability map", "everywhere", reached, holds
-
-
-def _energy(figures: dict[str, Any]) -> Iterator[Row]:
-    reached = []
-    for scheme, rows in figures["rows"].items():
-        if scheme not in SCHEMES:  # MuJoCo's
-            continue
-        row = next(row for row in rows if row["dt"] == 1e-4)
-        drift = row["drift"]
-        reached.append(f"{scheme} {'diverged' if drift is None else f'{drift:+.1e} J'}")
-    what = "energy drift of the free chain per minute, at 0.1 ms"
-    yield what, "report", ", ".join(reached), None
 
 
 def _threads(figures: dict[str, Any]) -> Iterator[Row]:

@@ -74,7 +74,12 @@ def _command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Pa
 
 def _bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
     """Return what makes a picture by a bench that draws at once."""
-    return lambda scratch: getattr(importlib.import_module(f"bench.{name}"), function)(scratch)
+
+    def make(scratch: Path) -> Path:
+        file: Path = getattr(importlib.import_module(f"bench.{name}"), function)(scratch)
+        return file
+
+    return make
 
 
 def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:

@@ -26,22 +26,19 @@ SECTIONS = (
     "fleet",
     "what_each_part_costs",
     "stability_map",
-    "energy_drift",
     "hard_cases",
     "threads",
     "clocks",
     "first_use",
 )
 # Sections that run only when they are named: controllers and given machines:
-# docs/concepts/motion.md, docs/validation/assumed.md, docs/validation/validation.md and
-# docs/how_to/identify.md.
+# docs/concepts/motion.md, docs/validation/assumed.md and docs/how_to/identify.md.
 BY_NAME = (
     "feedforward",
     "tool_paths",
     "hard_places",
     "convergence",
     "assumed",
-    "validation",
     "identification",
     "doubtful_records",
 )
