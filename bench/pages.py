@@ -96,12 +96,10 @@ def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path
 DRAWN: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _bench("moving_picture"),
     "campaign.png": _command("influences.png", "campaign", "examples/campaign.yaml", into="--into"),
-    "convergence.png": _section("convergence", "convergence.png"),
     "faults.png": _section("fault_matrix", "faults.png"),
     "feedforward.png": _section("feedforward", "feedforward.png", quick=True),
     "fig4.png": _command("fig4.png", "demo", "three_axis"),
     "kuka_kr300_run_B.png": _command("kuka_kr300_run_B.png", "validate", "kuka_kr300"),
-    "kinds_of_moves.png": _bench("kinds_of_moves"),
     "live_page.png": _bench("page_picture", "live"),
     "look.png": _bench("page_picture", "look"),
     "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),

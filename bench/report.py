@@ -36,8 +36,6 @@ SECTIONS = (
 BY_NAME = (
     "feedforward",
     "tool_paths",
-    "hard_places",
-    "convergence",
     "assumed",
     "identification",
     "doubtful_records",

@@ -2,12 +2,62 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
+from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from bench.convergence import INSTRUCTIONS, measured_factor, step_response
+from arm_emulator.machine.chain import Array
+from arm_emulator.servo.drives import Drives, Target
 from oracles.convergence import convergence_factor, expected_errors
+
+SCENE = "three_axis"  # at its start the waist alone moves the tool along y
+WAY = 0.02  # m; a count of the encoder is 1e-3 of it
+LONG = 1.0  # s until the servo is there
+INSTRUCTIONS = 40
+
+
+def step_response(period: float) -> Array:
+    """Return which part of a step of the waist's target the servo has gone, by motion periods."""
+    file = find_scene(SCENE)
+    scene, config = load_scene(file), load_gains(file).servo
+    session, drives = Session(scene, "lockstep", "first_answer"), Drives(config)
+    target = scene.start.copy()
+    target[0] += WAY / 0.43
+    gone = []
+    for tick in range(round(LONG / scene.servo_period) + 1):
+        measured = session.measured
+        drives.measure(session.logical_ns, measured.encoder_counts, measured.current)
+        drives.aim(Target(target))
+        if tick and tick % round(period / scene.servo_period) == 0:
+            measured = drives.servo.q_measured[0]
+            gone.append((measured - scene.start[0]) / (target[0] - scene.start[0]))
+        session.offer(tick, list(config.joint_names), drives.command(True).tolist())
+        session.advance()
+    return np.array(gone)
+
+
+def measured_factor(weight: float, period: float) -> float:
+    """Return the factor by which the machine's error falls per instruction."""
+    file = find_scene(SCENE)
+    gains = load_gains(file)
+    motion = dataclasses.replace(
+        gains.motion, method="paper", weight=weight, period=period, step_limit=10.0
+    )
+    servo = dataclasses.replace(gains.servo, motion_period=period)
+    one = OfflineRun(load_scene(file), servo, motion)
+    kinematics, session = one.controller.kinematics, one.session
+    R_WT, p_WT = kinematics.forward(session.scene.start)
+    target = Pose(p_WT + np.array([0.0, WAY, 0.0]), R_WT)
+    one.instructor.add(0, target)
+    errors = []
+    for _ in range(INSTRUCTIONS):
+        one.advance(one.motion_ticks)
+        errors.append(kinematics.tool_error(one.drives.servo.q_measured, target)[1] / WAY)
+    return convergence_factor(errors)
 
 
 def test_closed_forms() -> None:
