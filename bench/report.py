@@ -26,7 +26,6 @@ SECTIONS = (
     "fleet",
     "what_each_part_costs",
     "stability_map",
-    "hard_cases",
     "threads",
     "clocks",
     "first_use",

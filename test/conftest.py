@@ -23,6 +23,7 @@ pytest.register_assert_rewrite(
     "doors",
     "faults_at_doors",
     "fuzz",
+    "hard_cases",
     "in_process",
     "machines",
     "network",

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
+from hard_cases import EARTH, Rod, chain
 from test_fleet_step import COUNT, LOCATED
 
 from arm_emulator.base.refusal import Refusal
@@ -21,7 +22,6 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.servo.drives import Drives, Target
-from bench.hard_case import EARTH, Rod, chain
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
