@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from bench import fleet
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, punctual
 from bench.ns_per_step import fastest_mujoco
 from bench.stability_map import everywhere_bounded
-from bench.threads import PAPER, PAPER_RATIO, TITLES, TWO
+from bench.threads import PAPER_RATIO, TITLES, TWO
 
 # what, wanted, reached, whether it is; None: nothing to hold it against, or not measured
 Row = tuple[str, str, str, bool | None]
@@ -24,8 +24,7 @@ AT_ERROR: dict[str, dict[str, float | None]] = {
 FLEET_GAIN, FLEET_PER_STEP, FLEET_AT_ERROR = 4.0, 120.0, 1000.0
 LARGE_STEP_ERROR = 5e-4  # rad, rosenbrock at 10 ms on three_axis
 READY = 0.05  # s, from the cache
-# Of the paper's Table 1, and the N that is to pay as two threads paid there.
-TABLE_1_STEP, TWO_THREADS_N = 1e-4, "24"
+TWO_THREADS_N = "24"  # is to pay as two threads paid in the paper
 FASTER = {"lockstep": 5.0, "offline": 200.0}  # smallest real-time factors
 FROM_TABLE = {"ur5": 1000.0, "three_axis": 2500.0}  # the same, servo in C and targets from a table
 
@@ -125,14 +124,6 @@ def _stability(figures: dict[str, Any]) -> Iterator[Row]:
 
 
 def _threads(figures: dict[str, Any]) -> Iterator[Row]:
-    lag = figures["table_1"][f"{TABLE_1_STEP:g}"]["difference"]["lag"]
-    papers = PAPER[TABLE_1_STEP]
-    yield (
-        f"Table 1: two threads against one after 1 s at {TABLE_1_STEP:g} s, per joint",
-        f"at most {_rad(papers)}",
-        _rad(lag),
-        all(one <= paper for one, paper in zip(lag, papers, strict=True)),
-    )
     loop = figures["loops"][TWO_THREADS_N]
     ratios = {kind: loop[kind]["median"] / loop["one"]["median"] for kind in TWO}
     yield (
@@ -164,10 +155,6 @@ def _clocks(figures: dict[str, Any]) -> Iterator[Row]:
         got = figures["table"][scene]["factor"]
         what = f"{scene}, servo in C, targets from a table: real-time factor"
         yield what, f"at least {wanted:g}", f"{got:.0f}", got >= wanted
-
-
-def _rad(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.1e}" for value in values) + " rad"
 
 
 def _first_use(figures: dict[str, Any]) -> Iterator[Row]:

@@ -24,7 +24,6 @@ SECTIONS = (
     "work_precision",
     "ns_per_step",
     "fleet",
-    "what_each_part_costs",
     "stability_map",
     "threads",
     "clocks",

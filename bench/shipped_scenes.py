@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator import Plant, Scene, load_scene
+from arm_emulator import Plant, Pose, Scene, load_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.runs.offline import load_offline_run
 from bench.bare import BARE
-from bench.closed_loop import DemoMotion
 from bench.measure import Task, compile_all, interleaved, progress
 from bench.motion import Array
 
@@ -43,17 +45,29 @@ def run(quick: bool) -> dict[str, Any]:
 
 def _tasks(scene: Scene, stripped: Scene) -> tuple[dict[str, Task], dict[str, int]]:
     """Return what is timed of a scene, and how many steps each task takes."""
-    motion = DemoMotion(scene)
-    _, rows = motion.run(scene)
-    moving = rows[motion.settle :]
+    rows, settle = _demo_commands(scene)
+    moving = rows[settle:]
     rest = np.repeat(rows[-1:], round(REST / scene.servo_period), axis=0)
     tasks = {
-        MOVING: _timed(Plant(scene), rows[: motion.settle], moving),
+        MOVING: _timed(Plant(scene), rows[:settle], moving),
         RESTING: _timed(Plant(scene), np.concatenate((rows, rest)), rest),
         STRIPPED: _timed(Plant(stripped), moving[:0], _voltages(stripped, len(moving))),
     }
     lengths = {MOVING: len(moving), RESTING: len(rest), STRIPPED: len(moving)}
     return tasks, {task: lengths[task] * _steps(scene) for task in tasks}
+
+
+def _demo_commands(scene: Scene) -> tuple[Array, int]:
+    """Return the commands of settling and of the demo's first second (K, N), and the first's K."""
+    one = load_offline_run(scene.name)
+    plan = DemoPlan.load(find_scene(scene.name), one.motion_ticks * one.session.period_ns)
+    R_WT, p_WT = one.controller.kinematics.forward(scene.start)
+    one.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
+    settle, rows = plan.settle_ns // one.session.period_ns, []
+    for _ in range(settle + round(1.0 / scene.servo_period)):
+        one.advance(1)
+        rows.append(one.session.measured.applied)
+    return np.array(rows), settle
 
 
 def _timed(plant: Plant, before: Array, rows: Array) -> Task:

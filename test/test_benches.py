@@ -15,7 +15,7 @@ from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench import report, what_each_part_costs
+from bench import report
 from bench.bare import BARE, odd_parts
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,11 +29,6 @@ def test_a_scene_without_its_extras_has_the_parts_of_peers(name: str, scheme: st
     scene = load_scene(name, {**BARE, "integrator.scheme": scheme})
     assert not [one for one in odd_parts(scene) if not one.endswith(".motor")]  # they stay
     assert scene.integrator.events == "step"
-
-
-def test_every_part_can_be_taken_out_and_put_in() -> None:
-    scenes = list(what_each_part_costs.timed_scenes(("three_axis", "ur5", "panda")))
-    assert {one.integrator.scheme for one in scenes} == set(what_each_part_costs.TIMED)
 
 
 @pytest.mark.parametrize("name", MODULES)
