@@ -45,10 +45,10 @@ contacts, closed kinematic loops or many bodies, which MuJoCo and Pinocchio are 
 emulator leaves out: part of what they do in a step is looking after what is not there. They do not
 state how the times are on another processor; ratios carry over better than nanoseconds. Spread is
 that within this run; from run to run a virtual machine differs by more. MuJoCo and Pinocchio are
-used as published, their wheels compiled for any x86-64 processor (but for Pinocchio in C++), where
-the emulator compiles each scene for the processor at hand: that is part of its idea, and part of
-the ratio. The motions are smooth but for the jumps of the voltages; friction that sticks, limits
-that are reached and encoders are not in the work-precision curves."""
+used as published, their wheels compiled for any x86-64 processor, where the emulator compiles each
+scene for the processor at hand: that is part of its idea, and part of the ratio. The motions are
+smooth but for the jumps of the voltages; friction that sticks, limits that are reached and encoders
+are not in the work-precision curves."""
 
 
 def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
