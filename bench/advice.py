@@ -1,6 +1,4 @@
-"""Advice of `advise`, compared with brute force and with unseen motions.
-
-    python -m bench.advice --count 20
+"""Advice of `advise`, compared with brute force and with unseen motions, by bench/claims.py.
 
 Each scene is a random chain of one or two links: with dry friction, with play, with limits, with
 synchronous motors, with motors that are commanded torques or currents, in turns. For each error
@@ -16,19 +14,14 @@ independent solutions.
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from rich.console import Console
-from rich.table import Table
 
 from arm_emulator.analysis.advice import Advice, Judge, advise, step_counts
 from arm_emulator.analysis.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
@@ -44,7 +37,6 @@ from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.parts.pmsm import Pmsm
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from arm_emulator.machine.scene import Scene, load_scene
-from bench.measure import progress
 from oracles import mixtures
 from oracles.random_chain import moving_joints, random_chain_urdf
 
@@ -143,6 +135,18 @@ class Verdict:
         """Whether hardly anything is cheaper."""
         return self.cost <= DEARER
 
+    @property
+    def claims(self) -> dict[str, bool]:
+        """Return all claims by name."""
+        return (
+            {}
+            if self.none
+            else {
+                "errors are at most those stated": self.true,
+                f"at most {DEARER} times as dear as the cheapest": self.cheap,
+            }
+        )
+
 
 def judge_scene(
     seed: int, seconds: float = SECONDS, errors: Sequence[float] = ERRORS
@@ -198,50 +202,3 @@ def _verdict(
         f"{method}, {fewer} steps",
         tried,
     )
-
-
-def table(verdicts: list[Verdict]) -> Table:
-    """Return what came out, a row per scene and error."""
-    out = Table(box=None, pad_edge=False)
-    for name in ("scene", "wanted", "setting", "dt [s]", "stated", "true", "others: stated", "true",
-                 "cost", "cheapest", "tried"):  # fmt: skip
-        out.add_column(name)
-    for one in verdicts:
-        first = f"{one.seed} {one.kind}", f"{one.wanted:.0e}"
-        if one.none:
-            out.add_row(*first, one.none)
-            continue
-        errors = (one.stated, one.own, one.stated_of_others, one.others)
-        out.add_row(*first, one.setting, f"{one.dt:.3g}", *(f"{x:.1e}" for x in errors),
-                    f"{one.cost:.2f}", one.cheapest, str(one.tried))  # fmt: skip
-    return out
-
-
-def main() -> int:
-    """Judge scenes; exit code 1 where a claim does not hold."""
-    parser = argparse.ArgumentParser(prog="bench.advice", description=__doc__)
-    parser.add_argument("--count", type=int, default=20, help="scenes (default: %(default)s)")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each motion")
-    parser.add_argument("--out", type=Path, default=Path("out/advice.json"))
-    arguments = parser.parse_args()
-    console, verdicts = Console(width=180), list[Verdict]()
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    with progress("advice", arguments.count) as step:
-        for seed in range(arguments.first, arguments.first + arguments.count):
-            step(f"scene {seed}")
-            verdicts += judge_scene(seed, arguments.seconds)
-            arguments.out.write_text(json.dumps([asdict(one) for one in verdicts], indent=1))
-    console.print(table(verdicts))
-    given = [one for one in verdicts if not one.none]
-    untrue, dear = [one for one in given if not one.true], [one for one in given if not one.cheap]
-    console.print(
-        f"{len(given)} of {len(verdicts)} advised: {len(untrue)} beyond what was stated, "
-        f"{len(dear)} dearer than {DEARER} times the cheapest; {sum(one.tried for one in given)} "
-        f"settings tried; -> {arguments.out}"
-    )
-    return 1 if untrue or dear else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -75,6 +75,15 @@ class Verdict:
         """Whether energy balances at 1 us."""
         return self.note != "" or self.left[2] < BALANCED * max(1.0, self.rate / SLOW) ** 2
 
+    @property
+    def claims(self) -> dict[str, bool]:
+        """Return all claims by name."""
+        return {
+            f"{self.scheme}: error in order": self.in_order,
+            f"{self.scheme}: balance in order": self.balance_in_order,
+            f"{self.scheme}: balanced at 1 us": self.balanced,
+        }
+
 
 def machine(folder: Path, seed: int) -> tuple[Path, Array]:
     """Write a random machine into `folder`; return its scene's file and its voltages."""

@@ -125,7 +125,7 @@ def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
 def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`python -m bench.advice` does the same for more scenes, longer motions and more errors."""
+    """`python -m bench.claims advice` has more scenes, longer motions and more errors."""
     try_only(monkeypatch, "implicit", "rosenbrock")
     verdicts = judge_scene(seed, seconds=0.2 if FULL else 0.1, errors=some([1e-5, 1e-6], 1))
     for one in verdicts:

@@ -13,7 +13,7 @@ from oracles.random_machines import judge
 # a link of 381 breaks away for a moment, and one of 470 sets out and rests within some us.
 @pytest.mark.parametrize("seed", some([31, 138, 10, 381, 1, 0, 470, 2, 3, 4], 1))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
-    """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
+    """At a step and its tenth; `python -m bench.claims random_machines` has hundreds."""
     (verdict,) = judge(seed, (LOCATING_SCHEMES[seed % 2],))
     assert verdict.in_order, f"the error does not fall as h squared: {verdict}"
     assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"

@@ -246,7 +246,8 @@ def reserve(errors: Array) -> float:
     """Return the ratio of the errors of other motions to the largest of some errors, at most.
 
     `LEAST_RESERVE`, or more if the largest stands out: the next one may stand out as much.
-    `python -m bench.advice` measures how often that is enough. Few motions permit no estimate.
+    `python -m bench.claims advice` measures how often that is enough. Few motions permit no
+    estimate.
     """
     if len(errors) < ENOUGH or not np.isfinite(errors).all():
         return math.inf

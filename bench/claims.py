@@ -1,0 +1,96 @@
+"""Claims held against random cases, with a truth that does not share their code.
+
+    python -m bench.claims random_machines --count 500
+    python -m bench.claims mixtures --count 300
+    python -m bench.claims alone --count 300    each law of friction alone, by smooth equations
+    python -m bench.claims advice --count 20
+
+Claims and truths stand in oracles/random_machines.py, oracles/mixtures.py, oracles/alone.py and
+bench/advice.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from arm_emulator.build.library_cache import CACHE_VARIABLE
+from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
+from bench import advice
+from bench.measure import progress
+from oracles import alone, mixtures, random_machines
+
+Verdict = Any  # a dataclass, whose `claims` tell by name which hold
+
+JUDGES: dict[str, Callable[[int], Sequence[Verdict]]] = {
+    "random_machines": lambda seed: random_machines.judge(seed, LOCATING_SCHEMES),
+    "mixtures": lambda seed: [mixtures.judge(seed)],
+    "alone": lambda seed: [alone.judge(seed)],
+    "advice": advice.judge_scene,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Judge cases and print how many meet each claim; exit code 1 if one is broken."""
+    parser = argparse.ArgumentParser(prog="bench.claims", description=__doc__.splitlines()[0])
+    parser.add_argument("about", choices=JUDGES)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first case")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--out", type=Path, help="default: out/claims/ABOUT.json")
+    given = parser.parse_args(arguments)
+    out = given.out or Path("out/claims", f"{given.about}.json")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    verdicts, broken = list[Verdict](), list[str]()
+    with (
+        tempfile.TemporaryDirectory() as cache,  # of libraries that nobody needs again
+        ProcessPoolExecutor(given.jobs, initializer=_begin, initargs=(cache,)) as pool,
+        progress(given.about, given.count) as done,
+    ):
+        seeds = range(given.first, given.first + given.count)
+        waiting = {pool.submit(_judged, given.about, seed): seed for seed in seeds}
+        try:
+            for one in as_completed(waiting):
+                if one.exception():
+                    broken.append(f"seed {waiting[one]}: {one.exception()!r}")
+                else:
+                    verdicts += one.result()
+                    out.write_text(json.dumps([asdict(each) for each in verdicts], indent=1))
+                done(f"seed {waiting[one]}")
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            print(f"ended early, {len(verdicts)} verdicts are made")
+    broken += [str(one) for one in verdicts if not all(one.claims.values())]
+    made, held = Counter[str](), Counter[str]()
+    for one in verdicts:
+        made.update(one.claims)
+        held.update(name for name, holds in one.claims.items() if holds)
+    for name, count in sorted(made.items()):
+        print(f"{name}: {held[name]} of {count}")
+    print(*broken, f"all verdicts are in {out}", sep="\n")
+    return 1 if broken else 0
+
+
+def _judged(about: str, seed: int) -> Sequence[Verdict]:
+    return JUDGES[about](seed)
+
+
+def _begin(cache: str) -> None:
+    os.environ[CACHE_VARIABLE] = cache
+    # Of compilations; a refusal comes back as an exception. An interrupt is for the one who asked.
+    sys.stderr = open(os.devnull, "w")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
