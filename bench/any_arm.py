@@ -1,30 +1,25 @@
 """Any serial arm, from its robot description alone: does it go where it is sent, and how?
 
-    python -m bench.any_arm [ROBOT ...] [--moves 30] [--out out/any_arm]
+    python -m bench.any_arm [ROBOT ...] [--moves 30] [--out out/any_arm.json]
 
 A folder stands for all descriptions in it. The claims and the truth stand in oracles/any_arm.py.
-Each arm's outcome is a file in `--out`; a run that was broken off goes on behind the last one.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import sys
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from bench.measure import progress
+from bench.measure import side_by_side
+from bench.tables import table
 from oracles.any_arm import DISTANCES_NAMED, Move, Outcome, arms, examine
-from oracles.own_robots import OWN
 
-OUT = Path("out/any_arm")
 MOVES = 30  # of each distance
 PARTS = (50.0, 90.0, 99.0, 99.5, 100.0)  # % of all moves
 FARTHEST = 3e-3  # m past its rest, in any move
@@ -45,14 +40,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="bench.any_arm", description=__doc__.splitlines()[0])
     parser.add_argument("robots", nargs="*", help="names, parts of them, files, or folders")
     parser.add_argument("--moves", type=int, default=MOVES, help="of each distance")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=Path("out/any_arm.json"))
     arguments = parser.parse_args()
-    began = time.monotonic()
-    outcomes = examined(chosen(arguments.robots), arguments.moves, arguments.jobs, arguments.out)
+    outcomes = examined(chosen(arguments.robots), arguments.moves)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps([asdict(one) for one in outcomes], indent=1))
     print(report(outcomes))
     print(failures(outcomes))
-    print(f"\n{time.monotonic() - began:.0f} s; all moves are in {arguments.out}")
+    print(f"\nall moves are in {arguments.out}")
     moves = [one for outcome in outcomes for one in outcome.moves]
     sys.exit(any(sum(map(fails, moves)) > share * len(moves) for _, fails, share in CLAIMS))
 
@@ -73,50 +68,27 @@ def chosen(robots: Sequence[str]) -> dict[str, Path | str]:
     return found
 
 
-def examined(robots: dict[str, Path | str], moves: int, jobs: int, out: Path) -> list[Outcome]:
-    """Return the outcome of every arm, of those that are not there yet by new runs."""
-    out.mkdir(parents=True, exist_ok=True)
-    places = {name: out / f"{_digest(name, robot, moves)}.json" for name, robot in robots.items()}
-    missing = {name: robots[name] for name, place in places.items() if not place.exists()}
-    with ProcessPoolExecutor(jobs) as pool, progress("arms", len(missing)) as tick:
-        runs = {pool.submit(examine, n, r, moves): n for n, r in missing.items()}
-        for run in as_completed(runs):
-            name = runs[run]
-            text = json.dumps(asdict(run.result()), indent=1)
-            places[name].with_suffix(".part").write_text(text, encoding="utf-8")
-            places[name].with_suffix(".part").rename(places[name])
-            tick(name)
-    return [_outcome(places[name]) for name in sorted(places)]
+def examined(robots: dict[str, Path | str], moves: int) -> list[Outcome]:
+    """Return the outcome of every arm."""
+    return side_by_side("arms", _examine, [(name, robots[name], moves) for name in sorted(robots)])
 
 
-def _digest(name: str, robot: Path | str, moves: int) -> str:
-    text = OWN[robot]() if isinstance(robot, str) else robot.read_text(errors="surrogateescape")
-    content = f"{name} {moves} {text}".encode(errors="surrogateescape")
-    return f"{name.replace('/', '_').replace(': ', '_')}_{hashlib.sha256(content).hexdigest()[:8]}"
-
-
-def _outcome(place: Path) -> Outcome:
-    values = json.loads(place.read_text(encoding="utf-8"))
-    return Outcome(**values | {"moves": [Move(**one) for one in values["moves"]]})
+def _examine(which: tuple[str, Path | str, int]) -> Outcome:
+    return examine(*which)
 
 
 def run(quick: bool) -> list[Outcome]:
     """Examine all arms that are there."""
-    return examined(arms(), 5 if quick else MOVES, 1, OUT)
+    return examined(arms(), 5 if quick else MOVES)
 
 
 def report(outcomes: list[Outcome]) -> str:
     """Return a row per arm, and parts of all moves, as Markdown."""
-    heads = ("arm", "joints", *DISTANCES_NAMED, "median, s", "worst, s", "past, mm", "off line, mm")
-    lines = _table((*heads, "speed", "acceleration", "torque"))
-    for one in outcomes:
-        if one.moves:
-            lines.append(_row(one))
     moves = [one for outcome in outcomes for one in outcome.moves]
     if not moves:
         return "no arm moved"
-    lines += ["", f"All {len(moves)} moves of {sum(bool(o.moves) for o in outcomes)} arms:", ""]
-    lines += _table(("at most in", *(f"{part:g} %" for part in PARTS)))
+    heads = ("arm", "joints", *DISTANCES_NAMED, "median, s", "worst, s", "past, mm", "off line, mm",
+             "speed", "acceleration", "torque")  # fmt: skip
     straight = [one for one in moves if one.straight]
     rows: list[tuple[str, list[float]]] = [
         ("past its rest, mm", [1e3 * max(0.0, one.past) for one in moves]),
@@ -128,10 +100,15 @@ def report(outcomes: list[Outcome]) -> str:
         *((f"seconds, {key}", [m.seconds for m in moves if m.distance == key])
           for key in DISTANCES_NAMED),
     ]  # fmt: skip
-    for words, values in rows:
-        shown = (f"{value:.3g}" for value in np.percentile(values or [np.nan], PARTS))
-        lines.append(f"| {words} | {' | '.join(shown)} |")
-    return "\n".join(lines)
+    parts = (
+        (words, *(f"{part:.3g}" for part in np.percentile(values or [np.nan], PARTS)))
+        for words, values in rows
+    )
+    return "\n\n".join([
+        table(heads, (_row(one) for one in outcomes if one.moves), numbers=True),
+        f"All {len(moves)} moves of {sum(bool(o.moves) for o in outcomes)} arms:",
+        table(("at most in", *(f"{part:g} %" for part in PARTS)), parts, numbers=True),
+    ])  # fmt: skip
 
 
 def failures(outcomes: list[Outcome]) -> str:
@@ -148,13 +125,9 @@ def failures(outcomes: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def _table(heads: Sequence[str]) -> list[str]:
-    return [f"| {' | '.join(heads)} |", f"|---{'|---:' * (len(heads) - 1)}|"]
-
-
-def _row(one: Outcome) -> str:
+def _row(one: Outcome) -> list[str]:
     times = [m.seconds for m in one.arrived] or [float("nan")]
-    cells = [
+    return [
         one.name.removeprefix("own: "),
         str(one.joints),
         *(f"{sum(not m.words for m in one.of(key))}/{len(one.of(key))}" for key in DISTANCES_NAMED),
@@ -166,7 +139,6 @@ def _row(one: Outcome) -> str:
         f"{max(m.peak_acceleration for m in one.moves):.2f}",
         f"{max(m.peak_torque for m in one.moves):.2f}",
     ]
-    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":
