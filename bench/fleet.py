@@ -5,22 +5,21 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator import Diverged, Fleet, Plant, Scene, load_scene
+from arm_emulator import Fleet, Plant, Scene, load_scene
 from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
-from bench.measure import Task, Timing, interleaved, progress
+from bench.measure import Task, interleaved, progress
 from bench.motion import SERVO_PERIOD, sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm, mujoco
+from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, mujoco
 from bench.pictures import COLOURS, new_figure, save
-from bench.time_at_error import time_at_error
 from bench.work_precision import steps_of
 
 TITLE = "Many arms"
@@ -32,7 +31,7 @@ ARMS = ("three_axis", "ur5", "panda")
 PEER = "ur5"  # for the comparison with rollout
 STEPS_PER_PERIOD = 2
 INPUTS = 3  # motions; the error is the root mean square over them
-TARGET = 1e-5  # rad
+TARGET = 1e-5  # rad, the largest error
 COARSEST, FINEST, FINEST_THEIRS = SERVO_PERIOD, 2e-5, 1e-5  # s
 PART = 20  # of the second, that rollout is timed for: each of its steps takes the same
 CHUNK = 2000  # steps of one call of rollout: of its states, which it keeps, some 30 MB
@@ -75,9 +74,9 @@ def _throughput(
     rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
     plant, fleet, wide = Plant(scene), Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT)
     tasks = {
-        "one arm": _task(plant, one, plant.reset),
-        "one core": _task(fleet, rows, fleet.reset),
-        "all cores": _task(wide, rows, wide.reset),
+        "one arm": _task(plant, one),
+        "one core": _task(fleet, rows),
+        "all cores": _task(wide, rows),
     }
     timings = interleaved(
         tasks, repetitions, lambda task: done(name) if task == "one arm" else None
@@ -87,10 +86,6 @@ def _throughput(
         task: asdict(timing.per(steps[task] * STEPS_PER_PERIOD)) for task, timing in timings.items()
     }
     return {"lanes": fleet.lanes, "per_step": per_step}
-
-
-def _task(machine: Plant | Fleet, rows: Array, reset: Callable[[], None]) -> Task:
-    return Task(lambda _: machine.run(rows, STEPS_PER_PERIOD), lambda _: reset())
 
 
 class Rollout:
@@ -133,6 +128,10 @@ class Rollout:
             self._state = states[:, -1].copy()
 
 
+def _task(machine: Plant | Fleet | Rollout, rows: Array, steps: int = STEPS_PER_PERIOD) -> Task:
+    return Task(lambda _: machine.run(rows, steps), lambda _: machine.reset())
+
+
 def _per_step(repetitions: int) -> dict[str, Any]:
     """Return the time of a step of one arm of many [s], on one core."""
     dt = SERVO_PERIOD / STEPS_PER_PERIOD
@@ -143,13 +142,10 @@ def _per_step(repetitions: int) -> dict[str, Any]:
     tasks: dict[str, Task] = {}
     for scheme, scene in scenes.items():
         fleet = Fleet(scene, COUNT, workers=1)
-        tasks[scheme] = _task(fleet, rows, fleet.reset)
+        tasks[scheme] = _task(fleet, rows)
     for integrator in INTEGRATORS:
         peer = Rollout(scenes["paper"], integrator, dt, COUNT, threads=1)
-        tasks[f"MuJoCo {integrator}"] = Task(
-            lambda _, peer=peer: peer.run(few, STEPS_PER_PERIOD),  # type: ignore[misc]
-            lambda _, peer=peer: peer.reset(),  # type: ignore[misc]
-        )
+        tasks[f"MuJoCo {integrator}"] = _task(peer, few)
     with progress("per step", repetitions * len(tasks)) as done:
         timings = interleaved(tasks, repetitions, done)
     return {
@@ -158,101 +154,52 @@ def _per_step(repetitions: int) -> dict[str, Any]:
     }
 
 
-@dataclass
-class _Way:
-    """One way to move the arms, at some steps: errors first, then times where they matter."""
-
-    name: str
-    errors: list[tuple[float, float]]  # dt [s], error [rad]
-    at: Callable[[float], Task]
-
-    def steps_around(self, target: float) -> list[float]:
-        """Return the two steps between which the error passes the target; one if none is worse."""
-        good = [k for k, (_, error) in enumerate(self.errors) if error <= target]
-        if not good:
-            return []
-        around = self.errors[max(0, good[0] - 1) : good[0] + 1]
-        return [dt for dt, error in around if math.isfinite(error)]
-
-
 def _at_error(quick: bool) -> dict[str, Any]:
     """Return the wall time of a simulated second of one arm of many at an error of `TARGET`.
 
-    On one core.
+    On one core, by the largest step that keeps the error.
     """
     scene = _scene(PEER, "rosenbrock", SERVO_PERIOD)
-    N = len(scene.joints)
-    inputs = [sines(N, seed) for seed in range(INPUTS)]
+    inputs = [sines(len(scene.joints), seed) for seed in range(INPUTS)]
     truths = [reference(scene, rows, SERVO_PERIOD)[-1] for rows in inputs]
     rows = np.stack([inputs[arm % INPUTS] for arm in range(COUNT)], axis=1)
+    part = np.ascontiguousarray(rows[: len(rows) // PART])
 
-    def rms(end: Callable[[Array], Array]) -> float:
-        errors = [
-            float(np.abs(end(i) - truth).max()) for i, truth in zip(inputs, truths, strict=True)
-        ]
-        return math.sqrt(sum(error**2 for error in errors) / INPUTS)
-
-    def steps(dt: float) -> int:
-        return round(SERVO_PERIOD / dt)
-
-    ways = []
-    for scheme in SCHEMES:
+    def exact(machine: Plant | MujocoArm, steps: int) -> bool:
         errors = []
-        for dt in steps_of(COARSEST, FINEST):
-            plant = Plant(_scene(PEER, scheme, dt))
+        for voltages, truth in zip(inputs, truths, strict=True):
+            machine.reset()
+            end = end_of(machine, voltages, steps)
+            errors.append(math.inf if end is None else float(np.abs(end - truth).max()))
+        return math.sqrt(sum(error**2 for error in errors) / INPUTS) <= TARGET
 
-            def end(voltages: Array, plant: Plant = plant, count: int = steps(dt)) -> Array:
-                plant.reset()
-                try:
-                    q: Array = plant.run(voltages, count)[-1]
-                except Diverged:
-                    return np.full(N, np.inf)
-                return q
-
-            errors.append((dt, rms(end)))
-
-        def of_fleet(dt: float, scheme: str = scheme) -> Task:
-            fleet = Fleet(_scene(PEER, scheme, dt), COUNT, workers=1)
-            return Task(lambda _: fleet.run(rows, steps(dt)), lambda _: fleet.reset())
-
-        ways.append(_Way(scheme, errors, of_fleet))
+    tasks: dict[str, Task] = {}
     integrators = INTEGRATORS[-2:] if quick else INTEGRATORS
-    with progress("error of MuJoCo", len(integrators)) as done:
-        for integrator in integrators:
-            errors = []
-            for dt in steps_of(COARSEST, FINEST_THEIRS):
-                arm = MujocoArm(scene, integrator, dt)
-
-                def end_of(voltages: Array, arm: MujocoArm = arm, count: int = steps(dt)) -> Array:
-                    arm.reset()
-                    arm.run(voltages, count)
-                    return arm.q if not arm.diverged else np.full(N, np.inf)
-
-                errors.append((dt, rms(end_of)))
-                if errors[-1][1] <= TARGET:
+    with progress("steps at an error", len(SCHEMES) + len(integrators)) as done:
+        for scheme in SCHEMES:
+            for dt in steps_of(COARSEST, FINEST):
+                steps, own = round(SERVO_PERIOD / dt), _scene(PEER, scheme, dt)
+                if exact(Plant(own), steps):
+                    tasks[scheme] = _task(Fleet(own, COUNT, workers=1), rows, steps)
                     break
-
-            def of_rollout(dt: float, integrator: str = integrator) -> Task:
-                peer = Rollout(scene, integrator, dt, COUNT, threads=1)
-                part = np.ascontiguousarray(rows[: len(rows) // PART])
-                return Task(lambda _: peer.run(part, steps(dt)), lambda _: peer.reset())
-
-            ways.append(_Way(f"MuJoCo {integrator}", errors, of_rollout))
+            done(scheme)
+        for integrator in integrators:
+            for dt in steps_of(COARSEST, FINEST_THEIRS):
+                steps = round(SERVO_PERIOD / dt)
+                if exact(MujocoArm(scene, integrator, dt), steps):
+                    peer = Rollout(scene, integrator, dt, COUNT, threads=1)
+                    tasks[f"MuJoCo {integrator}"] = _task(peer, part, steps)
+                    break
             done(integrator)
-    tasks = {f"{way.name}, {dt:g} s": way.at(dt) for way in ways for dt in way.steps_around(TARGET)}
     with progress("time at an error", len(tasks) * (1 if quick else 3)) as done:
         timings = interleaved(tasks, 1 if quick else 3, done)
-    times = {way.name: _time_at_target(way, timings) for way in ways}
-    return {"target": TARGET, "times": {name: t for name, t in times.items() if t is not None}}
-
-
-def _time_at_target(way: _Way, timings: dict[str, Timing]) -> float | None:
-    errors, part = dict(way.errors), 1.0 if way.name in SCHEMES else 1.0 / PART
-    points = [
-        {"error": errors[dt], "time": asdict(timings[f"{way.name}, {dt:g} s"].per(COUNT * part))}
-        for dt in way.steps_around(TARGET)
-    ]
-    return time_at_error(points, TARGET)
+    return {
+        "target": TARGET,
+        "times": {
+            name: timing.per(COUNT if name in SCHEMES else COUNT / PART).median
+            for name, timing in timings.items()
+        },
+    }
 
 
 # The report

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator import Refusal, Scene
+from arm_emulator import Diverged, Plant, Refusal, Scene
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.dc_motor import DcMotor
@@ -36,9 +36,13 @@ UNUSED = ("contact", "constraint", "equality", "limit", "frictionloss", "warmsta
 def mujoco() -> Any:
     """Return MuJoCo, of requirements-bench.txt: tests, which read reports, do without it."""
     module = importlib.import_module("mujoco")
-    # Else it writes a file into the working directory; `MujocoArm.diverged` reports the same.
+    # Else it writes a file into the working directory; `PeerDiverged` reports the same.
     module.set_mju_user_warning(lambda message: None)
     return module
+
+
+class PeerDiverged(RuntimeError):
+    """MuJoCo has warned of a bad state, and reset itself."""
 
 
 class MujocoArm:
@@ -74,11 +78,16 @@ class MujocoArm:
             self.data.qpos[self._motors] = (self._start / self._ratio)[self._elastic]
 
     def run(self, voltages: ArrayLike, steps: int) -> None:
-        """Hold each row of voltages (K, N) [V] for `steps` steps."""
+        """Hold each row of voltages (K, N) [V] for `steps` steps.
+
+        Raises:
+            PeerDiverged: see there.
+        """
         control, model, data, step = self.data.ctrl, self.model, self.data, mujoco().mj_step
         for row in np.asarray(voltages)[:, self._driven]:
             control[:] = row
             step(model, data, nstep=steps)
+        self._check()
 
     def trace(self, voltages: ArrayLike, steps: int) -> Array:
         """Do as `run`, and return link positions after each row, (K, N) [rad or m]."""
@@ -88,29 +97,31 @@ class MujocoArm:
             self.data.ctrl[:] = row[self._driven]
             step(self.model, self.data, nstep=steps)
             q[k] = self.data.qpos[self._q]
+        self._check()
         return q
+
+    def _check(self) -> None:
+        kinds = mujoco().mjtWarning
+        bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
+        if any(self.data.warning[kind].number > 0 for kind in bad):
+            raise PeerDiverged
 
     @property
     def q(self) -> Array:
         """Link positions now (N,) [rad or m]."""
         return np.array(self.data.qpos[self._q])
 
-    @property
-    def diverged(self) -> bool:
-        """Whether MuJoCo has warned of a bad state, and reset itself, since the last `reset`."""
-        kinds = mujoco().mjtWarning
-        bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
-        return any(self.data.warning[kind].number > 0 for kind in bad)
 
-    @property
-    def energy(self) -> float:
-        """Kinetic and potential energy [J]."""
-        peer = mujoco()
-        peer.mj_fwdPosition(self.model, self.data)  # a step leaves the frames one step behind
-        peer.mj_fwdVelocity(self.model, self.data)
-        peer.mj_energyPos(self.model, self.data)
-        peer.mj_energyVel(self.model, self.data)
-        return float(self.data.energy.sum())
+def end_of(machine: Plant | MujocoArm, voltages: Array, steps: int) -> Array | None:
+    """Hold each row for `steps` steps; return link positions (N,) at the end, None: it diverged."""
+    try:
+        if isinstance(machine, MujocoArm):
+            machine.run(voltages, steps)
+            return machine.q
+        end: Array = machine.run(voltages, steps)[-1]
+    except (Diverged, PeerDiverged):
+        return None
+    return end
 
 
 def mjcf(scene: Scene, integrator: str, dt: float) -> str:

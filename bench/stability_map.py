@@ -16,7 +16,7 @@ from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm
+from bench.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
 from bench.pictures import new_figure, save
 
 TITLE = "Stability map"
@@ -140,9 +140,10 @@ def _ours(overrides: Mapping[str, Any], scheme: str, dt: float, voltages: Array)
 
 
 def _mujoco(scene: Scene, integrator: str, dt: float, voltages: Array) -> Array | None:
-    arm = MujocoArm(scene, integrator, dt)
-    q = arm.trace(voltages, round(PERIOD / dt))
-    return None if arm.diverged else q
+    try:
+        return MujocoArm(scene, integrator, dt).trace(voltages, round(PERIOD / dt))
+    except PeerDiverged:
+        return None
 
 
 def _cells(runs: list[Array | None], truth: Array) -> tuple[list[int], list[float | None]]:

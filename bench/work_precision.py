@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from arm_emulator import Diverged, Plant, Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
-from bench.measure import Task, compile_all, interleaved, progress, side_by_side, without_collector
-from bench.measure import wall as wall_time
-from bench.motion import SERVO_PERIOD, sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm
+from bench.measure import (
+    Task,
+    compile_all,
+    interleaved,
+    progress,
+    side_by_side,
+    timing,
+    without_collector,
+)
+from bench.motion import SERVO_PERIOD, Array, sines
+from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of
 from bench.time_at_error import time_at_error
 from bench.work_precision_report import FROM_PYTHON, INPUTS, draw, report
 
 TITLE = "Work and precision"
 
 __all__ = ["TITLE", "draw", "report", "run"]  # of a section
-
-Array = NDArray[np.float64]
 
 FACTORS = (1.0, 0.5, 0.2)  # of the decades of the step
 TARGETS = (1e-4, 1e-5, 1e-6, 1e-8)  # rad
@@ -111,21 +115,32 @@ def steps_of(largest: float, smallest: float) -> list[float]:
     return [float(f"{dt:.6g}") for dt in sizes if dt > 0.99 * smallest]
 
 
+@dataclass
 class _Series:
-    """One way to compute the motion, at one step size: times it, keeps what came out."""
+    """One way to compute the motions, at one step size: times it, keeps what came out."""
 
-    def __init__(self, name: str, dt: float, about: float, work: Callable[[int], Array]) -> None:
-        self.name, self.dt, self.about = name, dt, about
-        self._work = work
-        self.ends: dict[int, Array | None] = {}
+    name: str
+    dt: float  # s
+    about: float  # s
+    machine: Plant | MujocoArm
+    called: bool = False  # from Python in every period
+    ends: dict[int, Array | None] = field(default_factory=dict)
 
-    def task(self, prepare: Callable[[], object]) -> Task:
-        return Task(self.work, lambda repetition: prepare(), self.about)
+    def task(self, voltages: list[Array], period: float) -> Task:
+        """Return the task of a motion, the `repetition`th of the voltages."""
+        steps, machine = round(period / self.dt), self.machine
 
-    def work(self, repetition: int) -> None:
-        self.ends[repetition] = None
-        with contextlib.suppress(Diverged, PeerDiverged):
-            self.ends[repetition] = self._work(repetition)
+        def work(repetition: int) -> None:
+            rows = voltages[repetition]
+            if self.called:
+                assert isinstance(machine, Plant)
+                for row in rows:
+                    machine.advance(row, steps)
+                self.ends[repetition] = machine.state.q
+            else:
+                self.ends[repetition] = end_of(machine, rows, steps)
+
+        return Task(work, lambda _: machine.reset(), self.about)
 
 
 def _measure(
@@ -134,42 +149,30 @@ def _measure(
     scene = scenes["rosenbrock"]
     N = len(scene.joints)
     voltages = [sines(N, seed, case.period) for seed in range(INPUTS)]
-    agreement = _agreement(case, scene, voltages[0], truths[0])
-
     smallest, theirs = (case.ours, case.theirs) if not quick else (1e-6, 1e-5)
     series: list[_Series] = []
-    tasks: dict[str, Task] = {}
-
-    def add(one: _Series, prepare: Callable[[], object]) -> None:
-        series.append(one)
-        tasks[f"{one.name}, {one.dt:g} s"] = one.task(prepare)
-
     for scheme in SCHEMES:
         for dt in steps_of(case.period, smallest):
-            plant = Plant(_scene(case, scheme, dt))
-            about = GUESS * N / dt
-            add(_Series(scheme, dt, about, _run_plant(plant, voltages, case)), plant.reset)
+            plant, about = Plant(_scene(case, scheme, dt)), GUESS * N / dt
+            series.append(_Series(scheme, dt, about, plant))
             if scheme == "rosenbrock" and dt >= 1e-5:
-                ticks = 4e-6 / case.period
-                one = _Series(FROM_PYTHON, dt, about + ticks, _call_plant(plant, voltages, case))
-                add(one, plant.reset)
+                calls = 4e-6 / case.period
+                series.append(_Series(FROM_PYTHON, dt, about + calls, plant, called=True))
     for integrator in INTEGRATORS:
-        guess = GUESS_MUJOCO.get(integrator, GUESS_MUJOCO_OTHERS)
         for dt in steps_of(case.period, theirs):
-            if guess * N / dt > case.longest:
-                continue
-            arm = MujocoArm(scene, integrator, dt)
-            name = f"MuJoCo {integrator}"
-            one = _Series(name, dt, guess * N / dt, _run_mujoco(arm, voltages, case))
-            add(one, arm.reset)
+            about = GUESS_MUJOCO.get(integrator, GUESS_MUJOCO_OTHERS) * N / dt
+            if about <= case.longest:
+                arm = MujocoArm(scene, integrator, dt)
+                series.append(_Series(f"MuJoCo {integrator}", dt, about, arm))
 
+    tasks = {f"{one.name}, {one.dt:g} s": one.task(voltages, case.period) for one in series}
     with progress("work and precision", len(tasks) * INPUTS) as done:
         timings = interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
     points: dict[str, list[dict[str, Any]]] = {}
     for one in series:
         errors = [
-            None if end is None else float(np.abs(end - truth).max())
-            for truth, end in ((truths[k], one.ends[k]) for k in range(INPUTS))
+            None if (end := one.ends[k]) is None else float(np.abs(end - truth).max())
+            for k, truth in enumerate(truths)
         ]
         points.setdefault(one.name, []).append(
             {
@@ -184,43 +187,11 @@ def _measure(
     return {
         "title": case.title,
         "period": case.period,
-        "agreement": agreement,
+        "agreement": _agreement(case, scene, voltages[0], truths[0]),
         "series": points,
         "at_error": {f"{target:g}": _at_error(points, target) for target in TARGETS},
         "faster_below": {kind: _faster_below(points, kind) for kind in ("mujoco", "scipy")},
     }
-
-
-def _run_plant(plant: Plant, voltages: list[Array], case: Case) -> Callable[[int], Array]:
-    steps = round(case.period / plant.scene.integrator.dt)
-    return lambda repetition: plant.run(voltages[repetition], steps)[-1]
-
-
-def _call_plant(plant: Plant, voltages: list[Array], case: Case) -> Callable[[int], Array]:
-    steps = round(case.period / plant.scene.integrator.dt)
-
-    def work(repetition: int) -> Array:
-        for row in voltages[repetition]:
-            plant.advance(row, steps)
-        return plant.state.q
-
-    return work
-
-
-class PeerDiverged(RuntimeError):
-    """MuJoCo has left the world of sound motions."""
-
-
-def _run_mujoco(arm: MujocoArm, voltages: list[Array], case: Case) -> Callable[[int], Array]:
-    steps = round(case.period / arm.model.opt.timestep)
-
-    def work(repetition: int) -> Array:
-        arm.run(voltages[repetition], steps)
-        if arm.diverged:
-            raise PeerDiverged
-        return arm.q
-
-    return work
 
 
 def _agreement(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
@@ -235,15 +206,10 @@ def _agreement(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[
         arm = MujocoArm(scene, "RK4", dt)
         arm.run(voltages, round(case.period / dt))
         ends.append(arm.q)
-    plant = Plant(_scene(case, "rosenbrock", h))
-    ours = plant.run(voltages, round(case.period / h))[-1]
+    own = Plant(_scene(case, "rosenbrock", h)).run(voltages, round(case.period / h))[-1]
     mujoco = float(np.abs(2.0 * ends[0] - ends[1] - truth).max())
-    emulator = float(np.abs(ours - truth).max())
-    return {
-        "mujoco": mujoco,
-        "ours": emulator,
-        "agree": max(mujoco, emulator) < AGREEMENT,
-    }
+    ours = float(np.abs(own - truth).max())
+    return {"mujoco": mujoco, "ours": ours, "agree": max(mujoco, ours) < AGREEMENT}
 
 
 def _scipy(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
@@ -252,16 +218,11 @@ def _scipy(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str,
     runs = [(method, rtol) for method in SCIPY_METHODS for rtol in case.rtol]
     with progress("Pinocchio + SciPy", len(runs)) as done, without_collector():
         for method, rtol in runs:
-            end: list[Array] = []
-
-            def work(_: int, method: str = method, rtol: float = rtol, end: Any = end) -> None:
-                end.append(reference(scene, voltages, case.period, rtol, method=method)[-1])
-
-            wall = wall_time(work)
-            error = float(np.abs(end[0] - truth).max())
-            time = {"median": wall, "low": wall, "high": wall, "repetitions": 1}
+            began = time.perf_counter()
+            end = reference(scene, voltages, case.period, rtol, method=method)[-1]
+            spent, error = timing([time.perf_counter() - began]), float(np.abs(end - truth).max())
             points.setdefault(f"Pinocchio + SciPy {method}", []).append(
-                {"rtol": rtol, "error": error, "errors": [error], "time": time}
+                {"rtol": rtol, "error": error, "errors": [error], "time": asdict(spent)}
             )
             done(f"{case.title}: {method}, rtol {rtol:g}")
     return points
