@@ -1,15 +1,13 @@
 """A campaign whose workers, scheduler and client are killed at random moments, here and on Dask.
 
-Each moment is drawn over the time in which the parts of the results are written if nobody is
-killed; it counts from the part before it, so that a busy machine moves it along with the parts. The
-last line counts those before, amid and after the parts. What was written must stay, nobody may stay
-behind, and the digest in the end must be the same.
+Each moment is a random time after a random part of the results, so that a busy machine moves it
+along with the parts. The last line counts those before, amid and after the parts. What was written
+must stay, nobody may stay behind, and the digest in the end must be the same.
 """
 
 from __future__ import annotations
 
 import argparse
-import bisect
 import contextlib
 import json
 import os
@@ -45,6 +43,7 @@ CAMPAIGN = {
 LONGEST = 600.0  # s that a client may take, on a busy machine
 ENDING = 60.0  # s until the processes of a client that was killed must have ended
 WORKERS = 2
+LATER = 0.5  # s after a part, at most, in which somebody is killed
 
 Process = subprocess.Popen[str]
 
@@ -212,24 +211,10 @@ def parts_in(into: Path) -> set[Path]:
     return set((into / "parts").glob("*.parquet"))
 
 
-def times_of_parts(file: Path, into: Path, place: Place) -> list[float]:
-    """Return when each part of a campaign appears if nobody is killed [s]."""
-    client, times = begun(file, into, place), list[float]()
-    works(client, into)
-    began = time.monotonic()
-    while client.poll() is None and time.monotonic() - began < LONGEST:
-        fresh = len(parts_in(into)) - len(times)
-        times += [time.monotonic() - began] * fresh
-        time.sleep(0.01)
-    client.communicate()
-    return times
-
-
-def drawn_moment(times: list[float], rng: np.random.Generator) -> tuple[int, float]:
-    """Return a moment amid the parts: those that are there, and the time since the last [s]."""
-    at = rng.uniform(times[0], times[-1])
-    parts = bisect.bisect_right(times, at)
-    return parts, at - times[parts - 1]
+def count_of_parts(file: Path, into: Path, place: Place) -> int:
+    """Return how many parts a campaign writes if nobody is killed."""
+    begun(file, into, place).communicate(timeout=LONGEST)
+    return len(parts_in(into))
 
 
 def one_moment(
@@ -293,19 +278,18 @@ def main() -> None:
         places: dict[str, Place] = {name: made() for name, made in PLACES.items()}
         kinds = [(name, victim) for name, place in places.items() for victim in place.victims]
         try:
-            times = {
-                name: times_of_parts(file, folder / name, place) for name, place in places.items()
+            parts = {
+                name: count_of_parts(file, folder / name, place) for name, place in places.items()
             }
-            for name, some in times.items():
-                print(f"{name}: {len(some)} parts from {some[0]:.1f} to {some[-1]:.1f} s")
             for moment in range(given.moments):
                 name, victim = kinds[moment % len(kinds)]
-                (parts, after), into = drawn_moment(times[name], rng), folder / f"{moment}"
-                one = one_moment(file, into, places[name], victim, after, rng, parts)
+                before, after = int(rng.integers(1, parts[name] + 1)), rng.uniform(0.0, LATER)
+                into = folder / f"{moment}"
+                one = one_moment(file, into, places[name], victim, after, rng, before)
                 survived[f"{name} {victim}"] += one.digest == wanted
                 when[one.when] += 1
                 good = "same digest" if one.digest == wanted else f"{one}"
-                at = f"{after:.2f} s after part {parts}"
+                at = f"{after:.2f} s after part {before}"
                 print(f"{moment}: {name} {victim}, {at}, {one.when}: {good}", flush=True)
         finally:
             for place in places.values():
