@@ -3,7 +3,7 @@
     python -m bench.assumed [SCENE ...]
 
 Most figures of motors, gears and friction of the scenes are assumed, each within a range
-(bench/origins.py). Here a fleet makes the demo's motion: an arm as the scene has it, arms with one
+(bench/origins.py). Here these make the demo's motion: an arm as the scene has it, arms with one
 figure at either end of its range, and arms with all figures drawn from their ranges. Servo and
 motion controller are the scene's in all of them: they do not know.
 """
@@ -11,31 +11,26 @@ motion controller are the scene's in all of them: they do not know.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from arm_emulator import Fleet, Pose, Refusal, Scene, load_gains, load_scene
+from arm_emulator import Diverged, OfflineRun, Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.chain import Array
-from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.instructor import Instructor
-from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.runs.gains import Gains
-from arm_emulator.servo.drives import Drives, Target
 from bench.measure import progress
 from bench.origins import Origin, origins
+from bench.tables import table
 
 TITLE = "What is assumed of the arms"
 
 ARMS = ("ur5", "panda")
 DRAWN = 24  # arms with all figures drawn
-NANOSECONDS = 1_000_000_000
 Values = dict[str, float]  # of varied numbers, by name
 
 
@@ -93,44 +88,6 @@ def assumed_of(file: Path) -> list[Assumed]:
     return [of(one) for one in found if one.key != "back_emf_constant"]
 
 
-class Laws:
-    """Servo and motion controller of one arm, in lock-step."""
-
-    def __init__(self, scene: Scene, gains: Gains, target: Pose, from_ns: int) -> None:
-        self.drives = Drives(gains.servo)
-        self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), gains.motion)
-        self.instructor = Instructor(gains.motion)
-        self.instructor.add(from_ns, target)
-        names, of_servo = self.controller.kinematics.joint_names, list(gains.servo.joint_names)
-        # Indices of one side's joints in the other's arrays.
-        self._to_servo = [list(scene.joint_names).index(name) for name in of_servo]
-        self._to_scene = [of_servo.index(name) for name in scene.joint_names]
-        self._to_motion = [of_servo.index(name) for name in names]
-        self._from_motion = [list(names).index(name) for name in of_servo]
-
-    def answer(
-        self, now: int, counts: NDArray[np.int64], current: Array, applied: Array, instruct: bool
-    ) -> Array:
-        """Return the commands of a servo period, in the scene's order of joints [V].
-
-        Args:
-            now: logical time [ns].
-            counts: of the encoders now, (N,) like the next two.
-            current: of the motors now [A].
-            applied: applied in the period that ends now [V].
-            instruct: whether a motion period begins, too.
-        """
-        drives, to_servo, back = self.drives, self._to_servo, self._from_motion
-        drives.measure(now, counts[to_servo], current[to_servo], applied[to_servo])
-        if instruct:
-            q, v = (x[self._to_motion] for x in (drives.servo.q_measured, drives.servo.v_measured))
-            given = self.instructor.instruct(self.controller, now, q, v)
-            v_back, tau = (None if x is None else x[back] for x in (given.v, given.tau))
-            drives.aim(Target(given.q[back], v_back, tau))
-        answer: Array = drives.command(powered=True)[self._to_scene]
-        return answer
-
-
 def demos(scene_name: str, arms: list[Values], instructions: int | None = None) -> Array:
     """Return target minus tool of each arm before each instruction (count, K + 1, 3) [m].
 
@@ -142,37 +99,32 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
         instructions: K; None: as many as the demo has.
     """
     file = find_scene(scene_name)
-    names = sorted({name for arm in arms for name in arm})
-    scene, gains = load_scene(file, {"varied": names} if names else None), load_gains(file)
-    count, own = len(arms), {one.name: one.value for one in scene.varied}
-    values = {name: np.array([arm.get(name, own[name]) for arm in arms]) for name in names}
-    fleet = Fleet(scene, count, varied=values)
-    motion_ns = round(gains.motion.period * NANOSECONDS)
-    period_ns = round(scene.servo_period * NANOSECONDS)
-    plan, ticks = DemoPlan.load(file, motion_ns), motion_ns // period_ns
-    kinematics = controller_for(scene.urdf, moving_joints(scene.urdf), gains.motion).kinematics
-    R_WT, p_WT = kinematics.forward(scene.start)
-    goal = p_WT + plan.displacement
-    target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "displacement")
-    laws = [Laws(scene, gains, target, plan.settle_ns) for _ in range(count)]
-    steps = round(scene.servo_period / scene.integrator.dt)
-    first = plan.settle_ns // period_ns
-    last = first + ticks * (plan.instructions if instructions is None else instructions)
-    applied, deviations = np.zeros((count, len(scene.joint_names))), []
-    with progress(f"{scene.name}, {count} arms", last + 1) as done:
-        for tick in range(last + 1):
-            state, instruct = fleet.state, tick % ticks == 0
-            measured = fleet.measured
-            if tick >= first and instruct:
-                tools = np.array([kinematics.forward(q)[1] for q in state.q])
-                tools[fleet.faults >= 0] = np.nan
-                deviations.append(goal - tools)
-            for arm, law in enumerate(laws):
-                counts, current = measured.encoder_counts[arm], measured.current[arm]
-                applied[arm] = law.answer(tick * period_ns, counts, current, applied[arm], instruct)
-            fleet.advance(applied, steps)
-            done("")
-    return np.stack(deviations, axis=1)
+    gains = load_gains(file)
+    shared = {"varied": sorted({name for arm in arms for name in arm})}  # of one library
+    found = []
+    with progress(f"{file.stem}, {len(arms)} arms", len(arms)) as done:
+        for arm in arms:
+            scene = load_scene(file, {**shared, **arm} if shared["varied"] else None)
+            run = OfflineRun(scene, gains.servo, gains.motion)
+            found.append(_demo(run, file, instructions))
+            done()
+    return np.stack(found)
+
+
+def _demo(run: OfflineRun, file: Path, instructions: int | None) -> Array:
+    kinematics, period_ns = run.controller.kinematics, run.session.period_ns
+    plan = DemoPlan.load(file, run.motion_ticks * period_ns)
+    R_WT, p_WT = kinematics.forward(run.session.scene.start)
+    target = Pose(p_WT + plan.displacement, R_WT)
+    run.instructor.add(plan.settle_ns, target)
+    count = plan.instructions if instructions is None else instructions
+    deviations = np.full((count + 1, 3), np.nan)
+    with contextlib.suppress(Diverged):
+        run.advance(plan.settle_ns // period_ns)
+        for row in deviations:
+            row[:] = target.p_WT - kinematics.forward(run.session.state.q)[1]
+            run.advance(run.motion_ticks)
+    return deviations
 
 
 @dataclass(frozen=True)
@@ -228,10 +180,10 @@ def run(quick: bool) -> dict[str, Any]:
 
 def report(figures: dict[str, Any]) -> str:
     """Return the tables."""
-    return "\n\n".join(table(name, of_arm) for name, of_arm in figures.items())
+    return "\n\n".join(table_of(name, of_arm) for name, of_arm in figures.items())
 
 
-def table(name: str, figures: dict[str, Any]) -> str:
+def table_of(name: str, figures: dict[str, Any]) -> str:
     """Return the table of one arm, in Markdown."""
 
     def cell(one: dict[str, Any]) -> str:
@@ -240,18 +192,14 @@ def table(name: str, figures: dict[str, Any]) -> str:
             return "diverged"
         return f"{one['residual']:.2f} / {one['away']:.2f} / {settled}"
 
-    lines = [
-        f"{name}, as its scene has it: {cell(figures['nominal'])}.",
-        "",
-        "| figure | joints | scene | range | at its low end | at its high end |",
-        "|---|---|---|---|---|---|",
-    ]
+    rows = []
     for row in figures["rows"]:
         low, high = row["range"]
-        joints = f"{row['joints'][0]} to {row['joints'][-1]}"
-        ends = " | ".join(map(cell, row["ends"]))
-        value = f"{row['value']:.3g} | {low:.3g} to {high:.3g}"
-        lines.append(f"| `{row['figure']}` | {joints} | {value} | {ends} |")
+        figure, joints = f"`{row['figure']}`", f"{row['joints'][0]} to {row['joints'][-1]}"
+        spread = f"{row['value']:.3g}", f"{low:.3g} to {high:.3g}"
+        rows.append((figure, joints, *spread, *map(cell, row["ends"])))
+    heads = "figure", "joints", "scene", "range", "at its low end", "at its high end"
+    lines = [f"{name}, as its scene has it: {cell(figures['nominal'])}.", "", table(heads, rows)]
     drawn = figures["drawn"]
     sound = [one for one in drawn if np.isfinite(one["residual"])]
     if sound:
@@ -276,7 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         for name in options.scenes:
-            print(table(name, measure(name, options.quick)), end="\n\n", flush=True)
+            print(table_of(name, measure(name, options.quick)), end="\n\n", flush=True)
     except Refusal as refusal:
         print(refusal, file=sys.stderr)
         return 2

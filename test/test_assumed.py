@@ -11,10 +11,7 @@ from documents import page_of
 from machines import CONFIG
 from test_fit_numbers import VARIED
 
-from arm_emulator import Pose, Refusal, load_scene
-from arm_emulator.base.config_files import find_scene
-from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.runs.offline import load_offline_run
+from arm_emulator import Refusal, load_scene
 from bench.assumed import ARMS, assumed_of, demos
 from bench.origins import SECTIONS, origins
 
@@ -102,25 +99,11 @@ def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
             assert len(values) == 3 * len(one.joints), "constants, back EMF and inertia of each"
 
 
-def test_arms_of_the_fleet_make_the_motion_of_the_demo() -> None:
-    """An arm as its scene has it, beside one that is not, as in a run without a network."""
-    name, instructions = "three_axis", 6
+def test_an_arm_with_other_numbers_makes_another_demo() -> None:
+    name = "three_axis"
     numbers = {one.name: one.value for one in load_scene(name, {"varied": VARIED}).varied}
     stiff = {one: value * (2.0 if "stiffness" in one else 1.0) for one, value in numbers.items()}
-    found = demos(name, [{}, stiff], instructions)
-    one = load_offline_run(name)
-    kinematics, scene = one.controller.kinematics, one.session.scene
-    period_ns = one.motion_ticks * one.session.period_ns
-    plan = DemoPlan.load(find_scene(name), period_ns)
-    R_WT, p_WT = kinematics.forward(scene.start)
-    goal = p_WT + plan.displacement
-    target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "goal")
-    one.instructor.add(plan.settle_ns, target)
-    one.advance(plan.settle_ns // one.session.period_ns)
-    for k in range(instructions + 1):
-        expected = goal - kinematics.forward(one.session.state.q)[1]
-        # Lanes differ from one machine by rounding, which no encoder has seen here.
-        assert found[0, k] == pytest.approx(expected, abs=1e-9), f"instruction {k}"
-        one.advance(one.motion_ticks)
+    found = demos(name, [{}, numbers, stiff], 6)
+    assert found[1] == pytest.approx(found[0], abs=1e-9), "the scene's own numbers"
     assert np.abs(found[0, -1]).max() < 0.5 * np.abs(found[0, 0]).max(), "the tool is on its way"
-    assert np.abs(found[1] - found[0]).max() > 1e-6, "the other arm moves otherwise"
+    assert np.abs(found[2] - found[0]).max() > 1e-6, "the other arm moves otherwise"
