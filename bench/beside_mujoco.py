@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.runs.table_run import load_table_run
 from bench.measure import progress
+from bench.tables import table
 
 TITLE = "Programs beside MuJoCo's"
 
@@ -284,19 +285,14 @@ def run(quick: bool) -> dict[str, Any]:
 
 def report(figures: dict[str, Any]) -> str:
     """Return the table."""
-    lines = [
-        "| program | lines of code | MuJoCo | time | MuJoCo | ratio | error | MuJoCo, at |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for row in figures["rows"]:
-        seconds = [_time(value) for value in row["seconds"]]
-        errors = [f"{value:.1g} rad" for value in row["errors"]]
-        lines.append(
-            f"| {row['what']} | {row['lines'][0]} | {row['lines'][1]} | {seconds[0]} | "
-            f"{seconds[1]} | {row['ratio']:.3g} | {errors[0]} | "
-            f"{errors[1]}, {row['integrator']} at {row['dt'] * 1e3:g} ms |"
-        )
-    return "\n".join(lines)
+        error, other = (f"{value:.1g} rad" for value in row["errors"])
+        at = f"{other}, {row['integrator']} at {row['dt'] * 1e3:g} ms"
+        times = map(_time, row["seconds"])
+        rows.append((row["what"], *row["lines"], *times, f"{row['ratio']:.3g}", error, at))
+    heads = ("program", "lines of code", "MuJoCo", "time", "MuJoCo", "ratio", "error", "MuJoCo, at")
+    return table(heads, rows)
 
 
 def _time(seconds: float) -> str:

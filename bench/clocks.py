@@ -21,6 +21,7 @@ from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.drives import Drives
 from bench.measure import progress
+from bench.tables import table
 
 TITLE = "Two clocks"
 
@@ -185,17 +186,18 @@ def report(figures: dict[str, Any]) -> str:
         "servo period; a lost period is a deadline missed by a whole period, which logical time "
         "does not make up for; an old command answers a state more than two periods old.",
         "",
-        "| scene | wall [s] | real-time factor | lost periods | old commands | lateness p50 / p99 "
-        "/ max [us] | SCHED_FIFO | memory locked |",
-        "|---|---|---|---|---|---|---|---|",
     ]
+    rows = []
     for name, row in figures["real_time"].items():
         late = " / ".join(f"{row[f'lateness_{k}'] * 1e6:.0f}" for k in ("p50", "p99", "max"))
-        lines.append(
-            f"| {name} | {row['seconds']:.1f} | {row['real_time_factor']:.5f} "
-            f"| {row['lost_periods']} of {row['ticks']} | {row['old_commands_share']:.3%} | {late} "
-            f"| {_yes(row['real_time_priority'])} | {_yes(row['memory_locked'])} |"
-        )
+        rows.append((
+            name, f"{row['seconds']:.1f}", f"{row['real_time_factor']:.5f}",
+            f"{row['lost_periods']} of {row['ticks']}", f"{row['old_commands_share']:.3%}", late,
+            _yes(row["real_time_priority"]), _yes(row["memory_locked"]),
+        ))  # fmt: skip
+    heads = ("scene", "wall [s]", "real-time factor", "lost periods", "old commands",
+             "lateness p50 / p99 / max [us]", "SCHED_FIFO", "memory locked")  # fmt: skip
+    lines.append(table(heads, rows))
     lines += [
         "",
         "Logical time: the same in lock-step, and offline (`arm_emulator run`: the same objects "
@@ -203,16 +205,17 @@ def report(figures: dict[str, Any]) -> str:
         "in place of the motion controller, where no Python is in the loop. Beside this factor "
         "stands how far links are from where steps of a sixteenth of the period lead them.",
         "",
-        "| scene | lock-step, real-time factor | us per tick | offline, real-time factor "
-        "| from a table | there |",
-        "|---|---|---|---|---|---|",
     ]
+    rows = []
     for scene, row in figures["lockstep"].items():
-        factor, table = row["real_time_factor"], figures["table"][scene]
-        lines.append(
-            f"| {scene} | {factor:.2f} | {1e3 / factor:.0f} | {figures['offline'][scene]:.1f} "
-            f"| {table['factor']:.0f} | {table['off']:.0e} rad |"
-        )
+        factor, by_table = row["real_time_factor"], figures["table"][scene]
+        rows.append((
+            scene, f"{factor:.2f}", f"{1e3 / factor:.0f}", f"{figures['offline'][scene]:.1f}",
+            f"{by_table['factor']:.0f}", f"{by_table['off']:.0e} rad",
+        ))  # fmt: skip
+    heads = ("scene", "lock-step, real-time factor", "us per tick", "offline, real-time factor",
+             "from a table", "there")  # fmt: skip
+    lines.append(table(heads, rows))
     lines += [
         "",
         "In lock-step nearly all of a tick is two messages through the middleware; the core's "

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from arm_emulator.campaign import fault_matrix as matrix
 from arm_emulator.campaign.fault_matrix import NOBODY, Row, fault_matrix, worst_by_kind
+from bench.tables import table
 
 
 def run(quick: bool) -> list[Row]:
@@ -13,13 +14,13 @@ def run(quick: bool) -> list[Row]:
     return fault_matrix("three_axis")
 
 
-def report(rows: list[Row]) -> str:
+def report(rows_of: list[Row]) -> str:
     """Return the table of the worst joint of each kind."""
-    lines = ["| fault | detected by | after | tool off its way |", "|---|---|---|---|"]
-    for one in worst_by_kind(rows):
+    rows = []
+    for one in worst_by_kind(rows_of):
         after = "" if one.detected_by == NOBODY else f"{1e3 * one.after:.0f} ms"
-        lines.append(f"| `{one.fault}` | {one.detected_by} | {after} | {1e3 * one.travel:.2g} mm |")
-    return "\n".join(lines)
+        rows.append((f"`{one.fault}`", one.detected_by, after, f"{1e3 * one.travel:.2g} mm"))
+    return table(("fault", "detected by", "after", "tool off its way"), rows)
 
 
 def draw(rows: list[Row], folder: Path) -> Path:

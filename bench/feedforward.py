@@ -16,6 +16,7 @@ from typing import Any
 from arm_emulator.design.new_scene import write_new
 from bench.measure import progress
 from bench.pictures import new_figure, save
+from bench.tables import table
 from oracles.followed_line import Known, Line, follow
 
 TITLE = "Feed-forward on a fast line"
@@ -89,17 +90,16 @@ def report(figures: dict[str, Any]) -> str:
         "encoder at a motor can see. Joints that are too slow for the line lower its speed. It is "
         "the first motion after the start; `again`: off, once the tool has gone there and back.",
         "",
-        "| scene | feed-forward | speed | off | again | along | past the end | unseen |",
-        "|---|---|---|---|---|---|---|---|",
     ]
+    rows = []
     for row in figures["rows"]:
         cells = (
             "" if (value := row[key]) is None else f"{value * 1e3:.2f} mm"
             for key in ("off", "again", "behind", "past", "unseen")
         )
-        speed = f"{row['peak_speed']:.2f} m/s"
-        lines.append(f"| {row['scene']} | {row['case']} | {speed} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append((row["scene"], row["case"], f"{row['peak_speed']:.2f} m/s", *cells))
+    heads = ("scene", "feed-forward", "speed", "off", "again", "along", "past the end", "unseen")
+    return "\n".join([*lines, table(heads, rows)])
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:

@@ -12,10 +12,12 @@ from dataclasses import asdict
 from typing import Any
 
 from bench.measure import Timing, progress, timing
+from bench.tables import table
 
 TITLE = "First use"
 
 SCENES = ("three_axis", "ur5", "panda")
+PARTS = ("ready", "import", "scene", "plant", "process")
 
 # numpy is imported beforehand: nearly every program that would use a plant has it.
 PROGRAM = """
@@ -55,7 +57,7 @@ def run(quick: bool) -> dict[str, Any]:
                 done(f"{name}, cached")
     for figure in figures.values():
         runs = figure.pop("runs")
-        for part in ("import", "scene", "plant", "ready", "process"):
+        for part in PARTS:
             figure[part] = asdict(timing(run[part] for run in runs))
         figure["ros"] = runs[0]["ros"]
     return figures
@@ -79,15 +81,14 @@ def report(figures: dict[str, Any]) -> str:
         "cache (medians, half the distance of the quartiles). The process as a whole includes "
         "Python's own start and that of numpy, and its end. Python keeps its bytecode, as usual.",
         "",
-        "| scene | first use: compiled, ready after | cached: ready after | of it imports | scene "
-        "file and URDF | library and first step | whole process | ROS modules imported |",
-        "|---|---|---|---|---|---|---|---|",
     ]
+    rows = []
     for name, figure in figures.items():
-        cells = [f"{figure['first']['ready']:.2f} s"]
-        for part in ("ready", "import", "scene", "plant", "process"):
-            time_ = Timing(**figure[part])
-            cells.append(f"{time_.median * 1e3:.1f} ms ± {100 * time_.spread:.0f} %")
-        cells.append(", ".join(figure["ros"]) or "none")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        times = [Timing(**figure[part]) for part in PARTS]
+        cells = (f"{one.median * 1e3:.1f} ms ± {100 * one.spread:.0f} %" for one in times)
+        ros = ", ".join(figure["ros"]) or "none"
+        rows.append((name, f"{figure['first']['ready']:.2f} s", *cells, ros))
+    heads = ("scene", "first use: compiled, ready after", "cached: ready after", "of it imports",
+             "scene file and URDF", "library and first step", "whole process",
+             "ROS modules imported")  # fmt: skip
+    return "\n".join([*lines, table(heads, rows)])

@@ -20,6 +20,7 @@ from bench.measure import Task, interleaved, progress
 from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, mujoco
 from bench.pictures import COLOURS, new_figure, save
+from bench.tables import table
 from bench.work_precision import steps_of
 
 TITLE = "Many arms"
@@ -239,40 +240,34 @@ def report(figures: dict[str, Any]) -> str:
         f"steps in a servo period of {SERVO_PERIOD * 1e3:g} ms: nanoseconds of one step of one "
         f"arm, on one core and on all {figures['cores']}.",
         "",
-        "| arm | scheme | lanes | one arm | fleet, one core | times | fleet, all cores | times |",
-        "|---|---|---|---|---|---|---|---|",
     ]
+    rows = []
     for arm, schemes in figures["throughput"].items():
         for scheme, of in schemes.items():
+            times = of["per_step"]
             one, core, cores = (
-                of["per_step"][task]["median"] for task in ("one arm", "one core", "all cores")
+                1e9 * of["per_step"][task]["median"]
+                for task in ("one arm", "one core", "all cores")
             )
-            lines.append(
-                f"| {arm} | {scheme} | {of['lanes']} | {one * 1e9:.1f} | {core * 1e9:.1f} | "
-                f"{one / core:.2f} | {cores * 1e9:.1f} | {one / cores:.2f} |"
-            )
+            rows.append((arm, scheme, of["lanes"], f"{one:.1f}", f"{core:.1f}",
+                         f"{one / core:.2f}", f"{cores:.1f}", f"{one / cores:.2f}"))  # fmt: skip
+    heads = ("arm", "scheme", "lanes", "one arm", "fleet, one core", "times", "fleet, all cores",
+             "times")  # fmt: skip
     peer, ours, ratio = per_step_ratio(figures)
+    per_step = [(n, f"{1e9 * of['median']:.1f}") for n, of in figures["per_step"].items()]
+    times = sorted(figures["at_error"]["times"].items(), key=lambda item: item[1])
     lines += [
+        table(heads, rows),
         "",
         f"MuJoCo's `rollout` of as many {PEER}, each on one core (two that share a processor with "
         "others are seldom equally fast), a step of one arm:",
         "",
-        "| | ns |",
-        "|---|---|",
-        *(
-            f"| {name} | {timing['median'] * 1e9:.1f} |"
-            for name, timing in figures["per_step"].items()
-        ),
+        table(("", "ns"), per_step),
         "",
         f"Its quickest, {peer}, takes {ratio:.0f} times as long as {ours}. A simulated second of "
         f"one arm at an error of {figures['at_error']['target']:g} rad:",
         "",
-        "| | us |",
-        "|---|---|",
-        *(
-            f"| {name} | {time * 1e6:.1f} |"
-            for name, time in sorted(figures["at_error"]["times"].items(), key=lambda item: item[1])
-        ),
+        table(("", "us"), [(name, f"{time * 1e6:.1f}") for name, time in times]),
         "",
     ]
     if (at := at_error_ratio(figures)) is not None:

@@ -16,6 +16,7 @@ from bench.chains import chain
 from bench.measure import Task, Timing, compile_all, interleaved, progress, stepping
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
+from bench.tables import table
 
 TITLE = "Time per step"
 
@@ -139,22 +140,18 @@ def report(figures: dict[str, Any]) -> str:
         "are loops and no longer unrolled. The chains of 12 and 24 links carry the motors and "
         "gears of three_axis (bench/chains.py).",
         "",
-        "| [ns] | " + " | ".join(f"{n}, N = {a['joints']}" for n, a in arms.items()) + " |",
-        "|---" * (len(arms) + 1) + "|",
     ]
+    rows = []
     for name in names:
-        cells = []
-        for arm in arms.values():
-            time = Timing(**arm["times"][name])
-            cells.append(f"{time.median * 1e9:.4g} ± {100 * time.spread:.0f} %")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    ratios: dict[str, list[str]] = {name: [] for name in names if name in STEPS}
-    for arm in arms.values():
-        _, mujoco = fastest_mujoco(arm["times"])
-        for scheme, row in ratios.items():
-            row.append(f"{mujoco / arm['times'][scheme]['median']:.1f}")
-    for scheme, row in ratios.items():
-        lines.append(f"| MuJoCo's fastest / {scheme} | " + " | ".join(row) + " |")
+        times = [Timing(**arm["times"][name]) for arm in arms.values()]
+        cells = (f"{one.median * 1e9:.4g} ± {100 * one.spread:.0f} %" for one in times)
+        rows.append((name, *cells))
+    for scheme in STEPS:
+        if scheme in names:
+            ratios = (fastest_mujoco(arm["times"])[1] / arm["times"][scheme]["median"]
+                      for arm in arms.values())  # fmt: skip
+            rows.append((f"MuJoCo's fastest / {scheme}", *(f"{ratio:.1f}" for ratio in ratios)))
+    lines.append(table(("[ns]", *(f"{n}, N = {a['joints']}" for n, a in arms.items())), rows))
     calls = {name: f"{seconds * 1e6:.1f} us" for name, seconds in figures["python_call"].items()}
     lines += [
         "",

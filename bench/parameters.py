@@ -11,11 +11,12 @@ from arm_emulator.base.parameters import parameters_of
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
+from bench.tables import table
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters
 
 Rows = Iterator[list[str]]
-HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
+HEADS = ("parameter", "default", "range", "meaning")
 
 
 def run(quick: bool) -> dict[str, list[list[str]]]:
@@ -32,11 +33,7 @@ def run(quick: bool) -> dict[str, list[list[str]]]:
 
 def report(found: dict[str, list[list[str]]]) -> str:
     """Return a table for each node."""
-    tables = []
-    for node, rows in found.items():
-        lines = (f"| {' | '.join(row)} |" for row in rows)
-        tables.append("\n".join((f"### {node}\n\n{HEAD}", *lines)))
-    return "\n\n".join(tables)
+    return "\n\n".join(f"### {node}\n\n{table(HEADS, rows)}" for node, rows in found.items())
 
 
 def _parameters(kind: type[Any]) -> Rows:

@@ -17,6 +17,7 @@ from rich.console import Console
 from arm_emulator.base.refusal import Refusal
 from bench.measure import machine
 from bench.must_show import must_show
+from bench.tables import table
 
 # A section is a module of this folder with TITLE, run(quick) -> figures (JSON), report(figures) ->
 # Markdown, and, if it has pictures, draw(figures, folder).
@@ -122,7 +123,7 @@ def write_report(figures: dict[str, Any], out: Path) -> None:
 def report_text(figures: dict[str, Any]) -> str:
     """Return the report in Markdown."""
     figures = _plain(figures)
-    lines = ["# Speed against error", "", *_heading(figures), "", *_must_show_table(figures), ""]
+    lines = ["# Speed against error", "", *_heading(figures), "", _must_show_table(figures), ""]
     lines += ["## What this does not prove", "", NOT_PROVEN]
     for name, values in figures["sections"].items():
         section: ModuleType = importlib.import_module(f"bench.{name}")
@@ -180,11 +181,9 @@ def _heading(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _must_show_table(figures: dict[str, Any]) -> list[str]:
-    lines = ["| | wanted | reached | |", "|---|---|---|---|"]
-    for what, wanted, reached, met in must_show(figures["sections"]):
-        lines.append(f"| {what} | {wanted} | {reached} | {_verdict(met)} |")
-    return lines
+def _must_show_table(figures: dict[str, Any]) -> str:
+    rows = must_show(figures["sections"])
+    return table(("", "wanted", "reached", ""), ((*row, _verdict(met)) for *row, met in rows))
 
 
 def _verdict(met: bool | None) -> str:

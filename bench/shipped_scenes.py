@@ -14,6 +14,7 @@ from arm_emulator.runs.offline import load_offline_run
 from bench.bare import BARE
 from bench.measure import Task, compile_all, interleaved, progress
 from bench.motion import Array
+from bench.tables import table
 
 TITLE = "A step of each scene as shipped"
 
@@ -92,12 +93,9 @@ def _voltages(scene: Scene, periods: int) -> Array:
 
 def report(figures: dict[str, Any]) -> str:
     """Return the table of README.md."""
-    lines = [
-        f"| one step on one core | {MOVING} | {RESTING} | {STRIPPED} |",
-        "|---|---|---|---|",
-    ]
+    rows = []
     for name, scene in figures.items():
         times = (f"{1e9 * scene['times'][task]['median']:.0f} ns" for task in scene["times"])
         about = f"{scene['joints']} joints, {1e6 * scene['dt']:g} µs, events `{scene['events']}`"
-        lines.append(f"| `{name}` ({about}) | {' | '.join(times)} |")
-    return "\n".join(lines)
+        rows.append((f"`{name}` ({about})", *times))
+    return table(("one step on one core", MOVING, RESTING, STRIPPED), rows)

@@ -18,6 +18,7 @@ from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
 from bench.pictures import new_figure, save
+from bench.tables import table
 
 TITLE = "Stability map"
 
@@ -253,18 +254,18 @@ def report(figures: dict[str, Any]) -> str:
         "",
         "Cells that are accurate / bounded / diverged and detected / not detected:",
         "",
-        "| | " + " | ".join(axis["label"] for axis in axes.values()) + " |",
-        "|---" * (len(axes) + 1) + "|",
     ]
     names = list(next(iter(axes.values()))["cells"])
+    rows = []
     for name in names:
         counts = []
         for axis in axes.values():
             cells = [cell for column in axis["cells"][name] for cell in column]
             counts.append(" / ".join(str(cells.count(kind)) for kind in range(len(MEANING))))
-        lines.append(f"| {name} | " + " | ".join(counts) + " |")
+        rows.append((name, *counts))
     holding = [name for name in names if everywhere_bounded(figures, name)]
     lines += [
+        table(("", *(axis["label"] for axis in axes.values())), rows),
         "",
         "Bounded everywhere on these maps: " + (", ".join(holding) or "none") + ". A grid is no "
         "proof: between its cells and beyond its borders nothing was tried.",

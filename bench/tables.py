@@ -13,4 +13,4 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[object]], numbers: bool 
 
 
 def _row(cells: Iterable[object]) -> str:
-    return f"| {' | '.join(map(str, cells))} |"
+    return "".join(f"| {cell} " if cell != "" else "| " for cell in cells) + "|"

@@ -12,6 +12,7 @@ import numpy as np
 from arm_emulator import Plant
 from bench.chains import chain
 from bench.measure import Task, compile_all, interleaved, progress
+from bench.tables import table
 
 TITLE = "Two threads"
 
@@ -77,21 +78,18 @@ def report(figures: dict[str, Any]) -> str:
         "holds the long ones too). On a virtual machine the ratios depend on which physical cores "
         "the two virtual ones are just then.",
         "",
-        "| N | "
-        + " | ".join([f"{TITLES[k]} [ns]" for k in KINDS] + [f"{TITLES[k]} / one" for k in TWO])
-        + " |",
-        "|---" * (1 + len(KINDS) + len(TWO)) + "|",
     ]
-    pays = []
+    pays, rows = [], []
     for n, row in figures["loops"].items():
         ns = {kind: row[kind]["median"] * 1e9 for kind in KINDS}
         ratios = [ns[kind] / ns["one"] for kind in TWO]
         if min(ratios) < 1.0:
             pays.append(int(n))
-        cells = [f"{ns[kind]:.0f}" for kind in KINDS] + [f"{ratio:.2f}" for ratio in ratios]
-        lines.append(f"| {n} | " + " | ".join(cells) + " |")
+        rows.append((n, *(f"{ns[k]:.0f}" for k in KINDS), *(f"{ratio:.2f}" for ratio in ratios)))
+    heads = "N", *(f"{TITLES[k]} [ns]" for k in KINDS), *(f"{TITLES[k]} / one" for k in TWO)
     begin = f"from N = {min(pays)} on" if pays else "at none of these N"
     lines += [
+        table(heads, rows),
         "",
         f"Two threads paid {begin}; the paper had {PAPER_RATIO} at N = 3 on a machine whose single "
         "step took far longer than its handshake.",

@@ -20,6 +20,7 @@ from arm_emulator.motion.path_watch import apart
 from bench.measure import progress
 from bench.motion import Array
 from bench.pictures import new_figure
+from bench.tables import table
 
 TITLE = "Tool paths all the way"
 
@@ -133,15 +134,14 @@ def report(figures: dict[str, Any]) -> str:
         f"{ACCELERATION:g} m/s² and {JERK:g} m/s³. The true tool's largest distance from the way "
         "asked for, and the largest link speed over its limit.",
         "",
-        "| scene | path | asked | ends | beside it | speed / limit |",
-        "|---|---|---|---|---|---|",
     ]
-    lines += [
-        f"| {row['scene']} | {row['kind']} | {row['speed']:g} m/s | {row['end'].lower()} "
-        f"| {row['off'] * 1e3:.2f} mm | {row['joints']:.2f} |"
+    rows = (
+        (row["scene"], row["kind"], f"{row['speed']:g} m/s", row["end"].lower(),
+         f"{row['off'] * 1e3:.2f} mm", f"{row['joints']:.2f}")
         for row in figures["rows"]
-    ]
-    return "\n".join(lines)
+    )  # fmt: skip
+    heads = ("scene", "path", "asked", "ends", "beside it", "speed / limit")
+    return "\n".join([*lines, table(heads, rows)])
 
 
 def picture(folder: Path) -> Path:

@@ -7,6 +7,7 @@ from typing import Any
 
 from bench.measure import Timing
 from bench.pictures import COLOURS, PEERS, new_figure, save
+from bench.tables import table
 
 INPUTS = 3  # motions; the error is the root mean square over them
 FROM_PYTHON = "rosenbrock, called every period"
@@ -69,27 +70,20 @@ def report(figures: dict[str, Any]) -> str:
         "Both machines are one: results of both, extrapolated in the step for MuJoCo, against the "
         "reference after 1 s (must be below 1e-6 rad, else a comparison would be void).",
         "",
-        "| machine | MuJoCo RK4, extrapolated [rad] | rosenbrock, 10 us [rad] | same machine |",
-        "|---|---|---|---|",
-    ]
-    for case in figures.values():
-        a = case["agreement"]
-        verdict = "yes" if a["agree"] else "**no: comparison void**"
-        lines.append(f"| {case['title']} | {a['mujoco']:.1e} | {a['ours']:.1e} | {verdict} |")
-    lines += [
+        table(("machine", "MuJoCo RK4, extrapolated [rad]", "rosenbrock, 10 us [rad]",
+               "same machine"), map(_agreement, figures.values())),
         "",
         "Wall time per simulated second at a given error, interpolated between the measured steps "
         "on logarithmic scales. Where the longest step that a period allows is already better than "
         "that error, its time stands there: nothing coarser exists.",
         "",
-        "| machine | error [rad] | ours | called every period | MuJoCo's best | SciPy's best "
-        "| MuJoCo / ours | MuJoCo / ours called |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for case in figures.values():
-        for target, at in case["at_error"].items():
-            lines.append(f"| {case['title']} | {target} | " + " | ".join(_cells(case, at)) + " |")
-    lines += ["", *_limits(figures)]
+        table(("machine", "error [rad]", "ours", "called every period", "MuJoCo's best",
+               "SciPy's best", "MuJoCo / ours", "MuJoCo / ours called"),
+              ((case["title"], target, *_cells(case, at)) for case in figures.values()
+               for target, at in case["at_error"].items())),
+        "",
+        *_limits(figures),
+    ]  # fmt: skip
     pictures = [("work_precision", "the robots")]
     if any(key not in ("three_axis", "ur5", "panda") for key in figures):
         pictures.append(("work_precision_more", "other cases"))
@@ -100,6 +94,12 @@ def report(figures: dict[str, Any]) -> str:
         lines += _table(case)
     lines += ["</details>"]
     return "\n".join(lines)
+
+
+def _agreement(case: dict[str, Any]) -> list[str]:
+    a = case["agreement"]
+    verdict = "yes" if a["agree"] else "**no: comparison void**"
+    return [case["title"], f"{a['mujoco']:.1e}", f"{a['ours']:.1e}", verdict]
 
 
 def _cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
@@ -147,19 +147,17 @@ def _table(case: dict[str, Any]) -> list[str]:
     """Return one machine's errors and times, whole decades of the step."""
     dts = {p["dt"] for points in case["series"].values() for p in points if "dt" in p}
     steps = [dt for dt in SHOWN_STEPS if dt in dts]
+    rows = []
+    for name, points in case["series"].items():
+        if "dt" in points[0]:
+            by_step = {p["dt"]: p for p in points}
+            rows.append((name, *(_point(by_step.get(dt)) for dt in steps)))
     lines = [
         f"{case['title']}: error [rad], time per simulated second (spread: half the distance of "
         "the quartiles)",
         "",
-        "| | " + " | ".join(f"{dt:g} s" for dt in steps) + " |",
-        "|---" * (len(steps) + 1) + "|",
+        table(("", *(f"{dt:g} s" for dt in steps)), rows),
     ]
-    for name, points in case["series"].items():
-        if "dt" not in points[0]:
-            continue
-        by_step = {p["dt"]: p for p in points}
-        row = [_point(by_step.get(dt)) for dt in steps]
-        lines.append(f"| {name} | " + " | ".join(row) + " |")
     for name, points in case["series"].items():
         if "rtol" in points[0]:
             shown = "; ".join(f"rtol {p['rtol']:g}: {_point(p)}" for p in points)
