@@ -108,6 +108,13 @@ def _of_campaigns(what: str) -> str:
     return TABLES[what]()
 
 
+def _parameters(_: str) -> str:
+    """Return a table for each node."""
+    from docs.parameter_tables import parameters  # which imports ROS
+
+    return parameters()
+
+
 GENERATORS: dict[str, Callable[[str], str]] = {
     "campaign": _of_campaigns,
     "command_keys": _command_keys,
@@ -121,6 +128,7 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "joint_keys": tables.joint_keys,
     "keys": tables.keys,
     "outputs": tables.outputs,
+    "parameters": _parameters,
     "parts": tables.parts,
     "scene_keys": tables.scene_keys,
     "schemes": tables.schemes,

@@ -18,7 +18,7 @@ from arm_emulator import Refusal, load_scene
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.cli.command import command_names
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
-from bench import pages, parameters
+from bench import pages
 from docs import generated, hooks, scene_keys
 
 MADE = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
@@ -123,14 +123,6 @@ def test_every_key_of_a_scene_is_listed(section: str) -> None:
     listed = {*scene_keys.MACHINE, *scene_keys.TIME}
     paths = {f"{section}.{key}" if section else key for key in asked}
     assert paths == {one for one in listed if one.rpartition(".")[0] == section}
-
-
-def test_the_tables_of_parameters_follow_from_their_declarations() -> None:
-    """As `make pages` writes them."""
-    page = pages.tables()["parameters"]
-    table = parameters.report(parameters.run(quick=True))
-    assert {"### emulator", "### servo", "### motion_controller"} <= set(table.splitlines())
-    assert page.read_text() == pages.put(page.read_text(), "parameters", table)
 
 
 def test_every_topic_and_service_is_listed() -> None:

@@ -1,4 +1,4 @@
-"""docs/reference/topics.md: the parameters of the nodes, as they are declared."""
+"""Tables of the parameters of the nodes, as they are declared."""
 
 from __future__ import annotations
 
@@ -11,29 +11,28 @@ from arm_emulator.base.parameters import parameters_of
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
-from bench.tables import table
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters
 
 Rows = Iterator[list[str]]
-HEADS = ("parameter", "default", "range", "meaning")
+HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
 
 
-def run(quick: bool) -> dict[str, list[list[str]]]:
-    """Return the rows of each node."""
+def parameters() -> str:
+    """Return a table for each node."""
     motion = _numbers(DriveNumbers, "joints.NAME.", ())
     joints = _numbers(JointServo, "joints.NAME.", SETTABLE)
-    servo = _parameters(ServoNodeParameters), _numbers(ServoConfig, "", SETTABLE), joints
-    return {
-        "emulator": [*_parameters(EmulatorParameters)],
-        "servo": [row for rows in servo for row in rows],
+    of_servo = _numbers(ServoConfig, "", SETTABLE)
+    nodes = {
+        "emulator": _parameters(EmulatorParameters),
+        "servo": [*_parameters(ServoNodeParameters), *of_servo, *joints],
         "motion_controller": [*_parameters(MotionConfig), *motion],
     }
-
-
-def report(found: dict[str, list[list[str]]]) -> str:
-    """Return a table for each node."""
-    return "\n\n".join(f"### {node}\n\n{table(HEADS, rows)}" for node, rows in found.items())
+    tables = []
+    for node, rows in nodes.items():
+        lines = (f"| {' | '.join(row)} |" for row in rows)
+        tables.append("\n".join((f"### {node}\n\n{HEAD}", *lines)))
+    return "\n\n".join(tables)
 
 
 def _parameters(kind: type[Any]) -> Rows:
