@@ -103,17 +103,12 @@ def interleaved(
             for name, task in tasks.items():
                 for _ in range(task.times):
                     task.prepare(repetition)
-                    walls[name].append(wall(task.work, repetition))
+                    started = time.perf_counter()
+                    task.work(repetition)
+                    walls[name].append(time.perf_counter() - started)
                 if done is not None:
                     done(name)
     return {name: timing(values) for name, values in walls.items()}
-
-
-def wall(work: Callable[[int], object], repetition: int = 0) -> float:
-    """Return how long one call takes [s]."""
-    started = time.perf_counter()
-    work(repetition)
-    return time.perf_counter() - started
 
 
 def timing(walls: Iterable[float]) -> Timing:
@@ -222,14 +217,3 @@ def _processor() -> str:
         name += f" (family {values['cpu family']}, model {values.get('model', '?')})"
     simd = [flag for flag in ("avx2", "avx512f") if flag in values.get("flags", "").split()]
     return ", ".join([name, *simd])
-
-
-def processor_time(process: int) -> float:
-    """Return the processor time that a process has spent [s].
-
-    Raises:
-        OSError: there is no such process.
-    """
-    # The name in brackets may have blanks and brackets of its own.
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
