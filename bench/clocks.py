@@ -206,16 +206,16 @@ def report(figures: dict[str, Any]) -> str:
         "stands how far links are from where steps of a sixteenth of the period lead them.",
         "",
     ]
-    rows = []
+    logical = []
     for scene, row in figures["lockstep"].items():
         factor, by_table = row["real_time_factor"], figures["table"][scene]
-        rows.append((
+        logical.append((
             scene, f"{factor:.2f}", f"{1e3 / factor:.0f}", f"{figures['offline'][scene]:.1f}",
             f"{by_table['factor']:.0f}", f"{by_table['off']:.0e} rad",
         ))  # fmt: skip
-    heads = ("scene", "lock-step, real-time factor", "us per tick", "offline, real-time factor",
+    shown = ("scene", "lock-step, real-time factor", "us per tick", "offline, real-time factor",
              "from a table", "there")  # fmt: skip
-    lines.append(table(heads, rows))
+    lines.append(table(shown, logical))
     lines += [
         "",
         "In lock-step nearly all of a tick is two messages through the middleware; the core's "
