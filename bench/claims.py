@@ -30,7 +30,7 @@ from bench import advice
 from bench.measure import progress
 from oracles import alone, mixtures, random_machines
 
-Verdict = Any  # a dataclass, whose `claims` tell by name which hold
+Verdict = Any  # a dataclass; its `claims` state by name which hold
 
 JUDGES: dict[str, Callable[[int], Sequence[Verdict]]] = {
     "random_machines": lambda seed: random_machines.judge(seed, LOCATING_SCHEMES),
