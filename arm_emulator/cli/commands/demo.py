@@ -327,7 +327,8 @@ def _report(
     }
     console.print(f"residual (mm)             {_row(residual)}")
     if not missed:
-        console.print("the target is reached, and the residual is the predicted one")
+        near = "" if clock == "lockstep" else "near "
+        console.print(f"the target is reached, and the residual is {near}the predicted one")
     output.facts(summary)
     (out / "demo.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
     if result.oriented:
