@@ -93,7 +93,7 @@ def test_switches_of_loops_drives_and_power_leave_every_reading_finite(folder: P
 
 def test_refusals_are_one_line(folder: Path) -> None:
     valid = "valid: waist, shoulder, elbow"
-    line = f"three_axis: joint must be one of the scene, got no_such_joint; {valid}"
+    line = f"three_axis: joint must be one of the arm, got no_such_joint; {valid}"
     assert run(folder, 1_000_000, cycles=1)[-1] == line
     unknown, beyond = run(folder, 1_000_000, cycles=1)[-3:-1]
     assert "command_interface must be `power` or a number that the scene varies, got" in unknown

@@ -57,9 +57,9 @@ BAD_LIBRARIES: dict[str, tuple[str | bytes | None, str]] = {
     ),
     "nan": (
         code(f"{STEP} == 7 ? 0.0 / ((double)in->time - 7e6) : 0.0;"),
-        "tick 7: value of shoulder must be finite, got",
+        "tick 7: command of shoulder must be finite, got",
     ),
-    "inf": (code(f"{STEP} == 2 ? 1e308 * (double)in->time : 0.0;"), "tick 2: value of shoulder"),
+    "inf": (code(f"{STEP} == 2 ? 1e308 * (double)in->time : 0.0;"), "tick 2: command of shoulder"),
     "mode": (code("out->joint[2].mode = 99;"), "tick 0: mode of elbow must be one that the drive"),
     "lacking": (
         "extern int nowhere(int);\n" + code("out->joint[0].value = nowhere(1);"),

@@ -50,7 +50,10 @@ def test_a_goal_states_what_it_allows_beside_the_parameters() -> None:
     erased = goal(goal_time_tolerance=Duration(sec=-1))
     assert tolerances_of(erased, names, default).goal_time == 0.0
     for wrong, words in (
-        (goal(path_tolerance=[tolerance("x", 0.1)]), "be of joints of the arm, got x; valid: a, b"),
+        (
+            goal(path_tolerance=[tolerance("x", 0.1)]),
+            "joint must be one of the arm, got x; valid: a, b",
+        ),
         (goal(goal_tolerance=[tolerance("a", -2.0)]), "be >= 0 rad, or -1 for any, got -2.0"),
         (goal(path_tolerance=[tolerance("a", math.nan)]), "be >= 0 rad, or -1 for any, got nan"),
         (goal(goal_time_tolerance=Duration(sec=-3)), "be >= 0 s, or -1 for any, got -3 s"),

@@ -281,7 +281,7 @@ def test_commands_are_refused() -> None:
     config = load_gains(find_scene("ur5")).motion
     arm = Kinematics(one.urdf, one.joint_names, "tool0")
     place = Kinematics(one.urdf, one.joint_names, "tool0", task="position")
-    with pytest.raises(Refusal, match=r"joint_names must be joints of the arm, got elbow; valid"):
+    with pytest.raises(Refusal, match=r"joint must be one of the arm, got elbow; valid"):
         joint_command(0, ["elbow"], [0.1], arm, config)
     with pytest.raises(Refusal, match="each once"):
         joint_command(0, ["elbow_joint"] * 2, [0.1, 0.2], arm, config)

@@ -238,7 +238,7 @@ def point(time: int = SECOND, **fields: Any) -> TrajectoryPoint:
 
 
 WRONG: list[tuple[str, dict[str, Any]]] = [
-    ("joint_names must be joints of the arm, got x; valid: a, b, c, d", {"names": ("a", "x")}),
+    ("joint must be one of the arm, got x; valid: a, b, c, d", {"names": ("a", "x")}),
     ("joint_names must name some joints, each once, got a, a", {"names": ("a", "a")}),
     ("joint_names must name some joints, each once, got none", {"names": ()}),
     (r"points\[0\].positions must have 2 values", {"points": [point(positions=[0.0])]}),

@@ -84,9 +84,11 @@ def test_commands_may_be_given_by_names_of_joints(scene: Scene) -> None:
         plant.exchange(voltages)
         plant.advance(voltages, 3)
     assert one.save() == other.save()
-    for wrong in ({"elbow": 1.0}, {"elbow": 1.0, "waist": 1.0, "wrist": 1.0}, {}):
+    for wrong in ({"elbow": 1.0}, {}):
         with pytest.raises(Refusal, match="must name every joint once"):
             one.exchange(wrong)
+    with pytest.raises(Refusal, match="joint must be one of the arm, got wrist; valid: waist"):
+        one.exchange({"elbow": 1.0, "waist": 1.0, "wrist": 1.0})
 
 
 @pytest.mark.parametrize(

@@ -243,16 +243,20 @@ def spoiled(draw: random.Random) -> tuple[MotorState, str]:
             message.joint_names[0] if bad == "waist" else bad
         )
         got, valid = ", ".join(message.joint_names), ", ".join(NAMES)
+        if bad != "waist":
+            return message, f"joint must be one of the arm, got {bad}; valid: {valid}"
         return message, f"joint names must name every joint once, got {got}; valid: {valid}"
     if kind == 3:
-        message.encoder_counts[draw.randrange(4)] = draw.choice([10**15 + 1, -(2**63), 2**63 - 1])
-        got = str([float(one) for one in by_name(message, "encoder_counts")])
-        return message, f"encoder_counts must be numbers within +-1e+15, got {got}"
+        at, got = draw.randrange(4), draw.choice([10**15 + 1, -(2**63), 2**63 - 1])
+        message.encoder_counts[at] = got
+        count = f"encoder_counts of {message.joint_names[at]}"
+        return message, f"{count} must be a number within +-1e+15, got {float(got)}"
     name = draw.choice(NAMES)
     at, most = message.joint_names.index(name), LARGEST[NAMES.index(name)]
-    message.current[at] = draw.choice([np.nextafter(most, 9), -most - 1, np.inf, -np.inf, np.nan])
-    got = str(by_name(message, "current"))
-    return message, f"current must be numbers within +-{most:g} rad, got {got}"
+    got = draw.choice([np.nextafter(most, 9), -most - 1, np.inf, -np.inf, np.nan])
+    message.current[at] = got
+    rule = f"be a number within +-{most:g} rad" if np.isfinite(got) else "be finite"
+    return message, f"current of {name} must {rule}, got {float(got)}"
 
 
 def test_a_refusal_names_rule_and_value() -> None:

@@ -102,7 +102,7 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
 
 
 BAD: list[tuple[str, str, Any]] = [
-    ("joint_trajectory", "joint_names must be joints of the arm, got nobody", ["nobody"]),
+    ("joint_trajectory", "joint must be one of the arm, got nobody", ["nobody"]),
     ("joint_trajectory", "points[1].time_from_start must be later", [(0.5, 0.0), (0.5, 0.1)]),
     ("joint_trajectory", "must be numbers within", [(0.5, math.nan)]),
     ("joint_trajectory", "must be numbers within +-1e+06 rad", [(0.5, 1e7)]),

@@ -162,7 +162,7 @@ def test_a_refused_command_changes_nothing(door: Callable[[np.ndarray], Door]) -
     command[1] = np.nan
     with pytest.raises(Refusal) as no:
         one.go(2)
-    assert (no.value.quantity, no.value.rule) == ("value of shoulder", "be finite")
+    assert (no.value.quantity, no.value.rule) == ("command of shoulder", "be finite")
     assert one.tick == 3 and one.plant.save() == before
     command[1] = 1.0
     one.go(1)

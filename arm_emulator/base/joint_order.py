@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+
+
+def unknown_joint(where: str, name: object, joints: Sequence[str]) -> Refusal:
+    """Return the refusal of a name that no joint has."""
+    return Refusal(where, "joint", "be one of the arm", name, ", ".join(joints))
+
+
+def check_joint_names(where: str, names: Iterable[object], joints: Sequence[str]) -> None:
+    """Refuse names that are not those of all joints, in any order.
+
+    Raises:
+        Refusal: a name that no joint has, or a joint that is named twice or not at all.
+    """
+    given = [str(name) for name in names]
+    for name in given:
+        if name not in joints:
+            raise unknown_joint(where, name, joints)
+    if len(given) != len(joints) or len(set(given)) != len(given):
+        got = ", ".join(given) or "none"
+        raise Refusal(where, "joint names", "name every joint once", got, ", ".join(joints))
 
 
 class JointOrder:
@@ -46,15 +66,8 @@ class JointOrder:
             got = f"{len(array)} values" if array.ndim == 1 else values
             raise Refusal(self.topic, bound.name, rule, got)
         if list(names) != self.names:
-            if sorted(map(str, names)) != sorted(self.names):
-                raise Refusal(
-                    self.topic,
-                    "joint names",
-                    "name every joint once",
-                    ", ".join(map(str, names)) or "none",
-                    ", ".join(self.names),
-                )
+            check_joint_names(self.topic, names, self.names)
             given, array = array, np.empty_like(array)
             array[[self._index[name] for name in names]] = given
-        bound.check(self.topic, array.tolist())
+        bound.check(self.topic, array.tolist(), self.names)
         return array

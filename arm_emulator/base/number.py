@@ -120,8 +120,15 @@ class Number:
             raise Refusal(where, self.name, self._rule(None, self.most, many=True), values)
         return array
 
-    def check(self, where: str, values: Sequence[float] | FloatArray) -> None:
+    def check(
+        self, where: str, values: Sequence[float] | FloatArray, joints: Sequence[str] = ()
+    ) -> None:
         """Refuse numbers of which one is not finite or out of the range.
+
+        Args:
+            where: name of the refusal.
+            values: the numbers.
+            joints: names of the joints that they belong to; then a refusal names the joint.
 
         Raises:
             Refusal: see above.
@@ -143,6 +150,10 @@ class Number:
         if wrong.any():
             at = np.unravel_index(int(wrong.argmax()), array.shape)
             limit = float(np.broadcast_to(np.asarray(most), array.shape)[at])
+            if joints:
+                value = float(array[at])
+                rule = self._rule(value, limit) if math.isfinite(value) else "be finite"
+                raise Refusal(where, f"{self.name} of {joints[int(at[0])]}", rule, value)
             got = array.tolist() if array.ndim == 1 else array
             raise Refusal(where, self.name, self._rule(float(array[at]), limit, many=True), got)
 

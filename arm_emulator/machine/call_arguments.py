@@ -7,6 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.joint_order import check_joint_names
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.machine.chain import Array
@@ -28,11 +29,8 @@ def by_joint(given: object, scene: Scene, where: str) -> object:
     """
     if not isinstance(given, Mapping):
         return given
-    names = scene.joint_names
-    if set(given) != set(names):
-        got = ", ".join(map(str, given)) or "none"
-        raise Refusal(where, "joint names", "name every joint once", got, ", ".join(names))
-    return [given[name] for name in names]
+    check_joint_names(where, given, scene.joint_names)
+    return [given[name] for name in scene.joint_names]
 
 
 def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwise: str) -> Refusal:

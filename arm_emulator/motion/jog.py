@@ -13,6 +13,7 @@ import numpy as np
 
 from arm_emulator.base.bound import VELOCITY
 from arm_emulator.base.given import FloatArray
+from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
@@ -106,7 +107,7 @@ def joint_command(
     where, known = "delta_joint_cmds", kinematics.joint_names
     for name in names:
         if name not in known:
-            raise Refusal(where, "joint_names", "be joints of the arm", name, ", ".join(known))
+            raise unknown_joint(where, name, known)
     if len(set(names)) != len(names) or not names:
         raise Refusal(where, "joint_names", "name joints, each once", list(names))
     given = _SPEED.row(where, velocities, len(names))

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.given import FloatArray
+from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import beyond
@@ -305,7 +306,7 @@ def _places(
     known, valid = {name: i for i, name in enumerate(joint_names)}, ", ".join(joint_names)
     for name in names:
         if name not in known:
-            raise Refusal(WHERE, "joint_names", "be joints of the arm", name, valid)
+            raise unknown_joint(WHERE, name, joint_names)
     if len(set(names)) != len(names) or (needed and not names):
         got = ", ".join(names) or "none"
         raise Refusal(WHERE, "joint_names", "name some joints, each once", got, valid)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.given import FloatArray
+from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.refusal import Refusal
 
 WHERE = "joint_trajectory"
@@ -55,8 +56,7 @@ class Allowed:
         q, v = self.q.copy(), self.v.copy()
         for name, values in given.items():
             if name not in names:
-                valid = ", ".join(names)
-                raise Refusal(WHERE, "tolerances", "be of joints of the arm", name, valid)
+                raise unknown_joint(WHERE, name, names)
             for table, value, unit in ((q, values[0], "rad"), (v, values[1], "rad/s")):
                 if not (value >= 0.0 or value == -1.0):
                     rule = f"be >= 0 {unit}, or -1 for any"

@@ -152,7 +152,7 @@ int DrivenMachine::joint(const std::string& name) const {
     if (name == data_.name[j]) return j;
     valid += (j ? ", " : "") + std::string(data_.name[j]);
   }
-  throw Refused(std::string(data_.scene) + ": joint must be one of the scene, got " + name +
+  throw Refused(std::string(data_.scene) + ": joint must be one of the arm, got " + name +
                 "; valid: " + valid);
 }
 

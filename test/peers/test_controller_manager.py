@@ -266,7 +266,7 @@ WRONG = [
     ("three_axis</param>", "nothing</param>", "scene must be FOLDER/NAME after"),
     ("/three_axis</param>", "/</param>", "scene must be FOLDER/NAME after"),
     ('name="elbow"', 'name="bend"',
-     "joint must be one of the scene, got bend; valid: waist, shoulder, elbow"),
+     "joint must be one of the arm, got bend; valid: waist, shoulder, elbow"),
     ('type="system"', 'type="system" is_async="true"', "is_async must be false"),
     ('type="system"', 'type="system" rw_rate="300"', "update_rate must give whole ns, got 300 Hz"),
     ('<command_interface name="position"', '<command_interface name="position" data_type="bool"',

@@ -216,7 +216,7 @@ struct arm_machine {
       if (!joint[j].enable) continue;
       if (joint[j].mode != arm::kModes.at[j])
         return refuse(j, "mode", "be one that the drive has", joint[j].mode);
-      if (!arm::is_finite(joint[j].value)) return refuse(j, "value", "be finite", joint[j].value);
+      if (!arm::is_finite(joint[j].value)) return refuse(j, "command", "be finite", joint[j].value);
       for (int r = 0; further && r < Scene::inputs; ++r) {
         const double value = further[r * N + j];
         const char* name = Scene::input[r].name;

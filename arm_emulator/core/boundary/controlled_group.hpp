@@ -80,7 +80,7 @@ class ControlledGroup {
     for (int k = first_; k < end_; ++k) {
       double given[N];
       for (int j = 0; j < N; ++j) given[j] = rows_.value[j * lanes + k - first_];
-      if (fleet_.machine[k]->check_finite(given, "value")) {
+      if (fleet_.machine[k]->check_finite(given, "command")) {
         fleet_.put_refused(k);
         return false;
       }
