@@ -57,7 +57,6 @@ setup(
     extras_require={
         "dask": wheels("clusters"),
         "doors": wheels("doors"),
-        "film": wheels("films"),
         "page": wheels("page"),
         "search": wheels("search of campaigns"),
         "test": ["pytest"],  # colcon test then knows the runner

@@ -7,8 +7,15 @@ so that the picture repeats without a jump.
 
 from __future__ import annotations
 
+import contextlib
 import io
+import os
+import socket
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -16,7 +23,6 @@ from PIL import Image
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
-from arm_emulator.view.film import take_screenshots, write_gif
 from arm_emulator.view.rerun_stream import RerunStream
 
 SCENE = "ur5"
@@ -25,6 +31,11 @@ EVERY = 10  # servo periods between samples
 FRAMES = 40
 SIZE = (960, 540)  # points
 SHOWN = (0, 37, 960, 510)  # of these, without menu and time line
+COLOURS = 96  # of the .gif
+POLL = 0.1  # s
+# Pictures until the viewer shows a moment as a whole: it draws meshes and curves some pictures
+# later, and its words of welcome cover a part of the window for 1 to 3 s.
+SETTLE_FIRST, SETTLE_NEXT = 8, 2
 _SETTLING = 3.0  # s, for the way to the first corner
 
 
@@ -73,7 +84,56 @@ def picture(out: Path) -> Path:
     """Draw the picture into a folder and return its file."""
     begin, end = record(out / "square.rrd")
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES
-    shots = take_screenshots(out / "square.rrd", moments.tolist(), size=SIZE, patience=600.0)
-    pictures = [Image.open(io.BytesIO(shot)).convert("RGB").crop(SHOWN) for shot in shots]
-    write_gif(pictures, out / "arm.gif", FRAMES / (end - begin))
+    pictures = [one.crop(SHOWN) for one in screenshots(out / "square.rrd", moments.tolist())]
+    palette = pictures[FRAMES // 2].quantize(COLOURS)
+    frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    each = round(1e3 * (end - begin) / FRAMES)
+    frames[0].save(
+        out / "arm.gif",
+        save_all=True,
+        append_images=frames[1:],
+        duration=each,
+        loop=0,
+        optimize=True,
+    )
     return out / "arm.gif"
+
+
+def screenshots(rrd: Path, moments: Sequence[float]) -> Iterator[Image.Image]:
+    """Yield what a viewer without a screen shows at each moment [s]; it needs a Vulkan driver."""
+    with _viewer(rrd) as viewer:
+        while viewer.get_state().loading:
+            time.sleep(POLL)
+        for number, at in enumerate(moments):
+            viewer.set_time("t", duration=at, play_state="paused")
+            for _ in range(SETTLE_FIRST if number == 0 else SETTLE_NEXT):
+                viewer.take_screenshot()
+                time.sleep(5.0 * POLL)
+            yield Image.open(io.BytesIO(viewer.take_screenshot())).convert("RGB")
+
+
+@contextlib.contextmanager
+def _viewer(rrd: Path) -> Iterator[Any]:
+    import rerun_cli  # type: ignore[import-untyped]
+    from rerun.experimental import ViewerClient
+
+    # The program itself: its Python wrapper, when ended, would leave it running.
+    program = next(f for f in Path(rerun_cli.__file__).parent.iterdir() if f.stem == "rerun")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ["--headless", "--hide-welcome-screen", "--bind", "127.0.0.1", "--port", str(port),
+             "--window-size", "x".join(map(str, SIZE)), str(rrd)]  # fmt: skip
+    quiet = os.environ | {"RERUN_APP_ONLY": "true"}  # no questions about analytics
+    process = subprocess.Popen([str(program), *words], env=quiet, stderr=subprocess.DEVNULL)
+    try:
+        while process.poll() is None:
+            with contextlib.suppress(Exception):  # not listening yet
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                client.get_state()
+                break
+            time.sleep(POLL)
+        yield client
+    finally:
+        process.kill()
+        process.wait()

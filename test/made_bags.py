@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, PoseStamped
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
@@ -26,7 +24,6 @@ class _Sender:
 
     def __init__(self, writer: BagWriter, session: Session) -> None:
         kinds = {name: f"arm_emulator_msgs/msg/{one.__name__}" for name, one in TYPES.items()}
-        kinds["/tool_target"] = "geometry_msgs/msg/PoseStamped"
         self._numbers = {
             topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
             for topic, kind in kinds.items()
@@ -63,12 +60,8 @@ def synthetic(
     powers: list[bool],
     first: int = 0,
     runs: int = 2,
-    p_WT: Sequence[float] | None = None,
 ) -> Path:
-    """A bag of some runs, made without a network, with the machine at 0 V before tick `first`.
-
-    At the start of each run p_WT, if given, is sent as a target of the tool.
-    """
+    """A bag of some runs, made without a network, with the machine at 0 V before tick `first`."""
     session = Session(load_scene("three_axis"), "lockstep", "first_answer")
     names = list(session.scene.joint_names)
     rng = np.random.default_rng(7)
@@ -78,9 +71,6 @@ def synthetic(
             session.reset()
             session.powered = True
             sender.report()
-            if p_WT is not None:
-                x, y, z = p_WT
-                sender.send("/tool_target", PoseStamped(pose=Pose(position=Point(x=x, y=y, z=z))))
             for powered in powers:
                 if session.tick >= first:
                     voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()

@@ -41,7 +41,6 @@ ENDS: dict[str, list[list[str]]] = {name: [["nowhere"]] for name in command_name
     "firmware": [["{}/none.yaml", "{}/none.elf"]],
     "fmu": [[ARM, "--out", "{}/arm.fmu", "--target", "native"], [ARM, "--out", "{}/arm.zip"]],
     "identify": [[ARM, "{}/none.csv"]],
-    "film": [["{}/none", "{}/run.gif"], ["{}/bag", "{}/run.avi"]],
     "foxglove": [[ARM, "{}/layout.json"], [ARM, "{}/no/layout.json"]],
     "fork": [["{}/bag", "{}/new", "--at", "0", "--scene", ARM], ["{}/no", "{}/new", "--at", "0"]],
     "latency": [[ARM, "--rates", "50", "--seconds", "0.3", "--alone"], ["nowhere"]],

@@ -37,7 +37,6 @@ OURS = {
     "doctor": "its outcome is that of the machine; test_doctor.py",
     "ethercat": "needs a network interface; test_ethercat.py",
     "explain": "needs the reader's bag; test_recorded_machine.py",
-    "film": "needs the reader's bag, and a graphics driver; test/peers/test_film.py",
     "firmware": "needs a cross compiler; test/peers",
     "identify": "needs the reader's record; test_identification.py",
     "move": "needs a network; test_move.py",

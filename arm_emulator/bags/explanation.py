@@ -69,11 +69,15 @@ def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanat
     following = machine.ticks[tick + 1] if tick < machine.last else None
     applied = None if following is None else following.applied[0]
     powered = session.powered if following is None else following.powered
-    acts = acting(machine)
+    acts = np.zeros(len(scene.joints)) if applied is None else applied
     terms = TorqueTerms(scene).of(session.plant.save(), acts)
     ends = following.published if following is not None else here.published + 1
     commanded, q_target, orders = _newest(topics, scene, tick, here.published, ends)
-    active = [*_changes(machine, tick), *active_at(machine, terms, commanded)]
+    active = [
+        *_changes(machine, tick),
+        *_limits(scene, session.plant, session.measured, acts, commanded),
+        *_modes(scene, session.state, terms),
+    ]
     return Explanation(
         tick=tick,
         t=tick * scene.servo_period,
@@ -88,23 +92,6 @@ def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanat
         flow=session.plant.powers(acts) if scene.energy_flow else None,
         terms=terms,
     )
-
-
-def acting(machine: RecordedMachine) -> Array:
-    """Return what the motors of a machine get from its present tick on (N,); 0: the record ends."""
-    if machine.tick < machine.last:
-        applied: Array = machine.ticks[machine.tick + 1].applied[0]
-        return applied
-    return np.zeros(len(machine.scene.joints))
-
-
-def active_at(
-    machine: RecordedMachine, terms: TermsNow, commanded: Array | None = None
-) -> list[str]:
-    """Return limits and modes that act at the present tick of a machine, a sentence each."""
-    session, scene = machine.session, machine.scene
-    limits = _limits(scene, session.plant, session.measured, acting(machine), commanded)
-    return [*limits, *_modes(scene, session.state, terms)]
 
 
 def _newest(

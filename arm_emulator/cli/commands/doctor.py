@@ -39,9 +39,7 @@ NEEDED = (
 )  # fmt: skip
 # Modules that some commands need.
 EXTRAS = {
-    "PIL": "`demo`, `film`",
     "SALib": "sensitivities of campaigns",
-    "av": "`film` of .mp4",
     "can": "`canopen`",
     "cma": "`campaign` with the search cma_es",
     "distributed": "`campaign --dask`",
@@ -52,7 +50,6 @@ EXTRAS = {
     "optuna": "`campaign` with the search optuna",
     "pyarrow": "campaigns, and records as .parquet",
     "rerun": "`--rerun`, `demo`",
-    "rerun_cli": "`film`",
     "rosbags": "bags",
     "trimesh": "the page of `look`, `--page`",
     "unicorn": "`firmware`",
