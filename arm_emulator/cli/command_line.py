@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
-import importlib.util
 import select
 import signal
 import sys
@@ -14,7 +14,7 @@ from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.standard_files import check_stdout, drop, trouble_of_stdout
 from arm_emulator.base.wheel import missing_module
-from arm_emulator.cli.command import Command, command_names, load_command, near_names, summary_of
+from arm_emulator.cli.command import GROUPS, Command, command_names, load_command, summary_of
 from arm_emulator.cli.output import output
 from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
 
@@ -33,11 +33,12 @@ def main() -> None:
     """Run one command; exit code 2 and one line for refused input."""
     words = [word for word in sys.argv[1:] if word != JSON]
     as_json = len(words) < len(sys.argv) - 1
+    name = words[0] if words else ""
     try:
-        one = load_command(words[0]) if words else None
-    except ModuleNotFoundError as missing:
+        one = load_command(name)
+    except Exception as error:
         end_at_once(None)
-        sys.exit(_printed(partial(_refused, _missing("arm_emulator", missing)), as_json))
+        sys.exit(_printed(partial(_refused, _reason(name, error)), as_json))
     code = 0 if one is not None and one.until_stopped else None
     end_at_once(code)
     if one is None:
@@ -80,20 +81,22 @@ def _run(one: Command, words: Sequence[str]) -> int:
         output.facts({"help": page})
         return 0
     try:
-        for module in ("rclpy", "arm_emulator_msgs") if one.of_ros else ():
-            if importlib.util.find_spec(module) is None:  # before it starts anything
-                return _refused(_missing(one.name, ModuleNotFoundError(name=module)))
         return run_with(one, words)
-    except Refusal as refusal:
-        return _refused(refusal)
     except BadArguments as bad:
         return _refused(f"arm_emulator {one.name}: {bad}")
-    except ModuleNotFoundError as missing:
-        return _refused(_missing(one.name, missing))
     except Exception as error:
-        if isinstance(error, BrokenPipeError) or not is_want_of_memory(error):
-            raise
-        return _refused(Refusal("arm_emulator", "memory", "suffice", repr(error)))
+        return _refused(_reason(one.name, error))
+
+
+def _reason(name: str, error: Exception) -> Refusal:
+    """Return why a command cannot be imported or go on; raise again what is a mistake in it."""
+    if isinstance(error, Refusal):
+        return error
+    if isinstance(error, ModuleNotFoundError):
+        return _missing(name, error)
+    if isinstance(error, BrokenPipeError) or not is_want_of_memory(error):
+        raise error
+    return Refusal("arm_emulator", "memory", "suffice", repr(error))
 
 
 def _refused(reason: Refusal | str) -> int:
@@ -136,13 +139,21 @@ def _without_command(words: Sequence[str]) -> int:
         output.line(f"arm_emulator {VERSION}")
         output.facts({"version": VERSION})
     else:
-        near = near_names(words[0], command_names()) or "; `arm_emulator --help` lists them"
+        known = difflib.get_close_matches(words[0], command_names())
+        near = (
+            f"; did you mean {' or '.join(known)}?"
+            if known
+            else "; `arm_emulator --help` lists them"
+        )
         return _refused(f"arm_emulator: unknown command {words[0]}{near}")
     return 0
 
 
 def _overview() -> str:
-    rows = "\n".join(f"  {name:<14} {summary_of(name)}" for name in command_names())
+    groups = "\n\n".join(
+        "\n".join([f"{group}:", *(f"  {name:<14} {summary_of(name)}" for name in names)])
+        for group, names in GROUPS.items()
+    )
     return f"""\
 An industrial arm, emulated.
 
@@ -150,4 +161,4 @@ usage: arm_emulator COMMAND ...
        arm_emulator COMMAND --help
        arm_emulator --version
 
-{rows}"""
+{groups}"""

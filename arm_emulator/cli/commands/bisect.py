@@ -24,7 +24,6 @@ from arm_emulator.machine.build_facts import other_builds
 
 
 @command(
-    of_ros=True,
     keys=(
         "`sides`, `equal_ticks`, `difference` (null if they are equal), `builds` (sentences on "
         "how builds differ); with the options good and bad `commit`, `title`"

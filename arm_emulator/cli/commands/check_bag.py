@@ -14,7 +14,6 @@ from arm_emulator.ros.bag_metadata import ARITHMETIC_OF, FORKED_AT, PARENT
 
 
 @command(
-    of_ros=True,
     keys=(
         "`bag`, `scene`, `clock`, `equal`, `difference`, `counts`, `not_compared`, "
         "`topics_not_compared`, `about` (facts that the bag has of itself, such as the parent "

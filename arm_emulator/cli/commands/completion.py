@@ -14,7 +14,7 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """Print a script that completes commands and options in a shell.
 
     Args:
-        shell: such as in `eval "$(arm_emulator completion bash)"`.
+        shell: whose completions are printed.
     """
     script = completion_script(shell)
     output.line(script)

@@ -64,7 +64,6 @@ class DemoResult:
 
 
 @command(
-    of_ros=True,
     keys=(
         "`scene`, `clock`, `start_mm`, `residual_mm`, `rotation_mrad`, "
         "`instructions_to_1_percent`, `real_time_factor`, `deviations_m`, `predicted_mm`, "

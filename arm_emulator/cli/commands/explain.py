@@ -24,7 +24,6 @@ from arm_emulator.runs.timeline import Timeline
 
 
 @command(
-    of_ros=True,
     keys=(
         "`scene`, `tick`, `t`, `powered`, `orders`, `q_target`, `q`, `v`, `current`, "
         "`commanded`, `applied`, `supplied`, `dissipated`, `torques_on_links`, "

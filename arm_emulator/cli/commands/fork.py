@@ -22,7 +22,7 @@ from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import MoveTool, Order, Push, ScaleGains, SetVaried, SwitchPower
 
 
-@command(of_ros=True, keys="`bag`, `parent`, `tick`, `ticks`, `orders`, `diverged`, `missed`")
+@command(keys="`bag`, `parent`, `tick`, `ticks`, `orders`, `diverged`, `missed`")
 def fork(
     bag: Path,
     new: Path,

@@ -17,7 +17,7 @@ from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.urdf_tree import names_of, read_joints, root_of
 
 
-@command(of_ros=True, keys="`file`, `panels`")
+@command(keys="`file`, `panels`")
 def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     """Write a layout of Foxglove and Lichtblick for a network of a scene, or for its bag.
 

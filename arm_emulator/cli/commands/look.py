@@ -23,7 +23,7 @@ from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.timeline import Timeline
 
 
-@command(of_ros=True, until_stopped=True, keys="`url`, `scene`, `ticks`")
+@command(until_stopped=True, keys="`url`, `scene`, `ticks`")
 def look(
     bag: Path,
     other: Path | None = None,

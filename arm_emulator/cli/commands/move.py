@@ -42,7 +42,7 @@ LATEST = 1e9  # s
 UNDER_WAY = ("accepted", "moving")
 
 
-@command(of_ros=True, keys="`states`, `outcome`, `reason`, `distance`, `angle`")
+@command(keys="`states`, `outcome`, `reason`, `distance`, `angle`")
 def move(
     *,
     to: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,

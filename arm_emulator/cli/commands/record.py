@@ -10,7 +10,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.ros.recorder_presence import RecorderPresence
 
 
-@command(until_stopped=True, of_ros=True, keys="`bag`, `messages`, `topics`, `seconds`, `lost`")
+@command(until_stopped=True, keys="`bag`, `messages`, `topics`, `seconds`, `lost`")
 def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> int:
     """Record the network into a rosbag2 bag until Ctrl-C.
 

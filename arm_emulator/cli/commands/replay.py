@@ -36,7 +36,6 @@ NAP = 0.05  # s, wall: Ctrl-C and new listeners are noticed this often
 
 @command(
     until_stopped=True,
-    of_ros=True,
     keys=(
         "`bag`, `messages`, `topics`, `seconds`, `whole`; with into `answers`, `alike` (to the "
         "recorded ones), `first_other`, `digest` and `missed` in the place of `topics`"

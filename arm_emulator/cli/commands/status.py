@@ -33,7 +33,7 @@ PHASES = {
 }
 
 
-@command(of_ros=True, keys="`nodes`, `clock`, `joints`, `target` (those that the network has)")
+@command(keys="`nodes`, `clock`, `joints`, `target` (those that the network has)")
 def status(
     *,
     timeout: Annotated[float, Parameter(metavar="S")] = 3.0,

@@ -24,7 +24,6 @@ from arm_emulator.ros.ros_domain import refuse_second_network
 
 @command(
     until_stopped=True,
-    of_ros=True,
     keys="`scene`, `clock`, `record`, `page` (its address), `ended` (the node that ended first)",
 )
 def up(
