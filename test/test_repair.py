@@ -88,7 +88,7 @@ def whole_chunks(file: Path) -> list[tuple[int, int]]:
 
 
 def assert_whole(bag: Path, words: list[str]) -> None:
-    """Ask independent readers: rosbags by its metadata, mcap by the index at the end."""
+    """Ask independent readers: rosbags by its metadata, mcap by its files alone."""
     file = bag / f"{bag.name}_0.mcap"
     reported = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert reported["message_count"] == len(words), "messages in the metadata"
@@ -97,20 +97,11 @@ def assert_whole(bag: Path, words: list[str]) -> None:
     )
     with file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None and summary.statistics is not None, "the file has no index"
-        assert summary.statistics.message_count == len(words), "messages in the file's statistics"
-        indexed = [m.data for _, _, m in reader.iter_messages(log_time_order=True)]
-        # By the index of each chunk, as `ros2 bag play` does.
-        per_topic = [
-            sum(1 for _ in reader.iter_messages(topics=[channel.topic]))
-            for channel in summary.channels.values()
-        ]
-    assert [deserialize_message(data, String).data for data in indexed] == words, "what is indexed"
-    assert sum(per_topic) == len(words), "messages by topic"
+        read = [m.data for _, _, m in reader.iter_messages(log_time_order=True)]
+    assert [deserialize_message(data, String).data for data in read] == words, "what mcap reads"
     with Reader(bag) as other:
         assert other.message_count == len(words), "messages that rosbags counts"
-        assert [m for _, _, m in other.messages()] == indexed, "what rosbags reads"
+        assert [m for _, _, m in other.messages()] == read, "what rosbags reads"
     assert Bag(bag).complete, "our own reader finds it cut off"
     assert sorted(one.name for one in bag.iterdir()) == [file.name, "metadata.yaml"]
 

@@ -1,38 +1,53 @@
 """Records of an MCAP file from any writer, one by one, in bounded time and memory.
 
 A file may end anywhere, since its writer may have been killed; the records before the end are
-sound. Any other deviation is damage. Format: https://mcap.dev/spec
+sound, and `give_end` makes a whole file of them. Any other deviation is damage.
+Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import SEEK_END, BytesIO
-from typing import IO
+from pathlib import Path
+from typing import IO, Any
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import (
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    Metadata,
+    Schema,
+)
 from mcap.writer import MCAP0_MAGIC
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import open_file
+from arm_emulator.base.whole_file import flush_to_disk, write_all
 
 MOST_RECORD = 1 << 28  # bytes of a record, and of an unpacked chunk
 MOST_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, or by its own size:
 MOST_RATIO = 50  # a bomb unpacks to thousands of times, messages of machines to a few
-HEAD = struct.Struct("<BQ")  # opcode, length of what follows
-MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; the data follow
-_CHUNK = struct.Struct("<QQQII")  # first and last log time, size, CRC, length of a name
-# Kinds of records whose content is looked at; what others hold is passed over.
-_LOOKED_AT = (
-    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
-    Opcode.METADATA,
-)  # fmt: skip
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; the data follow
+_KINDS: dict[int, Any] = {
+    Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata, Opcode.CHUNK: Chunk,
+}  # fmt: skip
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
 class CutOff(Exception):
@@ -43,184 +58,154 @@ class Damaged(Exception):
     """The file differs from what a writer has written; the text gives the difference."""
 
 
-@contextlib.contextmanager
-def _sound(what: str) -> Iterator[None]:
+def is_whole(stream: IO[bytes]) -> bool:
+    """Return whether the signature of a whole file stands at its end."""
+    size = stream.seek(0, SEEK_END)
+    stream.seek(max(0, size - len(MCAP0_MAGIC)))
+    return size >= 2 * len(MCAP0_MAGIC) and stream.read() == MCAP0_MAGIC
+
+
+def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
+    """Yield the content of a file, and where its record ends.
+
+    Schemas, channels, messages and metadata are yielded, whether they are in chunks or not; None
+    stands for any other record.
+
+    Raises:
+        CutOff: the file ends before its end.
+        Damaged: see above.
+    """
+    whole, size = is_whole(stream), stream.seek(0, SEEK_END)
+    left = MOST_UNPACKED + MOST_RATIO * size  # bytes that may still be unpacked
+    stream.seek(0)
+    if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC))):
+        raise Damaged("it does not begin like one")
     try:
-        yield
-    except (McapError, struct.error, ValueError) as error:
-        raise Damaged(f"{what}: {error or type(error).__name__}") from None
-
-
-@dataclass(frozen=True)
-class Record:
-    """A record, in a file or in an unpacked chunk.
-
-    Attributes:
-        opcode: its kind.
-        start: its first byte, heading included.
-        end: first byte of the next one.
-        content: without its heading; empty if it is not read.
-    """
-
-    opcode: int
-    start: int
-    end: int
-    content: bytes
-
-    @property
-    def schema(self) -> Schema:
-        """Content of a schema record."""
-        with _sound("a schema"):
-            schema: Schema = Schema.read(ReadDataStream(BytesIO(self.content)))
-        return schema
-
-    @property
-    def channel(self) -> Channel:
-        """Content of a channel record."""
-        with _sound("a channel"):
-            channel: Channel = Channel.read(ReadDataStream(BytesIO(self.content)))
-        return channel
-
-    @property
-    def metadata(self) -> tuple[str, dict[str, str]]:
-        """Name and entries of a metadata record."""
-        with _sound("metadata"):
-            one = Metadata.read(ReadDataStream(BytesIO(self.content)))
-        return one.name, one.metadata
-
-    @property
-    def message(self) -> tuple[int, int, int, int]:
-        """Channel, sequence, log time and publish time [ns] of a message; its data follow."""
-        with _sound("a message"):
-            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.content)
-            return channel, sequence, log_time, publish_time
-
-    @property
-    def indexed_channel(self) -> int:
-        """The channel whose messages an index of messages lists."""
-        with _sound("an index"):
-            return int(struct.unpack_from("<H", self.content)[0])
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Records that were packed together, unpacked."""
-
-    first: int  # log time [ns]
-    last: int
-    compression: str
-    packed: int  # bytes
-    data: bytes
-
-    def records(self) -> Iterator[Record]:
-        """Yield the records in it.
-
-        Raises:
-            Damaged: they do not fill it, or are of a kind not permitted in chunks.
-        """
-        at, data, size = 0, self.data, len(self.data)
-        while at < size:
-            begin = at + HEAD.size
-            if begin > size:
+        for opcode, content, end in _split(stream, size):
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                if whole:
+                    return
+                break
+            record = _parsed(opcode, content)
+            if not isinstance(record, Chunk):
+                yield record, end
+                continue
+            left -= record.uncompressed_size
+            if record.uncompressed_size > MOST_RECORD or left < 0:
+                raise Damaged("chunks that unpack to more than a bag may")
+            at, data = 0, BytesIO(_unpacked(record))
+            with contextlib.suppress(EOFError):
+                for inner, text, ends in _split(data, record.uncompressed_size):
+                    if inner not in _IN_CHUNKS:
+                        raise Damaged(f"a record of kind {inner} in a chunk")
+                    at = ends
+                    yield _parsed(inner, text), end
+            if at != record.uncompressed_size:
                 raise Damaged("a chunk ends within a record")
-            opcode, length = HEAD.unpack_from(data, at)
-            end = begin + length
-            if end > size:
-                raise Damaged("a chunk ends within a record")
-            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                raise Damaged(f"a record of kind {opcode} in a chunk")
-            yield Record(opcode, at, end, data[begin:end])
-            at = end
+            yield None, end
+    except EOFError:
+        if whole:
+            raise Damaged("a record beyond its end") from None
+    raise CutOff
 
 
-class McapFile:
-    """The records of a file up to its footer.
+def give_end(file: Path) -> bool:
+    """Complete an MCAP file that was cut off anywhere; return False if it is complete already.
 
-    Args:
-        stream: the file.
+    All whole records are kept unchanged, what follows them is removed, and an end without an index
+    is written: readers scan such a file. If the disk has no room for that end, the last records are
+    removed to make room.
 
-    Attributes:
-        ended: whether the signature of a whole file stands at its end.
+    Raises:
+        Refusal: it is not an MCAP file, or damaged before its end.
+        OSError: it cannot be written.
     """
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self._size = stream.seek(0, SEEK_END)
-        self._unpacked = 0
-        stream.seek(max(0, self._size - len(MCAP0_MAGIC)))
-        self.ended = self._size >= 2 * len(MCAP0_MAGIC) and stream.read() == MCAP0_MAGIC
-
-    def records(self) -> Iterator[Record]:
-        """Yield all records before the footer.
-
-        Raises:
-            CutOff: the file ends before its footer.
-            Damaged: see above.
-        """
-        stream, size = self._stream, self._size
-        stream.seek(0)
-        magic = stream.read(len(MCAP0_MAGIC))
-        if not MCAP0_MAGIC.startswith(magic):
-            raise Damaged("it does not begin like one")
-        at = len(magic)
-        while True:
-            stream.seek(at)
-            head = stream.read(HEAD.size)
-            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
-            end = at + HEAD.size + length
-            # A computer that lost its power leaves zeros at the end.
-            if opcode == 0 or end > size:
-                raise Damaged("a record beyond its end") if self.ended else CutOff
-            if opcode == Opcode.FOOTER:
-                if not self.ended:
-                    raise CutOff
-                return
-            content = b""
-            if opcode in _LOOKED_AT:
-                if length > MOST_RECORD:
-                    raise Damaged(f"a record of {length} bytes, {MOST_RECORD} are the most")
-                content = stream.read(length)
-            yield Record(opcode, at, end, content)
-            at = end
-
-    def chunk(self, record: Record) -> Chunk:
-        """Return the content of a chunk's record.
-
-        Raises:
-            Damaged: it cannot be unpacked, differs from what was packed, or is too large.
-        """
-        content = record.content
+    ends = [0]
+    with open_file(file) as stream:
+        if is_whole(stream):
+            return False
         try:
-            first, last, size, crc, length = _CHUNK.unpack_from(content)
-            at = _CHUNK.size + length
-            compression = content[_CHUNK.size : at].decode("ascii")
-            (packed,) = struct.unpack_from("<Q", content, at)
-        except (struct.error, UnicodeDecodeError) as error:
-            raise Damaged(f"a chunk's heading: {error}") from None
-        body = memoryview(content)[at + 8 :]
-        if len(body) != packed:
-            raise Damaged(f"a chunk of {len(body)} bytes that promises {packed}")
-        self._unpacked += size
-        most = MOST_UNPACKED + MOST_RATIO * self._size
-        if size > MOST_RECORD or self._unpacked > most:
-            raise Damaged(f"chunks that unpack to more than {min(most, MOST_RECORD)} bytes")
-        data = _unpacked(compression, body, size)
-        if len(data) != size or (crc and zlib.crc32(data) != crc):
-            raise Damaged("a chunk of other bytes than were packed")
-        return Chunk(first, last, compression, packed, data)
+            with contextlib.suppress(CutOff):
+                ends += (end for _, end in records(stream))
+        except Damaged as error:
+            raise Refusal(str(file), "the bag", "be undamaged MCAP", error) from None
+    while True:
+        try:
+            _write_end(file, ends[-1])
+            return True
+        except OSError as error:
+            # Removing data helps only against a full disk.
+            if error.errno not in NO_ROOM or len(ends) == 1:
+                raise
+            ends = ends[: ends.index(ends[-1])]
 
 
-def _unpacked(compression: str, body: memoryview, size: int) -> bytes:
-    """Return at most one byte more than `size`."""
+def _write_end(file: Path, at: int) -> None:
+    builder = RecordBuilder()
+    if at == 0:  # cut off within the header
+        builder.write(MCAP0_MAGIC)
+        Header("ros2", "arm_emulator").write(builder)
+    DataEnd(0).write(builder)
+    Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(builder)
+    builder.write(MCAP0_MAGIC)
+    with file.open("r+b", buffering=0) as stream:  # a buffer would keep what it could not write
+        stream.truncate(at)
+        stream.seek(at)
+        write_all(stream, builder.end())
+        flush_to_disk(stream.fileno())
+
+
+def _split(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
+    """Yield opcode, content and end of each record of a file or chunk; the content only if used.
+
+    Raises:
+        EOFError: no whole record follows.
+        Damaged: a record is too large.
+    """
+    while True:
+        head = stream.read(_HEAD.size)
+        opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
+        end = stream.tell() + length
+        # A computer that lost its power leaves zeros at the end.
+        if opcode == 0 or end > size:
+            raise EOFError
+        content = b""
+        if opcode == Opcode.MESSAGE or opcode in _KINDS:
+            if length > MOST_RECORD:
+                raise Damaged(f"a record of {length} bytes, {MOST_RECORD} are the most")
+            content = stream.read(length)
+        yield opcode, content, end
+        stream.seek(end)
+
+
+def _parsed(opcode: int, content: bytes) -> McapRecord | None:
     try:
-        match compression:
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content)
+            return Message(channel, log_time, content[_MESSAGE.size :], publish_time, sequence)
+        kind = _KINDS.get(opcode)
+        return None if kind is None else kind.read(ReadDataStream(BytesIO(content)))
+    except (McapError, struct.error, ValueError, OverflowError) as error:
+        raise Damaged(f"a record of kind {opcode}: {error or type(error).__name__}") from None
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return the records in a chunk; at most a byte more than it promises is unpacked."""
+    packed, size = chunk.data, chunk.uncompressed_size
+    try:
+        match chunk.compression:
             case "":
-                return bytes(body)
+                data = packed
             case "zstd":
-                with zstandard.ZstdDecompressor().stream_reader(body) as reader:
-                    return bytes(reader.read(size + 1))
+                with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+                    data = bytes(reader.read(size + 1))
             case "lz4":
-                return bytes(lz4.frame.LZ4FrameDecompressor().decompress(body, size + 1))
+                data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, size + 1))
+            case other:
+                raise Damaged(f"a chunk that is packed as {other[:20]!r}")
     except (zstandard.ZstdError, RuntimeError, ValueError, EOFError) as error:
         raise Damaged(f"a chunk: {error}") from None
-    raise Damaged(f"a chunk that is packed as {compression[:20]!r}")
+    crc = chunk.uncompressed_crc
+    if len(data) != size or (crc and zlib.crc32(data) != crc):
+        raise Damaged("a chunk of other bytes than were packed")
+    return data

@@ -141,7 +141,7 @@ class McapFile:
 
     def give_up(self) -> None:
         """End the file after the last whole chunk."""
-        from arm_emulator.base.mcap_end import give_end
+        from arm_emulator.base.mcap_records import give_end
 
         self._stream.close()
         give_end(self._file)

@@ -11,7 +11,7 @@ import heapq
 import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import open_file
@@ -19,10 +19,9 @@ from arm_emulator.base.yaml_file import parse_yaml, read_yaml
 from arm_emulator.ros.bag_metadata import ABOUT, Span, Topic, qos_from_yaml
 
 try:
-    from mcap.opcode import Opcode
-    from mcap.records import Channel, Schema
+    from mcap.records import Channel, Message, Metadata, Schema
 
-    from arm_emulator.base.mcap_records import MESSAGE, CutOff, Damaged, McapFile, Record
+    from arm_emulator.base.mcap_records import CutOff, Damaged, records
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"
@@ -90,7 +89,7 @@ class Bag:
         for file in self._files if files is None else files:
             try:
                 with open_file(file) as stream:
-                    yield from self._read(McapFile(stream), topics)
+                    yield from self._read(stream, topics)
             except CutOff:
                 self.complete = False
             except Damaged as error:
@@ -112,48 +111,33 @@ class Bag:
         while heap:
             yield heapq.heappop(heap)[2]
 
-    def _read(self, mcap: McapFile, topics: Collection[str] | None) -> Iterator[BagMessage]:
+    def _read(self, stream: IO[bytes], topics: Collection[str] | None) -> Iterator[BagMessage]:
         schemas: dict[int, Schema] = {}
         names: dict[int, str] = {}
-        for record in _contents(mcap):
-            if record.opcode == Opcode.MESSAGE:
-                channel_id, _, log_time, publish_time = record.message
-                name = names.get(channel_id)
+        for record, _ in records(stream):
+            if isinstance(record, Message):
+                name = names.get(record.channel_id)
                 if name is None:
-                    raise Damaged(f"a message of channel {channel_id}, which does not exist")
+                    raise Damaged(f"a message of channel {record.channel_id}, which does not exist")
                 if topics is None or name in topics:
-                    data = record.content[MESSAGE.size :]
-                    yield BagMessage(name, log_time, publish_time, data)
-            elif record.opcode == Opcode.SCHEMA:
-                schema = record.schema
-                schemas[schema.id] = schema
-            elif record.opcode == Opcode.METADATA:
-                name, entries = record.metadata
-                self._facts |= entries if name == ABOUT else {}
-            else:
-                channel = record.channel
-                names[channel.id] = channel.topic
-                if channel.message_encoding != "cdr":
+                    yield BagMessage(name, record.log_time, record.publish_time, record.data)
+            elif isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Metadata):
+                self._facts |= record.metadata if record.name == ABOUT else {}
+            elif isinstance(record, Channel):
+                names[record.id] = record.topic
+                if record.message_encoding != "cdr":
                     raise Refusal(
                         str(self.path),
                         "the bag",
                         "have ROS 2 messages (encoding cdr)",
-                        f"{channel.message_encoding or 'no encoding'} in channel {channel.topic}",
+                        f"{record.message_encoding or 'no encoding'} in channel {record.topic}",
                         "bags of `up --record`, `run --bag`, `record` and `ros2 bag record`; "
                         "a file of `run --record` is a table of the run, not a bag",
                     )
-                if channel.topic not in self.topics:
-                    self.topics[channel.topic] = _topic(channel, schemas.get(channel.schema_id))
-
-
-def _contents(mcap: McapFile) -> Iterator[Record]:
-    """Yield schemas, channels and messages, in chunks or not, and metadata."""
-    kinds = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
-    for record in mcap.records():
-        if record.opcode == Opcode.CHUNK:
-            yield from mcap.chunk(record).records()
-        elif record.opcode in kinds:
-            yield record
+                if record.topic not in self.topics:
+                    self.topics[record.topic] = _topic(record, schemas.get(record.schema_id))
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:

@@ -16,7 +16,7 @@ from arm_emulator.ros.bag import Bag, files_of  # first: refuses where mcap is m
 # isort: split
 from mcap.writer import CompressionType, Writer
 
-from arm_emulator.base.mcap_end import NO_ROOM, give_end
+from arm_emulator.base.mcap_records import NO_ROOM, give_end
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk, write_all
 from arm_emulator.base.yaml_file import read_yaml
