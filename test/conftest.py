@@ -47,9 +47,9 @@ launch random_scenes json located load_friction spoiled_files brake hard_cases s
 motion_orders fuzz varied_axes varied current_loop fleet_follow splitting campaign_lanes lanes
 dynamics ideal_motors firmware_faults by_hand faults driven_machine progressive_gear negative_ratio
 fault_replay torque_terms command_line jog random_machines motors mounting efforts advice repair
-bound case_bag bisect rotor_friction readings end_stops demo working_folder topic_based manutec
+bound case_bag first_difference rotor_friction readings end_stops demo working_folder topic_based
 ethercat_mailbox lugre coupled_moves winding tune alone target_ways outputs documents standstill
-loaded_libraries trees pmsm backlash boundary stribeck number
+manutec loaded_libraries trees pmsm backlash boundary stribeck number
 """.split()
 
 

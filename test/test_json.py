@@ -25,7 +25,6 @@ ARM = "three_axis"
 ENDS: dict[str, list[list[str]]] = {name: [["nowhere"]] for name in command_names()} | {
     "advise": [[ARM, "--motion", "{}/motion.csv", "--error", "1e-5"],
                [ARM, "--motion", "{}/motion.csv", "--error", "1e-13"]],
-    "bisect": [["{}/bag", "--scene", ARM], ["{}/bag", "--good", "HEAD"]],
     "cache": [[]],
     "campaign": [["{}/campaign.yaml", "--dry"], ["{}/campaign.yaml", "--replay", "1"],
                  ["{}/campaign.yaml", "--into", "{}/results", "--workers", "1"]],
@@ -36,7 +35,8 @@ ENDS: dict[str, list[list[str]]] = {name: [["nowhere"]] for name in command_name
     "completion": [["bash"], ["csh"]],
     "doctor": [[]],
     "ethercat": [[ARM, "--esi", "{}/arm.xml"], [ARM]],
-    "explain": [["{}/bag", "--scene", ARM, "--at", "0"], ["{}/bag", "--at", "1e9"]],
+    "explain": [["{}/bag", "--scene", ARM, "--at", "0"], ["{}/bag", "--at", "1e9"],
+                ["{}/bag", "{}/bag", "--scene", ARM], ["{}/bag", "{}/none"]],
     "faults": [[ARM]],
     "firmware": [["{}/none.yaml", "{}/none.elf"]],
     "fmu": [[ARM, "--out", "{}/arm.fmu", "--target", "native"], [ARM, "--out", "{}/arm.zip"]],

@@ -9,6 +9,7 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import Difference, Repetition
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.build_facts import build_facts, other_builds
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.bag import Bag
@@ -57,7 +58,8 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
     topics = RecordedTopics(bag)
     scene = load_scene(scene_name or topics.scene)
     lockstep = not topics.in_real_time
-    repetition = Repetition(Session(scene, "lockstep", "first_answer"), bag, lockstep)
+    session = Session(scene, "lockstep", "first_answer")
+    repetition = Repetition(session, bag, lockstep)
     tally = repetition.tally
     difference: str | None = None
     try:
@@ -80,6 +82,12 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
         left_out=[*tally.left_out, *topics.missing],
         others=sorted(set(bag.topics) - taken),
         difference=difference,
-        hints=[] if difference is None else list(topics.hints(scene)),
+        hints=[] if difference is None else [*topics.hints(scene), *_builds(topics, session)],
         about=bag.about,
     )
+
+
+def _builds(topics: RecordedTopics, session: Session) -> list[str]:
+    """Return how the build of the record and the present one differ, a sentence each."""
+    builds = topics.build, build_facts(session.plant)
+    return [f"other builds: {one}" for one in other_builds(("record", "present"), *builds)]

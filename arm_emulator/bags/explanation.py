@@ -32,12 +32,10 @@ class Explanation:
     Attributes:
         tick: of the run.
         t: logical time [s].
-        state: the true state.
-        measured: readings of the sensors.
-        commanded: by the motor command that answers this tick (N,); None: the bag has none.
-        applied: what the motors get from now on (N,) [V, N m or A]; None: the record ends here.
         powered: whether the drives have power.
-        q_target: newest joint targets (N,) [rad or m]; None: the bag has none before this moment.
+        rows: of the joints (N,): `q_target`, the newest joint targets [rad or m]; the true `q`, `v`
+            and `current`; `commanded` by the motor command that answers this tick; `applied`, what
+            the motors get from now on [V, N m or A]. None: the bag has none, or it ends here.
         orders: newest report on targets, paths and trajectories, as text; empty: none.
         active: limits, modes and events that act now, a sentence each.
         flow: powers that joints get and dissipate [W]; None: the scene has no `energy_flow`.
@@ -46,19 +44,15 @@ class Explanation:
 
     tick: int
     t: float
-    state: PlantState
-    measured: Measured
-    commanded: Array | None
-    applied: Array | None
     powered: bool
-    q_target: Array | None
+    rows: dict[str, Array | None]
     orders: str
     active: list[str]
     flow: EnergyFlow | None
     terms: TermsNow
 
 
-def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanation:
+def explain_moment(machine: RecordedMachine) -> Explanation:
     """Return commands, torques and limits that act on a machine at its present tick.
 
     Raises:
@@ -72,7 +66,7 @@ def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanat
     acts = np.zeros(len(scene.joints)) if applied is None else applied
     terms = TorqueTerms(scene).of(session.plant.save(), acts)
     ends = following.published if following is not None else here.published + 1
-    commanded, q_target, orders = _newest(topics, scene, tick, here.published, ends)
+    commanded, q_target, orders = _newest(machine.topics, scene, tick, here.published, ends)
     active = [
         *_changes(machine, tick),
         *_limits(scene, session.plant, session.measured, acts, commanded),
@@ -81,12 +75,15 @@ def explain_moment(machine: RecordedMachine, topics: RecordedTopics) -> Explanat
     return Explanation(
         tick=tick,
         t=tick * scene.servo_period,
-        state=session.state,
-        measured=session.measured,
-        commanded=commanded,
-        applied=applied,
         powered=powered,
-        q_target=q_target,
+        rows={
+            "q_target": q_target,
+            "q": session.state.q,
+            "v": session.state.v,
+            "current": session.state.current,
+            "commanded": commanded,
+            "applied": applied,
+        },
         orders=orders,
         active=active,
         flow=session.plant.powers(acts) if scene.energy_flow else None,

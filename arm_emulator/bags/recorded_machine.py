@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.bag import Bag
 
@@ -30,25 +31,15 @@ class Tick(NamedTuple):
     """Wall time of its motor state [ns]."""
 
 
-def applied_names(scene: Scene) -> tuple[str, ...]:
-    """Return the values of a tick that are commands, with those of further inputs."""
-    return "applied", *rows_of(scene)[FURTHER]
-
-
-def applied_rows(names: tuple[str, ...], one: RecordedTick) -> NDArray[np.float64]:
-    """Return the commands of the period before a tick, with further inputs (1 + I, N)."""
-    return np.array([one.values[name] for name in names if name in one.values])
-
-
 class RecordedMachine:
     """The machine of a run in a bag; a `Run` of `Timeline`.
 
     Attributes:
         scene: the machine.
-        session: it, at `tick`.
+        topics: the bag.
+        session: the machine, at `tick`.
         ticks: of the run, from 0 on.
         changes: those made by hand, by the tick at which they were made.
-        path: of the bag.
 
     Args:
         topics: the bag.
@@ -60,19 +51,20 @@ class RecordedMachine:
     """
 
     def __init__(self, topics: RecordedTopics, scene: Scene, run: int = -1) -> None:
-        self.scene = scene
-        self.path = topics.bag.path
-        self._where = str(self.path)
+        self.scene, self.topics, self._run = scene, topics, run
+        self._where = str(topics.bag.path)
         self.ticks: list[Tick] = []
         self.changes: dict[int, list[Change]] = {}
-        self._read(topics, run)
+        self._read()
         self.session = Session(scene, "lockstep", "first_answer")
         self._change()
 
     @classmethod
-    def of(cls, path: Path, scene: Scene, run: int = -1) -> RecordedMachine:
-        """Return the machine of a run of a bag."""
-        return cls(RecordedTopics(Bag(path)), scene, run)
+    def of(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> RecordedMachine:
+        """Return the machine of a run of a bag; the scene is that which the bag names if None."""
+        topics = RecordedTopics(Bag(path))
+        known = scene if isinstance(scene, Scene) else load_scene(scene or topics.scene)
+        return cls(topics, known, run)
 
     @property
     def tick(self) -> int:
@@ -83,6 +75,11 @@ class RecordedMachine:
     def last(self) -> int:
         """The last tick of the record."""
         return len(self.ticks) - 1
+
+    def records(self) -> Iterator[RecordedTick]:
+        """Yield what is recorded of each tick."""
+        every = recorded_ticks(self.topics, self.scene.joint_names)
+        return (one for one in every if one.run == self._run)
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods of the record.
@@ -112,12 +109,12 @@ class RecordedMachine:
         if made:
             self.session.restore(made[-1].saved)
 
-    def _read(self, topics: RecordedTopics, run: int) -> None:
-        """Read ticks and changes of a run."""
-        count, names = 0, applied_names(self.scene)
-        for one in recorded_ticks(topics, self.scene.joint_names, names):
+    def _read(self) -> None:
+        """Read ticks and changes of the run."""
+        count, names = 0, ("applied", *rows_of(self.scene)[FURTHER])
+        for one in recorded_ticks(self.topics, self.scene.joint_names, names):
             count = one.run
-            if run not in (-1, one.run):
+            if self._run not in (-1, one.run):
                 continue
             if one.tick == 0:
                 self.ticks, self.changes = [], {}
@@ -125,14 +122,16 @@ class RecordedMachine:
                 rule, got = f"report tick {len(self.ticks)}", f"tick {one.tick} next"
                 raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
             powered = bool(one.values["powered"][0])
-            self.ticks.append(Tick(applied_rows(names, one), powered, one.published))
+            applied = np.array([one.values[name] for name in names if name in one.values])
+            self.ticks.append(Tick(applied, powered, one.published))
             if made := [*one.before, *one.changes]:
                 self.changes[one.tick] = made
         if not count:
             rule = "hold a run from tick 0 on"
             raise Refusal(self._where, "the bag", rule, "none", "record, then call emulator/reset")
-        if run != -1:
-            check_count(self._where, "run", run, 1, count)
+        self._run = (
+            count if self._run == -1 else check_count(self._where, "run", self._run, 1, count)
+        )
 
 
 class _Saved(NamedTuple):

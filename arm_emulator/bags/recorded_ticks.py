@@ -99,15 +99,6 @@ def recorded_ticks(
         yield now
 
 
-def count_runs(topics: RecordedTopics) -> int:
-    """Return how many runs begin in a bag."""
-    runs, before = 0, -1
-    for _, state in topics.read("motor_states"):
-        runs += state.tick == 0 and before != 0
-        before = state.tick
-    return runs
-
-
 class _Orders:
     """Places of the scene's joints in messages, which have one order for long."""
 

@@ -108,7 +108,7 @@ def ordered_run(topics: RecordedTopics, scene: str) -> Timeline[OfflineRun]:
     if record.last and got.tobytes() != wanted.tobytes():
         rule = "lead to the recorded commands, with the same code, scene and gains"
         what = "its joint targets" if of_network else "its orders"
-        raise Refusal(str(topics.bag.path), what, rule, "others", "see bisect")
+        raise Refusal(str(topics.bag.path), what, rule, "others", "see check-bag")
     return line
 
 

@@ -11,7 +11,7 @@ FOLDER = os.path.join(os.path.dirname(__file__), "commands")
 GROUPS = {
     "Drive an arm": ("demo", "up", "move", "status", "run"),
     "Records": (
-        "record", "look", "explain", "bisect", "check-bag", "replay", "fork", "foxglove", "repair",
+        "record", "look", "explain", "check-bag", "replay", "fork", "foxglove", "repair",
     ),
     "Scenes and servos": ("new", "check-scene", "tune", "bode", "advise", "identify"),
     "Studies": ("campaign", "faults", "validate"),

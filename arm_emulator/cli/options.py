@@ -19,7 +19,6 @@ When = Annotated[
     str | None,
     Parameter(metavar="CONDITION", help="such as 'current.elbow > 20 and abs(v.elbow) < 0.01'"),
 ]
-Commit = Annotated[str | None, Parameter(metavar="COMMIT")]
 Topics = Annotated[list[str] | None, Parameter(metavar="TOPIC ...", help="these only")]
 Json = Annotated[bool, Parameter(help="print one JSON object, for programs")]
 Seconds = Annotated[

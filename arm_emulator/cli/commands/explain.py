@@ -1,4 +1,4 @@
-"""Explain one moment of a recorded run."""
+"""Explain one moment of a recorded run, or the first difference of two."""
 
 from __future__ import annotations
 
@@ -10,48 +10,71 @@ import numpy as np
 from cyclopts import Parameter
 
 from arm_emulator.bags.explanation import Explanation, explain_moment
+from arm_emulator.bags.first_difference import first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import RunNumber, SceneName, When
 from arm_emulator.cli.output import output
+from arm_emulator.machine.build_facts import other_builds
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.ros.bag import Bag
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.timeline import Timeline
+
+TITLES = {
+    "q_target": "target [rad or m]",
+    "q": "q [rad or m]",
+    "v": "v [rad/s or m/s]",
+    "current": "motor current [A]",
+    "commanded": "commanded",
+    "applied": "the motor gets",
+}
 
 
 @command(
     keys=(
         "`scene`, `tick`, `t`, `powered`, `orders`, `q_target`, `q`, `v`, `current`, "
         "`commanded`, `applied`, `supplied`, `dissipated`, `torques_on_links`, "
-        "`torques_on_rotors`, `active`"
+        "`torques_on_rotors`, `active`; with a second bag, and the moment before the difference, "
+        "`sides`, `equal_ticks`, `difference` (null if they are equal), `builds` (sentences on "
+        "how builds differ)"
     ),
 )
 def explain(
     bag: Path,
+    other: Path | None = None,
     /,
     *,
     at: Annotated[float | None, Parameter(metavar="S")] = None,
     when: When = None,
     scene: SceneName | None = None,
+    other_scene: SceneName | None = None,
     run: RunNumber = -1,
+    other_run: RunNumber = -1,
 ) -> int:
     """Explain one moment of a recorded run: commands, limits, energy and torques by term.
 
-    The machine is driven again up to there.
+    The machine is driven again up to there. With a second bag it is the moment at which the two
+    runs begin to differ; the exit code is 1 where they do.
 
     Args:
         bag: folder of the bag.
+        other: folder of the bag whose run is compared.
         at: logical time of the moment (s).
         when: condition instead: the first moment at which it holds, after that of --at if given.
         scene: scene file or name (default: the one that the bag names).
+        other_scene: likewise of the other bag.
         run: which run of the bag, from 1 on (default: the last).
+        other_run: likewise of the other bag.
     """
-    topics = RecordedTopics(Bag(bag))
-    machine = RecordedMachine(topics, load_scene(scene or topics.scene), run)
+    machine = RecordedMachine.of(bag, scene, run)
+    if other is not None:
+        if at is not None or when is not None:
+            raise Refusal("explain", "--at and --when", "stand without a second bag", "both")
+        second = RecordedMachine.of(other, other_scene or scene, other_run)
+        return _compare((bag.name, other.name), machine, second)
     if at is None and when is None:
         raise Refusal("explain", "--at or --when", "be given", "neither")
     period = machine.scene.servo_period
@@ -64,8 +87,39 @@ def explain(
         output.line(f"it never holds, up to {machine.last * period:g} s: {when}")
         output.facts({"scene": machine.scene.name, "tick": None})
         return 1
-    _print(machine.scene, explain_moment(machine, topics))
+    _print(machine.scene, explain_moment(machine))
     return 0
+
+
+def _compare(names: tuple[str, str], one: RecordedMachine, other: RecordedMachine) -> int:
+    """Print the first difference of two runs, and the moment from which it comes."""
+    start = one.save()
+    found, equal = first_difference(one, other)
+    builds = other_builds(names, one.topics.build, other.topics.build)
+    output.facts({"sides": names, "equal_ticks": equal, "difference": None, "builds": builds})
+    for sentence in builds:
+        output.line(f"other builds: {sentence}")
+    if found is None:
+        output.line(f"equal to the last bit in what both have recorded: {equal} ticks")
+        return 0
+    t = found.tick * one.scene.servo_period
+    output.line(f"first difference: tick {found.tick}, {t:g} s, after {equal} equal ticks")
+    owner = f"{found.owner}, " if found.owner else ""
+    ulps = found.ulps
+    many = "" if ulps is None else f", {ulps} representable number{'s' * (ulps > 1)} apart"
+    output.line(f"{found.kind}: {owner}{found.quantity}{many}")
+    for name, value in zip(names, found.values, strict=True):
+        output.line(f"  {name}: {value!r}")
+    output.facts({"difference": {**found._asdict(), "ulps": ulps}})
+    one.restore(start)
+    try:
+        one.advance(max(0, found.tick - (found.kind == "state")))
+    except Diverged as fault:
+        output.line(str(fault))
+        return 1
+    output.line(f"the moment from which it comes, of {names[0]}:")
+    _print(one.scene, explain_moment(one))
+    return 1
 
 
 def _found(machine: RecordedMachine, condition: Condition) -> bool:
@@ -82,15 +136,7 @@ def _print(scene: Scene, now: Explanation) -> None:
     output.line(f"scene {scene.name}, tick {now.tick}, {now.t:g} s of logical time")
     if now.orders:
         output.line(f"motion controller: {now.orders}")
-    rows: dict[str, Array | None] = {
-        "target [rad or m]": now.q_target,
-        "q [rad or m]": now.state.q,
-        "v [rad/s or m/s]": now.state.v,
-        "motor current [A]": now.state.current,
-        "commanded": now.commanded,
-        "the motor gets": now.applied,
-    }
-    _table("", names, rows)
+    _table("", names, {TITLES[key]: row for key, row in now.rows.items()})
     if now.flow is not None:
         _table(
             "power [W]",
@@ -103,7 +149,7 @@ def _print(scene: Scene, now: Explanation) -> None:
         _table(f"torques on each {title} [N m or N]", names, {**terms, **sums})
     for line in now.active:
         output.line(line)
-    if now.applied is None:
+    if now.rows["applied"] is None:
         output.line("the record ends here: torques are those without a command")
     output.facts(_facts(scene, now))
 
@@ -136,12 +182,7 @@ def _facts(scene: Scene, now: Explanation) -> dict[str, Any]:
         "t": now.t,
         "powered": now.powered,
         "orders": now.orders or None,
-        "q_target": by_joint(now.q_target),
-        "q": by_joint(now.state.q),
-        "v": by_joint(now.state.v),
-        "current": by_joint(now.state.current),
-        "commanded": by_joint(now.commanded),
-        "applied": by_joint(now.applied),
+        **{key: by_joint(row) for key, row in now.rows.items()},
         "supplied": None if now.flow is None else by_joint(now.flow.given),
         "dissipated": None if now.flow is None else by_joint(now.flow.dissipated),
         "torques_on_links": {name: by_joint(row) for name, row in now.terms.link.items()},

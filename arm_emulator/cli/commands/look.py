@@ -11,15 +11,12 @@ from cyclopts import Parameter
 from arm_emulator.analysis.torque_terms import TermsNow
 from arm_emulator.bags.explanation import explain_moment
 from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import RunNumber, SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.scene import load_scene
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
-from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.timeline import Timeline
 
 
@@ -48,20 +45,14 @@ def look(
         other_run: likewise of the other bag.
         port: TCP port (default: any that is free); on this machine alone without HOST.
     """
-    topics = RecordedTopics(Bag(bag))
-    machine = RecordedMachine(topics, load_scene(scene or topics.scene), run)
-    subject = _subject(machine)
-    over = None
-    if other is not None:
-        others = RecordedTopics(Bag(other))
-        of_it = load_scene(other_scene or others.scene)
-        over = _subject(RecordedMachine(others, of_it, other_run))
+    machine = RecordedMachine.of(bag, scene, run)
+    over = None if other is None else _subject(RecordedMachine.of(other, other_scene, other_run))
 
     def explained() -> tuple[TermsNow, list[str]]:
-        now = explain_moment(machine, topics)
+        now = explain_moment(machine)
         return now.terms, now.active
 
-    page = RunPage(subject, explained, port, over)
+    page = RunPage(_subject(machine), explained, port, over)
     output.line(page.url)
     output.facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
     try:
