@@ -43,6 +43,7 @@ class RerunBatches:
 
     Args:
         tree: the URDF.
+        urdf_xml: its text.
         shafts: the N that are sampled, in the order of the samples, and the joints that they move.
         tool: the link whose path is drawn; None draws none.
         arm_rate: poses of the arm per second on the time line [Hz].
@@ -60,6 +61,7 @@ class RerunBatches:
     def __init__(
         self,
         tree: UrdfTree,
+        urdf_xml: str,
         shafts: Shafts,
         tool: str | None,
         arm_rate: int,
@@ -84,7 +86,12 @@ class RerunBatches:
             for name, value, colour in zip(self._names, row, itertools.cycle(COLOURS), strict=False)
             if np.isfinite(value)
         }
-        self._tool = None if tool is None else ToolPosition(tree, shafts.joints, tool)
+        self._links = [tree.root_link().name, *(one.child_link for one in tree.joints())]
+        if tool not in (None, *self._links):
+            valid = ", ".join(sorted(self._links))
+            raise Refusal("URDF", "tool", "be a link of it", tool, valid)
+        self._tool = tool
+        self._positions = LinkPositions(urdf_xml, shafts.joints)
         self._arm_rate = arm_rate
         self._signal_every = signal_every
         self._transform_columns = _transform_columns()
@@ -123,11 +130,10 @@ class RerunBatches:
         """Return the layout of the viewer, with its eyes set for the pose q_start (N,)."""
         q = np.zeros((1, len(self._names)))
         q[0] = 0.0 if q_start is None else q_start
-        names = [self._tree.root_link().name, *(j.child_link for j in self._tree.joints())]
         q = self._shafts.of_joints(q)
-        links = [ToolPosition(self._tree, self._shafts.joints, name)(q)[0] for name in names]
-        tool = None if self._tool is None else self._tool(q)[0]
-        known = self._tree.name, names[0], np.array(links), tool, self._further, self._limited
+        links = np.array([self._positions(name, q)[0] for name in self._links])
+        tool = None if self._tool is None else links[self._links.index(self._tool)]
+        known = self._tree.name, self._links[0], links, tool, self._further, self._limited
         return blueprint(*known, targets=targets)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
@@ -227,7 +233,7 @@ class RerunBatches:
         yield from self._send_transforms(recording, times, q)
         if self._tool is None:
             return
-        p_WT = self._tool(q)
+        p_WT = self._positions(self._tool, q)
         yield
         ends, pieces = self._pieces_of_path(times, p_WT)
         if len(pieces):
@@ -374,12 +380,11 @@ Times = NDArray[np.int64]
 class SampleQueue:
     """Samples of `width` quantities for `joints` joints, from one writer to one reader.
 
-    `put` never blocks, never raises and only copies the arrays. The reader converts them
-    to rows and finds invalid ones. When the reader has fallen behind by `capacity` samples, new
-    ones are dropped.
+    `put` never blocks and only copies the arrays. When the reader has fallen behind by `capacity`
+    samples, new ones are dropped.
 
     Attributes:
-        dropped: samples that found no room, or were invalid.
+        dropped: samples that found no room.
         newest: time of the last sample taken in [ns].
     """
 
@@ -399,114 +404,43 @@ class SampleQueue:
         if len(self._samples) >= self._capacity:
             self.dropped += 1
             return
-        try:
-            self._samples.append((time, [values.copy() for values in quantities]))
-        except Exception:  # numbers without `copy`, or no quantities at all
-            self.dropped += 1
-            return
+        self._samples.append((time, [values.copy() for values in quantities]))
         self.newest = time
 
     def take(self, limit: int) -> tuple[Times, Array]:
         """Remove and return up to `limit` oldest samples: times (K,) [ns], rows (K, width, N)."""
         count = min(len(self._samples), limit)
-        return self._stack([self._samples.popleft() for _ in range(count)])
-
-    def _stack(self, samples: list[tuple[int, list[Array]]]) -> tuple[Times, Array]:
-        try:
-            times = np.array([time for time, _ in samples], np.int64)
-            rows = np.array([quantities for _, quantities in samples], np.float64)
-            if times.ndim == 1 and rows.shape == (len(samples), *self._shape):
-                return times, rows
-        except (TypeError, ValueError, OverflowError):
-            pass
-        if len(samples) > 1:  # leave out those that are at fault
-            parts = [self._stack([sample]) for sample in samples]
-            return np.concatenate([t for t, _ in parts]), np.concatenate([r for _, r in parts])
-        self.dropped += len(samples)
-        return np.empty(0, np.int64), np.empty((0, *self._shape))
+        samples = [self._samples.popleft() for _ in range(count)]
+        times = np.array([time for time, _ in samples], np.int64)
+        rows = np.array([quantities for _, quantities in samples], np.float64)
+        return times, rows.reshape(count, *self._shape)
 
 
-if TYPE_CHECKING:
-    from rerun.urdf import UrdfJoint, UrdfTree
-
-
-class ToolPosition:
-    """Forward kinematics of one link's origin.
-
-    Walking from the tool to the base, each joint moves the point p by its own motion and then by
-    its placement: p <- R (p turned about the axis by q) + o, the turn by Rodrigues' formula.
+class LinkPositions:
+    """Forward kinematics of the origins of links, by Pinocchio.
 
     Args:
-        tree: the URDF.
+        urdf_xml: the URDF.
         joint_names: the moving joints, in the order of the columns of q.
-        tool: the link whose origin is wanted.
-
-    Raises:
-        Refusal: the tool is no link of the URDF.
     """
 
-    def __init__(self, tree: UrdfTree, joint_names: Sequence[str], tool: str) -> None:
-        joints = tree.joints()
-        above = {joint.child_link: joint for joint in joints}
-        links = {tree.root_link().name, *above}
-        if tool not in links:
-            raise Refusal("URDF", "tool", "be a link of it", tool, ", ".join(sorted(links)))
-        columns = {name: column for column, name in enumerate(joint_names)}
-        self._steps: list[_Step] = []
-        self._p_start = np.zeros(3)  # the tool in the frame of the last moving link
-        link = tool
-        while link in above:
-            joint = above[link]
-            R, origin = _rotation(*joint.origin_rpy), np.array(joint.origin_xyz)
-            if joint.name in columns:
-                self._steps.append(_Step(joint, columns[joint.name], R, origin))
-            elif self._steps:
-                self._steps[-1].place(R, origin)
-            else:
-                self._p_start = R @ self._p_start + origin
-            link = joint.parent_link
+    def __init__(self, urdf_xml: str, joint_names: Sequence[str]) -> None:
+        import pinocchio as pin
 
-    def __call__(self, q: Array) -> Array:
-        """Return p_WT (K, 3) [m], the tool in the URDF's root frame, for q (K, N) [rad or m]."""
-        p = np.tile(self._p_start, (len(q), 1))
-        for step in self._steps:
-            p = step.move(p, q[:, step.column, None])
+        self._model = model = pin.buildModelFromXML(urdf_xml)
+        self._data = model.createData()
+        self._places = [model.joints[model.getJointId(name)].idx_v for name in joint_names]
+
+    def __call__(self, link: str, q: Array) -> Array:
+        """Return p_WL (K, 3) [m], a link in the URDF's root frame, for q (K, N) [rad or m]."""
+        import pinocchio as pin
+
+        frame, neutral = self._model.getFrameId(link), pin.neutral(self._model)
+        p, way = np.empty((len(q), 3)), np.zeros(self._model.nv)
+        for k, row in enumerate(q):
+            way[self._places] = row
+            pin.framesForwardKinematics(
+                self._model, self._data, pin.integrate(self._model, neutral, way)
+            )
+            p[k] = self._data.oMf[frame].translation
         return p
-
-
-class _Step:
-    """A moving joint: its column of q, its axis, and its placement in the moving link before it."""
-
-    def __init__(self, joint: UrdfJoint, column: int, R: Array, origin: Array) -> None:
-        self.column = column
-        self._prismatic = joint.joint_type == "prismatic"
-        self._R, self._origin = R, origin
-        self._axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        x, y, z = self._axis
-        self._cross_T = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-
-    def place(self, R: Array, origin: Array) -> None:
-        """Hang this joint's placement on a fixed joint before it."""
-        self._R = R @ self._R
-        self._origin = R @ self._origin + origin
-
-    def move(self, p: Array, position: Array) -> Array:
-        """Move points p (K, 3) by the joint at `position` (K, 1) and by its placement."""
-        if self._prismatic:
-            p = p + position * self._axis
-        else:
-            across = p @ self._cross_T
-            p = p + np.sin(position) * across + (1.0 - np.cos(position)) * (across @ self._cross_T)
-        return p @ self._R.T + self._origin
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> Array:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), the order of URDF."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )

@@ -84,8 +84,8 @@ class RerunStream:
             them.
 
     Raises:
-        Refusal: rerun-sdk is missing, the port is taken, the file cannot be written, a number is
-            below 1, or a joint, the tool or the URDF does not fit.
+        Refusal: rerun-sdk is missing, the port is taken, the file cannot be written, or a joint,
+            the tool or the URDF does not fit.
     """
 
     def __init__(
@@ -119,7 +119,6 @@ class RerunStream:
         self._texts: deque[tuple[int, str, str]] = deque(maxlen=1000)
         if not self._open:
             return
-        _check_numbers(capacity=capacity, arm_rate=arm_rate, signal_every=signal_every)
         if file is not None:
             _check_file(Path(file))
         if port is not None:
@@ -130,7 +129,14 @@ class RerunStream:
 
         tree = _read_urdf(urdf_xml, package_dirs)
         self._batches = RerunBatches(
-            tree, Shafts(urdf_xml, joint_names), tool, arm_rate, signal_every, further, limits
+            tree,
+            urdf_xml,
+            Shafts(urdf_xml, joint_names),
+            tool,
+            arm_rate,
+            signal_every,
+            further,
+            limits,
         )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")
@@ -198,9 +204,9 @@ class RerunStream:
         q_measured: Array | None = None,
         further: Sequence[Array] = (),
     ) -> None:
-        """Show the state at a logical time. Never blocks and never raises; call it from one thread.
+        """Show the state at a logical time. Never blocks; call it from one thread.
 
-        The arrays are copied. A sample with a wrong shape is dropped.
+        The arrays are copied.
 
         Args:
             time_ns: logical time [ns].
@@ -351,12 +357,6 @@ def _check_file(file: Path) -> None:
         raise Refusal(
             "Rerun", "file", "be one that can be written", f"{file} ({error.strerror})"
         ) from None
-
-
-def _check_numbers(**numbers: int) -> None:
-    for name, number in numbers.items():
-        if number < 1:
-            raise Refusal("Rerun", name, "be >= 1", number)
 
 
 def _check_port(port: int) -> None:
