@@ -36,8 +36,7 @@ def run(*words: str) -> tuple[int, str, str]:
 
 def options_of(page: str) -> list[str]:
     """Names of the options on a help page."""
-    words = (line.split()[0] for line in page.splitlines() if line.startswith(" --"))
-    return list(words)
+    return re.findall(r"^ (?:\*  |   )?(--\S+)", page, re.MULTILINE)
 
 
 def commands() -> list[Command]:
@@ -51,7 +50,7 @@ def test_help_lists_every_command_and_imports_none() -> None:
     assert len(pages) == 1, "a bare call is a call for help"
     code, page, errors = pages.pop()
     assert code == 0 and not errors
-    listed = [line.split()[0] for line in page.splitlines() if line.startswith("  ")]
+    listed = re.findall(r"^  (\S+)", page, re.MULTILINE)
     assert sorted(listed) == command_names()
     files = (ROOT / "arm_emulator" / "cli" / "commands").glob("[!_]*.py")
     assert sorted(file.stem.replace("_", "-") for file in files) == command_names()
@@ -75,10 +74,10 @@ def test_help_is_there_before_anything_heavy() -> None:
 @pytest.mark.parametrize("one", commands(), ids=lambda one: one.name)
 def test_every_argument_is_explained_and_every_command_has_a_page(one: Command) -> None:
     page = run(one.name, "--help")[1]
-    rows = [line for line in page.splitlines() if re.match(r" (\*  )?(--|[A-Z])", line)]
-    assert rows[-1].startswith(" --json ")
+    rows = re.findall(r"^ (?:\*  |   )?((?:--|[A-Z]).*)", page, re.MULTILINE)
+    assert rows[-1].startswith("--json ")
     for row in rows:
-        assert re.match(r" \S.*  [^ \[]", row), f"{one.name}: {row}"
+        assert re.match(r"\S.*  [^ \[]", row), f"{one.name}: {row}"
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     assert any(f"arm_emulator {one.name}" in file.read_text() for file in pages), one.name
 

@@ -50,8 +50,10 @@ class Entities:
     def __exit__(self, *_: object) -> None:
         self._held.close()
 
-    def wait(self, seconds: float, subscriptions: list[Any], guard: Any = None) -> None:
-        """Wait for any timer, service or guard condition, and for some of the subscriptions.
+    def wait(
+        self, seconds: float, subscriptions: list[Any], guard: Any = None, *, alone: bool = False
+    ) -> None:
+        """Wait for some of the subscriptions, and unless alone for any timer, service or guard.
 
         Raises:
             ExternalShutdownException: the context was shut down.
@@ -62,9 +64,9 @@ class Entities:
             everything.add_subscription(subscription.handle)
         if guard is not None:
             everything.add_guard_condition(guard)
-        for timer in self.timers:
+        for timer in () if alone else self.timers:
             everything.add_timer(timer.handle)
-        for service in self.services:
+        for service in () if alone else self.services:
             everything.add_service(service.handle)
         everything.wait(int(max(0.0, seconds) * 1e9))
         if not self._of.ok():

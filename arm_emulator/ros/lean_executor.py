@@ -2,8 +2,8 @@
 
 rclpy's SingleThreadedExecutor collects all entities of a node anew, and makes a coroutine and a
 task, for every message: on the order of 0.3 ms of Python each time, more than a servo period can
-spare in lock-step. This one collects them now and then, waits in C, and calls plain callbacks; a
-node with a hot path has its messages taken in C, and Python sees the others.
+spare in lock-step. This one collects them now and then, and calls plain callbacks; a node with a
+hot path has its messages taken in C, and Python sees the others.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -23,7 +23,7 @@ from rclpy.subscription import Subscription
 from arm_emulator.ros.c import ARRIVALS, MIDDLEWARE
 from arm_emulator.ros.entities import Entities, take_message
 from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.middleware import FAILED, PYTHON, HotPath, middleware, topics_of
+from arm_emulator.ros.middleware import HotPath, middleware
 from arm_emulator.ros.sole_publisher import SolePublisher, call_back, deliver, parts_of
 
 # s, wall: interval at which new entities are looked for, and those served that are left to
@@ -39,7 +39,7 @@ class LeanExecutor:
 
     Callbacks are plain functions and run one after the other, as with SingleThreadedExecutor; no
     message is taken in C meanwhile. Where the middleware permits, messages of a hot path are taken
-    where they arrive (`Arrivals`), elsewhere in this thread.
+    in C where they arrive (`Arrivals`), elsewhere by Python.
 
     Args:
         node: the node to serve. Its `housekeeping`, if it has one, is the interval of what is left
@@ -52,7 +52,6 @@ class LeanExecutor:
         self._hot: HotPath | None = None
         self._arrivals: Arrivals | None = None
         self._served = -1  # generation of these
-        self._run = middleware().ros_wait_run
         self._context = node.context
         self._rest = SingleThreadedExecutor(context=node.context)
         self._rest.add_node(node)
@@ -149,52 +148,21 @@ class LeanExecutor:
 
     def _serve_in_turns(self, entities: Entities, until: float) -> None:
         """Wait for messages alone while they keep coming, and check the rest now and then."""
-        generation, subscriptions = self._generation, entities.subscriptions
-        with ExitStack() as held:
-            waiting = self._wait_for_messages(held, entities)
-            quiet = True
-            look = time.monotonic()  # for the other entities
-            while (now := time.monotonic()) < until and generation == self._generation:
-                if quiet or now >= look:
-                    entities.wait(until - now if quiet else 0.0, subscriptions if quiet else [])
-                    entities.serve_timers()
-                    entities.serve_services()
-                    look = time.monotonic() + REST
-                    quiet = quiet and not entities.ready_subscriptions()
-                else:
-                    quiet = not self._take_messages(waiting, subscriptions, look - now)
-
-    def _wait_for_messages(self, held: ExitStack, entities: Entities) -> Any:
-        """Return a ``ros_wait *`` for the subscriptions."""
-        ffi, subscriptions = MIDDLEWARE.ffi, entities.subscriptions
-        count = len(subscriptions)
-        messages: Any = rclpy_implementation.WaitSet(count, 0, 0, 0, 0, 0, entities.context)
-        held.enter_context(messages)
-        for message in () if self._hot is None else self._hot.outgoing:
-            held.enter_context(message.bind())
-        self._topics = topics_of(subscriptions, self._hot, self._soles)
-        pointer = ffi.cast("void *", messages.pointer)
-        return MIDDLEWARE.new("ros_wait", set=pointer, topic=self._topics, topics=count, left=-1)
-
-    def _take_messages(self, waiting: Any, subscriptions: list[Any], seconds: float) -> bool:
-        """Take messages for some time, or until one is for Python; return whether any came."""
-        if self._hot is not None:
-            self._hot.begin()
-        end = self._run(waiting, seconds)
-        if self._hot is not None:
-            self._hot.end()
-        if not self._context.ok():
-            raise ExternalShutdownException
-        if end == FAILED:
-            raise RuntimeError("rcl does not wait for messages")
-        self._count(waiting.handled, end == PYTHON)
-        for topic, subscription in zip(self._topics, subscriptions, strict=True):
-            if topic.ready:
+        generation, look, busy = self._generation, 0.0, False
+        while (now := time.monotonic()) < until and generation == self._generation:
+            messages_alone = busy and now < look
+            if messages_alone:
+                entities.wait(look - now, entities.subscriptions, alone=True)
+            else:
+                entities.wait(0.0 if busy else until - now, entities.subscriptions)
+                entities.serve_timers()
+                entities.serve_services()
+                look = time.monotonic() + REST
+            ready = entities.ready_subscriptions()
+            for subscription in ready:
                 self._take(subscription)
-        if waiting.left >= 0:
-            left = subscriptions[waiting.left]
-            call_back(left, self._soles.get(left), *parts_of(waiting.message))
-        return bool(end or waiting.handled)
+            self._count(0, bool(ready))
+            busy = bool(ready) or messages_alone
 
 
 # Middlewares that call back without a lock that taking a message needs.
@@ -230,7 +198,13 @@ class Arrivals:
         self._held.enter_context(self.guard)
         ffi, self._calls = ARRIVALS.ffi, middleware()
         guard = ffi.cast("void *", self.guard.pointer)
-        self._topics = topics_of(self._subscriptions, hot, soles)
+        self._topics = ffi.new("ros_topic[]", len(hot.takes))
+        for k, (one, take, argument) in enumerate(hot.takes):
+            handle: Any = one.handle
+            self._topics[k].subscription = ffi.cast("void *", handle.pointer)
+            if one in soles:
+                self._topics[k].owner = soles[one].owner
+            MIDDLEWARE.fill(self._topics + k, take=take, **{"with": argument})
         self._all = self._calls.ros_arrivals_new(self._topics, len(self._subscriptions), guard)
         self._arrived = ARRIVALS.new("ros_arrived", left=-1)
         self._handled = 0

@@ -1,9 +1,9 @@
-"""Hot paths in C: messages waited for, taken and published without Python (c/middleware.h)."""
+"""Hot paths in C: messages taken and published without Python (c/middleware.h)."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, Protocol
 
@@ -18,7 +18,6 @@ from arm_emulator.build.unit import library
 from arm_emulator.ros.c import MIDDLEWARE, middleware_unit
 from arm_emulator.ros.fixed_layout import FixedLayout
 
-FAILED, PYTHON = MIDDLEWARE.constant("ROS_FAILED"), MIDDLEWARE.constant("ROS_PYTHON")
 LIBRARIES = ("librcutils.so", "librcl.so")  # rclpy has loaded them, but for itself
 
 Numbers = NDArray[Any]
@@ -60,37 +59,6 @@ class HotPath(Protocol):
 
     def end(self) -> None:
         """Take over the results of C."""
-
-
-class Owned(Protocol):
-    """A topic of which one publisher's messages are taken.
-
-    Attributes:
-        owner: ``ros_publisher *``.
-    """
-
-    owner: CData
-
-
-def topics_of(
-    subscriptions: Sequence[Subscription], hot: HotPath | None, soles: Mapping[Any, Owned]
-) -> CData:
-    """Return subscriptions, whose handles must be held, as ``ros_topic[]``.
-
-    Those of the hot path have its functions, the messages of the others are Python's; so are those
-    of publishers that are not in `soles`.
-    """
-    ffi, takes = MIDDLEWARE.ffi, () if hot is None else hot.takes
-    topics = ffi.new("ros_topic[]", len(subscriptions))
-    for k, subscription in enumerate(subscriptions):
-        handle: Any = subscription.handle
-        topics[k].subscription = ffi.cast("void *", handle.pointer)
-        if subscription in soles:
-            topics[k].owner = soles[subscription].owner
-        for one, take, argument in takes:
-            if one is subscription:
-                MIDDLEWARE.fill(topics + k, take=take, **{"with": argument})
-    return topics
 
 
 class Outgoing:

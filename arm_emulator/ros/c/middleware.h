@@ -1,4 +1,4 @@
-/* Messages waited for, taken and published through rcl on the handles of rclpy. C99.
+/* Messages taken and published through rcl on the handles of rclpy. C99.
  *
  * A process that has imported rclpy has librcl loaded; the library of this header finds its
  * functions there. */
@@ -33,27 +33,10 @@ typedef struct ros_publisher {
 typedef struct ros_topic {
   const void* subscription; /* rcl_subscription_t */
   ros_publisher* owner;     /* whose messages are taken in C; null: those of any */
-  /* Takes the bytes of a message, or leaves it, unchanged, to Python: enum ros_taken. Null: all
-   * messages are Python's to take. */
+  /* Takes the bytes of a message, or leaves it, unchanged, to Python: enum ros_taken. */
   int (*take)(void* with, const uint8_t* data, int64_t size);
   void* with;
-  int64_t ready; /* 1: a message is there for Python to take */
 } ros_topic;
-
-enum ros_end { ROS_TIME_IS_UP = 0, ROS_PYTHON = 1, ROS_FAILED = 2 };
-
-typedef struct ros_wait {
-  void* set; /* rcl_wait_set_t with room for all topics */
-  ros_topic* topic;
-  int64_t topics;
-  int64_t handled;      /* messages taken in C by the newest run */
-  int64_t left;         /* topic of the message that was left to Python; -1: none */
-  ros_received message; /* that one, until the next run */
-} ros_wait;
-
-/* Wait for messages, and have them taken, until one is Python's or the time is up: `seconds` from
- * now. Returns enum ros_end. */
-int ros_wait_run(ros_wait* wait, double seconds);
 
 /* Take the oldest message of an rcl_subscription_t that is not dropped because of its publisher; 0:
  * no message has come. For one thread at a time. */

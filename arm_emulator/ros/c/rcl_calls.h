@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { RCL_RET_OK = 0, RCL_RET_TIMEOUT = 2, RCL_RET_SUBSCRIPTION_TAKE_FAILED = 401 };
+enum { RCL_RET_OK = 0, RCL_RET_SUBSCRIPTION_TAKE_FAILED = 401 };
 
 typedef struct rcl_allocator {
   void* (*allocate)(size_t size, void* state);
@@ -36,14 +36,6 @@ typedef struct rcl_message_info { /* rmw_message_info_t */
   bool from_intra_process;
 } rcl_message_info;
 
-typedef struct rcl_subscriptions { /* the beginning of rcl_wait_set_t */
-  const void** subscriptions;
-  size_t size_of_subscriptions;
-} rcl_subscriptions;
-
-int32_t rcl_wait_set_clear(void* set);
-int32_t rcl_wait_set_add_subscription(void* set, const void* subscription, size_t* index);
-int32_t rcl_wait(void* set, int64_t timeout);
 int32_t rcl_take_serialized_message(const void* subscription, rcl_bytes* message,
                                     rcl_message_info* info, void* allocation);
 int32_t rcl_publish_serialized_message(const void* publisher, const rcl_bytes* message,
