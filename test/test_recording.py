@@ -284,59 +284,39 @@ def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
-    """One publisher: to the message. Several: none without a loss, however they interleave."""
+    """To the message, however several of them interleave."""
     draw = random.Random(seed)
-    one = Numbered(lambda: 1)
+    one = Numbered()
     first = draw.randrange(1, 1000)
     kept = sorted(draw.sample(range(first, first + 500), 300))
     for number in kept:
-        one.take(number)
+        one.take(b"a", number)
     assert one.lost == kept[-1] - kept[0] + 1 - len(kept)
     assert one.newest == kept[-1]
 
     lost = one.lost
     one.forget()
     for number in (one.newest + 1, one.newest + 8):
-        one.take(number)
+        one.take(b"a", number)
     assert one.lost == 6, f"beside {lost} that are forgotten"
     for more in (0, 2):  # the middleware reports what was forgotten late, and more at once
         one.on_lost(SimpleNamespace(total_count=lost + 6 + more))
         assert one.lost == 6 + more
 
-    publishers = draw.randrange(2, 5)
-    several = Numbered(lambda: publishers)
-    next_numbers = [draw.randrange(1, 1000) for _ in range(publishers)]
-    for _ in range(2000):
-        which = draw.randrange(publishers)
-        several.take(next_numbers[which])
-        next_numbers[which] += 1
-    assert several.lost == 0
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_publishers_that_are_known_late_are_no_losses(seed: int) -> None:
-    """Their first messages may come before the word of how many publishers there are."""
-    draw = random.Random(seed)
-    publishers, known = draw.randrange(2, 5), 1
-    several = Numbered(lambda: known)
-    # Far from each other, so that what is lost can belong to one publisher only.
-    next_numbers = [draw.randrange(1, 100) + 10_000 * k for k in range(publishers)]
-    lost = 0
+    several, lost = Numbered(), 0
+    next_numbers = [draw.randrange(1, 1000) for _ in range(draw.randrange(2, 5))]
     for count in range(2000):
-        which = draw.randrange(publishers)
+        which = draw.randrange(len(next_numbers))
         if count > 100 and draw.random() < 0.02:
             gap = draw.randrange(1, 5)
             lost += gap
             next_numbers[which] += gap
-        several.take(next_numbers[which])
+        several.take(bytes([which]), next_numbers[which])
         next_numbers[which] += 1
-        if count == 50:
-            assert several.lost >= 0
-            known = publishers
-    # A gap at the very end of a publisher is nobody's to see.
-    for number in next_numbers:
-        several.take(number)
-    assert several.lost == lost, "messages that did not come"
+        several.take(b"another middleware", -1)
+    for which, number in enumerate(next_numbers):  # a gap at the very end is nobody's to see
+        several.take(bytes([which]), number)
+    assert several.lost == lost
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -12,7 +12,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
-from arm_emulator.ros.sole_publisher import SolePublisher, call_back, receive
+from arm_emulator.ros.sole_publisher import SolePublisher, call_back, parts_of, receive
 
 
 class Entities:
@@ -111,9 +111,9 @@ def take_message(subscription: Any, sole: SolePublisher | None = None) -> bool:
         sole: the publisher whose messages are taken; None: any.
     """
     if sole is not None:
-        received = receive(subscription, sole)
+        received = receive(subscription, sole.owner)
         if received is not None:
-            call_back(subscription, sole, *received)
+            call_back(subscription, sole, *parts_of(received))
         return received is not None
     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     if taken is None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -45,10 +45,16 @@ class LeanExecutor:
         node: the node to serve. Its `housekeeping`, if it has one, is the interval of what is left
             to rclpy's executor, shorter for actions [s, wall].
         hot: messages in C of a node that is not a `ManagedNode`; None: nothing.
+        take: calls back with a message of a subscription, as `take_message`.
     """
 
-    def __init__(self, node: Node, hot: HotPath | None = None) -> None:
-        self._node, self._given = node, hot
+    def __init__(
+        self,
+        node: Node,
+        hot: HotPath | None = None,
+        take: Callable[[Any, SolePublisher | None], bool] = take_message,
+    ) -> None:
+        self._node, self._given, self._take_one = node, hot, take
         self._hot: HotPath | None = None
         self._arrivals: Arrivals | None = None
         self._served = -1  # generation of these
@@ -106,7 +112,7 @@ class LeanExecutor:
         return self._node.sole_publishers if isinstance(self._node, ManagedNode) else {}
 
     def _take(self, subscription: Any) -> None:
-        take_message(subscription, self._soles.get(subscription))
+        self._take_one(subscription, self._soles.get(subscription))
 
     def _release(self) -> None:
         """Report what was dropped; call back where the publisher has become the one meanwhile."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.duration import Duration
@@ -18,105 +17,41 @@ from arm_emulator_msgs.msg import MotorState, RecorderReport
 
 REPORT_EVERY = 20  # motor states; an emulator in lock-step is at most a few times that many ahead
 GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive
-SETTLED = 2.0  # s, wall: after which all publishers of received messages are known
-MOST_CHAINS = 100  # of numbers that do not follow each other: publishers and fresh gaps
 ASK_AGAIN = 5.0  # s, wall: after which a missing reset is requested again
 
 
-@dataclass
-class _Chain:
-    """Consecutive numbers of one publisher; `began`, `ended`: in the order of reception."""
-
-    first: int
-    last: int
-    began: int
-    ended: int
-    at: float  # s, wall, of its beginning
-
-
 class Numbered:
-    """Counts what is lost on one topic, by the numbers that publishers give to their messages.
+    """Counts what is lost on one topic, by the numbers that publishers give to their messages."""
 
-    A number does not name its publisher, so each message continues a chain of numbers. There are as
-    many chains as publishers, and one more for each gap. The number of publishers may become known
-    a moment after their first messages.
-
-    Args:
-        publishers: returns their number.
-    """
-
-    def __init__(self, publishers: Callable[[], int]) -> None:
-        self._publishers = publishers
-        self._most_publishers = 1
-        self._chains: list[_Chain] = []  # in the order in which they began
-        self._count = 0
-        self._gaps = 0  # between chains that have been joined
-        self._reported_lost = 0
+    def __init__(self) -> None:
+        self._last: dict[bytes, int] = {}  # number of the newest message, by publisher
+        self._gaps = 0
+        self._reported = 0  # by the middleware
         self._forgotten = 0, 0  # of the gaps, and of what the middleware has reported
 
     @property
     def newest(self) -> int:
         """Number of the newest message of the publisher with the most messages, 0 without any."""
-        return max((chain.last for chain in self._chains), default=0)
+        return max(self._last.values(), default=0)
 
     @property
     def lost(self) -> int:
         """Missing messages between received ones."""
-        self._most_publishers = max(self._most_publishers, self._publishers())
-        gaps, reported = self._all_lost()
-        return max(gaps - self._forgotten[0], reported - self._forgotten[1])
+        return max(self._gaps - self._forgotten[0], self._reported - self._forgotten[1])
 
     def forget(self) -> None:
         """Count what is lost from now on; the middleware may report later what gaps have shown."""
-        gaps, reported = self._all_lost()
-        self._forgotten = gaps, max(gaps, reported)
-
-    def _all_lost(self) -> tuple[int, int]:
-        return self._gaps + self._join(self._chains), self._reported_lost
+        self._forgotten = self._gaps, max(self._gaps, self._reported)
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware reports as lost."""
-        self._reported_lost = int(event.total_count)
+        self._reported = int(event.total_count)
 
-    def take(self, number: int | None) -> None:
-        """Count a message; None if the middleware gives no numbers."""
-        if number is None:
-            return
-        self._count += 1
-        for chain in self._chains:
-            if chain.last == number - 1:
-                chain.last, chain.ended = number, self._count
-                return
-        now = time.monotonic()
-        self._chains.append(_Chain(number, number, self._count, self._count, now))
-        if len(self._chains) > MOST_CHAINS or now - self._chains[0].at > SETTLED:
-            self._settle(now)
-
-    def _settle(self, now: float) -> None:
-        """Join for good the chains that began when all publishers were known."""
-        self._most_publishers = max(self._most_publishers, self._publishers())
-        many = len(self._chains) > MOST_CHAINS
-        settled = [chain for chain in self._chains if many or now - chain.at > SETTLED]
-        young = self._chains[len(settled) :]
-        self._gaps += self._join(settled, for_good=True)
-        self._chains = settled + young
-
-    def _join(self, chains: list[_Chain], for_good: bool = False) -> int:
-        """Return the gaps between chains if there are no more chains than publishers."""
-        gaps, joined = 0, list[_Chain]()
-        for one in chains:
-            before = None
-            if len(joined) >= self._most_publishers:
-                fits = [c for c in joined if c.last < one.first and c.ended < one.began]
-                before = max(fits, key=lambda c: c.last, default=None)
-            if before is None:
-                joined.append(one if for_good else replace(one))
-            else:
-                gaps += one.first - before.last - 1
-                before.last, before.ended = one.last, one.ended
-        if for_good:
-            chains[:] = joined
-        return gaps
+    def take(self, publisher: bytes, number: int) -> None:
+        """Count a message of a publisher; number -1: the middleware gives none."""
+        if number >= 0:
+            self._gaps += max(0, number - self._last.get(publisher, number) - 1)
+            self._last[publisher] = number
 
 
 class RecordedRuns:

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +18,17 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.end_anyway import end_anyway
-from arm_emulator.ros.entities import take_message
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.message_types import definition_of, message_class
+from arm_emulator.ros.middleware import middleware
 from arm_emulator.ros.recorded_runs import Numbered, RecordedRuns
 from arm_emulator.ros.recorder_presence import STATES, RecorderPresence
 from arm_emulator.ros.shared_memory import clear_left_over
+from arm_emulator.ros.sole_publisher import OwnExecutorOnly, parts_of, receive
 from arm_emulator_msgs.msg import MotorState
 
 LOOK_PERIOD = 0.1  # s, wall: interval of the search for new topics
@@ -88,7 +89,7 @@ def record(
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = _Recorder(bag, topics, presence.recorder, from_start, reported)
             with contextlib.suppress(_Ended):
-                LeanExecutor(node).spin()
+                LeanExecutor(node, take=node.take).spin()
             node.take_the_rest()
     except (OSError, MemoryError) as error:
         failure = error
@@ -132,6 +133,8 @@ class _Recorder(Node):
         self._wanted = None if topics is None else {self.resolve_topic_name(t) for t in topics}
         self._known: set[str] = set()
         self._numbered: dict[str, Numbered] = {}  # by topic
+        self._writers: dict[Any, Callable[[CData], None]] = {}  # by subscription
+        middleware()  # before the first message
         self._runs: list[RecordedRuns] = []
         self._reported_lost = ""
         self.create_timer(LOOK_PERIOD, self._look)
@@ -157,8 +160,15 @@ class _Recorder(Node):
         """Write the messages that have arrived: of one topic they may be older than of another."""
         for subscription in [*self.subscriptions]:
             for _ in range(DEPTH):
-                if not take_message(subscription):
+                if not self.take(subscription):
                     break
+
+    def take(self, subscription: Any, _: object = None) -> bool:
+        """Write the oldest message of a subscription; return whether there was one."""
+        message = receive(subscription)
+        if message is not None:
+            self._writers[subscription](message)
+        return message is not None
 
     def leave(self) -> None:
         """Report to the emulators that they need not wait for this recorder any more."""
@@ -199,42 +209,35 @@ class _Recorder(Node):
         number = self._bag.add_topic(
             Topic(name, kind, definition_of(kind), offered, str(publishers[0].topic_type_hash))
         )
-        numbered = Numbered(partial(self.count_publishers, name))
+        numbered = Numbered()
         self._numbered[name] = numbered
-        on_message = self._writer(number, numbered)
+        follow: Callable[[bytes], None] | None = None
         if name.endswith(f"/{STATES}") and message is MotorState:
             run = RecordedRuns(
                 self, name, numbered, self._name, self._from_start, self._forget_losses
             )
             self._runs.append(run)
-            on_message = _both(on_message, run.take)
+            follow = run.take
         events = SubscriptionEventCallbacks(message_lost=numbered.on_lost)
-        self.create_subscription(
-            message,
-            name,
-            on_message,  # type: ignore[arg-type]  # rclpy's hints know no info beside raw bytes
-            request(offered),
-            raw=True,
-            event_callbacks=events,
-        )
+        group = OwnExecutorOnly()  # rclpy does not say of which publisher a message is
+        subscription = self.create_subscription(
+            message, name, lambda _: None, request(offered), event_callbacks=events,
+            callback_group=group,
+        )  # fmt: skip
+        self._writers[subscription] = self._writer(number, numbered, follow)
         print(f"recording {name}", flush=True)
 
-    def _writer(self, number: int, numbered: Numbered) -> Callable[[bytes, dict[str, Any]], None]:
-        write, count = self._bag.write, numbered.take
-
-        def on_message(data: bytes, info: dict[str, Any]) -> None:
-            write(number, time.time_ns(), info["source_timestamp"], data)
-            count(info["publication_sequence_number"])
+    def _writer(
+        self, topic: int, numbered: Numbered, follow: Callable[[bytes], None] | None
+    ) -> Callable[[CData], None]:
+        def on_message(message: CData) -> None:
+            data, publisher = parts_of(message)
+            self._bag.write(topic, time.time_ns(), message.sent, data)
+            numbered.take(publisher, message.number)
+            if follow is not None:
+                follow(data)
 
         return on_message
-
-
-def _both(first: Callable[..., None], then: Callable[..., None]) -> Callable[..., None]:
-    def on_message(data: bytes, info: dict[str, Any]) -> None:
-        first(data, info)
-        then(data)
-
-    return on_message
 
 
 def request(offered: Collection[QoSProfile]) -> QoSProfile:

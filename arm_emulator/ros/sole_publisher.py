@@ -48,13 +48,17 @@ class OwnExecutorOnly(CallbackGroup):
         """See `CallbackGroup`."""
 
 
-def receive(subscription: Any, sole: SolePublisher) -> tuple[bytes, bytes] | None:
-    """Take the oldest message that is not dropped: its bytes, and its publisher's identity."""
+def receive(subscription: Any, owner: CData | None = None) -> CData | None:
+    """Take the oldest message that is not dropped, as ``ros_received``; None: there is none.
+
+    Args:
+        subscription: the subscription.
+        owner: whose messages are taken, ``ros_publisher *``; None: those of any.
+    """
     handle = MIDDLEWARE.ffi.cast("void *", subscription.handle.pointer)
     message = MIDDLEWARE.new("ros_received")
-    if not middleware().ros_receive(handle, sole.owner, message):
-        return None
-    return parts_of(message)
+    wanted = MIDDLEWARE.ffi.NULL if owner is None else owner
+    return message if middleware().ros_receive(handle, wanted, message) else None
 
 
 def parts_of(message: CData) -> tuple[bytes, bytes]:

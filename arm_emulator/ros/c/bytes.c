@@ -48,6 +48,8 @@ int ros_take_bytes(const void* subscription, rcl_bytes* bytes, ros_received* out
   out->data = bytes->buffer;
   out->size = (int64_t)bytes->buffer_length;
   memcpy(out->publisher, info.publisher_gid.data, ROS_GID);
+  out->number = (int64_t)info.publication_sequence_number;
+  out->sent = info.source_timestamp;
   return 1;
 }
 

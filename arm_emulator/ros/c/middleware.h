@@ -20,6 +20,8 @@ typedef struct ros_received {
   const uint8_t* data; /* its bytes, until the next message is taken from the same place */
   int64_t size;
   uint8_t publisher[ROS_GID];
+  int64_t number; /* that its publisher has given it; -1: the middleware gives none */
+  int64_t sent;   /* ns, wall time of its publication */
 } ros_received;
 
 /* The one publisher of a topic whose messages are taken. */
