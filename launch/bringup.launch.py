@@ -20,7 +20,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.pace import factor_of
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.ros.end_with_parent import parent_environment
-from arm_emulator.ros.ros_domain import refuse_second_network
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -133,8 +132,6 @@ def nodes_of(context: LaunchContext) -> list[Node]:
     if params_file and not Path(params_file).is_file():
         raise Refusal("bringup", f"file {params_file}", "exist", "no such file")
     chosen = [str(Path(params_file).resolve())] if params_file else []
-    if allow_second == "false":
-        refuse_second_network(namespace, "allow_second:=true")
     ends = Ends()
 
     def node(name: str, *parameters: dict | str) -> Node:

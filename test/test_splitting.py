@@ -22,7 +22,7 @@ from arm_emulator.campaign.shrinking import shrink, write_shrunk
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.campaign.splitter import Splitter, failed_forks
 from arm_emulator.campaign.summary import summary_of
-from arm_emulator.cli.searched import case_of
+from arm_emulator.cli.commands.campaign import case_of
 
 DRIFTS = {
     "scene": "three_axis",

@@ -165,7 +165,10 @@ class Doubles:
                 executor.remove_node(self._node)
                 rule = f"be the only one on {self._topic}"
                 got = f"another one that was started before, {first.words}"
-                raise Refusal(f"node {self._node.get_name()}", f"the {self._kind}", rule, got)
+                valid = "--allow-second, or allow_second:=true in the launch file"
+                raise Refusal(
+                    f"node {self._node.get_name()}", f"the {self._kind}", rule, got, valid
+                )
             if first:
                 self._diagnostics.warn(
                     f"silent until it ends: another {self._kind} was started before on "

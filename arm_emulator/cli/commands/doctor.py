@@ -12,10 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, qos_check_compatible
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import package_of
@@ -26,6 +23,9 @@ from arm_emulator.cli.output import output
 from arm_emulator.ros.ros_domain import LARGEST
 from arm_emulator.ros.shared_memory import left_over
 from arm_emulator.version import VERSION
+
+if TYPE_CHECKING:  # this machine may have no ROS 2
+    from rclpy.node import Node
 
 WAKE_UP, WAKE_UPS = 1e-3, 500  # s, and how many are timed
 LEAST_DISK = 1.0  # GB: libraries, a recording
@@ -300,6 +300,8 @@ class NetworkFault(NamedTuple):
 
 def network_faults(node: Node) -> Iterator[NetworkFault]:
     """Yield the faults among all that a node has discovered."""
+    from rclpy.qos import QoSCompatibility, qos_check_compatible
+
     for topic, kinds in node.get_topic_names_and_types():
         offers = node.get_publishers_info_by_topic(topic)
         if CLOCK in kinds and len(offers) > 1:

@@ -19,7 +19,6 @@ from arm_emulator.machine.pace import factor_of
 from arm_emulator.page.page_address import VARIABLE, PageAddress, new_token
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
-from arm_emulator.ros.ros_domain import refuse_second_network
 
 
 @command(
@@ -76,8 +75,6 @@ def up(
             raise Refusal("up", f"folder {record}", "be new", "one that exists")
         streams["record"] = record.resolve()
     with contextlib.suppress(KeyboardInterrupt):
-        if not allow_second:
-            refuse_second_network(namespace, "--allow-second")
         if params_file is None:  # which may change the servo's gains
             _check_loops(find_scene(scene))
         network = Bringup(
