@@ -10,7 +10,8 @@ import pytest
 
 from arm_emulator import OfflineRun, Pose, Refusal, Session, Timeline
 from arm_emulator.bags.comparison import compare
-from arm_emulator.bags.first_difference import Side, first_difference
+from arm_emulator.bags.first_difference import first_difference
+from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant_state import SET
@@ -75,13 +76,12 @@ def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert about.get(PARENT) == (str(tmp_path / parents[name]) if name in parents else None)
         if name in parents:
             assert about[FORKED_AT] == str(one.begins)
-        side = Side.of(tmp_path / name, None, -1)
-        machine = side.machine()
+        machine = RecordedMachine.of(tmp_path / name)
         machine.advance(machine.last)
         assert rows(machine.session) == expected[name]
     # The parts before a fork are the same; from there on they differ.
     for name, parent in parents.items():
-        sides = (Side.of(tmp_path / one, None, -1) for one in (parent, name))
+        sides = (RecordedMachine.of(tmp_path / one) for one in (parent, name))
         difference, equal = first_difference(*sides)
         assert difference is not None and lines[name].begins < equal + 1
     monkeypatch.setattr("sys.argv", ["arm_emulator", "check-bag", str(tmp_path / "second")])

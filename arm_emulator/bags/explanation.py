@@ -7,20 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import deserialize_message
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import EnergyFlow, Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.motion_report import Kind, State
-from arm_emulator.ros.message_types import message_class
 
 AT_LIMIT = 1.0 - 1e-9  # share of the largest command from which a drive is at its limit
 
@@ -95,31 +92,20 @@ def _newest(
     topics: RecordedTopics, scene: Scene, tick: int, published: int, ends: int
 ) -> tuple[Array | None, Array | None, str]:
     """Return the command of a tick, and the newest targets and report before its end."""
-    bag, names = topics.bag, scene.joint_names
-    wanted = {
-        name: name.rsplit("/", 1)[-1]
-        for name in bag.topics
-        if name.endswith(("/motor_commands", "/joint_targets", "/motion/status"))
-    }
+    names = scene.joint_names
     commanded: Array | None = None
     q_target: Array | None = None
     orders = ""
-    for one in bag.as_published(wanted):
-        if one.published > ends:
+    wanted = "motor_commands", "joint_targets", "motion/status"
+    for name, message, at in topics.read_with_time(*wanted):
+        if at > ends:
             break
-        kind = bag.topics[one.topic].type
-        try:
-            message = deserialize_message(one.data, message_class(kind))
-        except RuntimeError as error:
-            rule = "be readable"
-            raise Refusal(str(bag.path), f"messages on {one.topic}", rule, error) from None
-        match wanted[one.topic]:
-            case "motor_commands" if message.tick == tick and one.published >= published:
-                commanded = _arranged(message.joint_names, message.command, names, commanded)
-            case "joint_targets":
-                q_target = _arranged(message.name, message.position, names, q_target)
-            case "status" if kind.endswith("/MotionStatus"):
-                orders = _report(message)
+        if name == "joint_targets":
+            q_target = _arranged(message.name, message.position, names, q_target)
+        elif name == "motion/status":
+            orders = _report(message)
+        elif message.tick == tick and at >= published:
+            commanded = _arranged(message.joint_names, message.command, names, commanded)
     return commanded, q_target, orders
 
 

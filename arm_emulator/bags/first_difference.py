@@ -109,12 +109,11 @@ def _of_machines(scene: Scene, saved: bytes, other: bytes) -> tuple[str, tuple[A
         plant = Plant(scene)
         plant.restore(one)
         states = {name: getattr(plant.state, name).tolist() for name in SET}
-        wrenches = {f"wrench on {link}": list(w) for link, w in plant.external_wrenches.items()}
+        wrenches = {f"wrench on {link}": w for link, w in plant.external_wrenches.items()}
         sides.append({"powered": plant.powered, **plant.parameters, **wrenches, **states})
-    one, two = sides
-    for name, value in one.items():
-        if value != two[name]:
-            return name, (value, two[name])
+    for name, value in sides[0].items():
+        if value != sides[1][name]:
+            return name, (value, sides[1][name])
     return "what else is saved of the machine", ("one", "another")
 
 

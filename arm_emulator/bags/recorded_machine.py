@@ -47,7 +47,7 @@ class RecordedMachine:
         run: number of the run, from 1 on; -1: the last one. A run begins at tick 0.
 
     Raises:
-        Refusal: no such run, other joints, or ticks that are missing.
+        Refusal: no such run, other joints, another servo period, or ticks that are missing.
     """
 
     def __init__(self, topics: RecordedTopics, scene: Scene, run: int = -1) -> None:
@@ -121,6 +121,10 @@ class RecordedMachine:
             if one.tick != len(self.ticks):
                 rule, got = f"report tick {len(self.ticks)}", f"tick {one.tick} next"
                 raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
+            at, period = one.stamp * 1e-9, self.scene.servo_period
+            if abs(at - one.tick * period) > 0.5 * period:
+                rule = f"be {period:g} s apart, the scene's servo period"
+                raise Refusal(self._where, "motor_states", rule, f"tick {one.tick} at {at:g} s")
             powered = bool(one.values["powered"][0])
             applied = np.array([one.values[name] for name in names if name in one.values])
             self.ticks.append(Tick(applied, powered, one.published))

@@ -40,6 +40,8 @@ class RecordedTick(NamedTuple):
     run: int
     """Number of its run in the bag, from 1 on."""
     tick: int
+    stamp: int
+    """Logical time [ns]."""
     published: int
     """Wall time at which it was reported [ns]."""
     before: list[Change]
@@ -63,7 +65,7 @@ def recorded_ticks(
     Raises:
         Refusal: other joints, or values of another number.
     """
-    where, run, stamp = str(topics.bag.path), 0, -1
+    where, run = str(topics.bag.path), 0
     waiting: list[Change] = []
     now: RecordedTick | None = None
     wanted = ["motor_states", "emulator/events"]
@@ -88,9 +90,10 @@ def recorded_ticks(
             run += tick == 0
             if run:  # else it began before the record
                 values = _arranged(message, orders, where, only)
-                now = RecordedTick(run, tick, published, waiting, values, [])
-            waiting, stamp = [], nanoseconds_of(message.header.stamp)
-        elif now is not None and nanoseconds_of(message.header.stamp) == stamp:
+                stamp = nanoseconds_of(message.header.stamp)
+                now = RecordedTick(run, tick, stamp, published, waiting, values, [])
+            waiting = []
+        elif now is not None and nanoseconds_of(message.header.stamp) == now.stamp:
             order = orders.of(message.name)
             for field in TRUTH:
                 row = np.array(getattr(message, field))[order]

@@ -20,7 +20,13 @@ from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import SCENE
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.message_types import definition_of, fields
-from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
+from arm_emulator_msgs.msg import (
+    EmulatorStatus,
+    MachineEvent,
+    MotionStatus,
+    MotorCommand,
+    MotorState,
+)
 
 # Topic -> class and type of its messages.
 TYPES: dict[str, tuple[Any, str]] = {
@@ -28,6 +34,7 @@ TYPES: dict[str, tuple[Any, str]] = {
     "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
     "tool_target": (PoseStamped, "geometry_msgs/msg/PoseStamped"),
     "joint_targets": (JointState, "sensor_msgs/msg/JointState"),
+    "motion/status": (MotionStatus, "arm_emulator_msgs/msg/MotionStatus"),
     "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
     "emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
     "emulator/status": (EmulatorStatus, "arm_emulator_msgs/msg/EmulatorStatus"),

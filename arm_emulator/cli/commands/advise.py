@@ -210,38 +210,15 @@ def _from_table(path: Path, scene: Scene) -> Array:
 
 
 def _from_bag(path: Path, scene: Scene) -> Array:
-    """Return the applied commands in motor states: those of the servo period before each."""
-    # They need ROS, which is optional here.
-    from arm_emulator.bags.recorded_topics import RecordedTopics
-    from arm_emulator.ros.bag import Bag
+    """Return the commands that the motors got in the last run of a bag."""
+    # It needs ROS, which is optional here.
+    from arm_emulator.bags.recorded_machine import RecordedMachine
 
-    applied_further = rows_of(scene)[FURTHER]
-    rows, tick, gap = list[list[float]](), -1, ""  # of the newest run
-    for _, state in RecordedTopics(Bag(path)).read("motor_states"):
-        if state.tick == tick:
-            continue  # published again, as no answer came
-        if state.tick == 0:
-            rows, gap = [], ""
-        elif state.tick != tick + 1:
-            gap = gap or f"{state.tick} after {tick}"
-        names = list(state.joint_names)
-        if sorted(names) != sorted(scene.joint_names):
-            valid = ", ".join(scene.joint_names)
-            raise Refusal(str(path), "joints", f"be those of {scene.where}", names, valid)
-        tick = int(state.tick)
-        at = state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
-        if abs(at - tick * scene.servo_period) > 0.5 * scene.servo_period:
-            rule = f"be {scene.servo_period:g} s apart, the scene's servo period"
-            raise Refusal(str(path), "motor_states", rule, f"tick {tick} at {at:g} s")
-        for name in set(state.reading_names) & set(applied_further):
-            at = list(state.reading_names).index(name) * len(names)
-            if any(state.readings[at : at + len(names)]):
-                rule = "be 0: motions are judged under the commands alone"
-                raise Refusal(str(path), name, rule, f"another at tick {tick}")
-        rows.append([float(state.applied[names.index(joint)]) for joint in scene.joint_names])
-    if gap:
-        rule = "have every tick of the last run, from 0 on"
-        raise Refusal(str(path), "motor_states", rule, gap)
-    if len(rows) < 2:
-        raise Refusal(str(path), "bag", "have motor_states of two ticks at least", len(rows))
-    return np.array(rows[1:])
+    rows = np.array([tick.applied for tick in RecordedMachine.of(path, scene).ticks[1:]])
+    if not len(rows):
+        raise Refusal(str(path), "bag", "have motor_states of two ticks at least", "one")
+    for name, of_input in zip(rows_of(scene)[FURTHER], rows[:, 1:].swapaxes(0, 1), strict=False):
+        if of_input.any():
+            rule = "be 0: motions are judged under the commands alone"
+            raise Refusal(str(path), name, rule, "others")
+    return np.ascontiguousarray(rows[:, 0])
