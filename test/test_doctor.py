@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from test_dependencies import OF_ROS, imported
@@ -204,27 +203,3 @@ def test_a_middleware_that_was_not_tried_is_a_note(monkeypatch: pytest.MonkeyPat
     assert found("ROS 2").level == "note"
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     assert found("ROS 2").level == "ok"
-
-
-def permits_real_time() -> bool:
-    words = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))"
-    done = subprocess.run([sys.executable, "-c", words], stderr=subprocess.DEVNULL, check=False)
-    return done.returncode == 0
-
-
-def test_wake_ups_that_are_later_than_a_period_are_reported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    if not permits_real_time():
-        pytest.skip("the system permits no SCHED_FIFO")
-    for late, level in ((2e-4, "ok"), (3e-3, "note")):
-        now = 0.0
-
-        def sleep(seconds: float, late: float = late) -> None:
-            nonlocal now
-            now += seconds + late
-
-        clock = SimpleNamespace(monotonic=lambda: now, sleep=sleep)  # noqa: B023
-        monkeypatch.setattr("arm_emulator.cli.commands.doctor.time", clock)
-        one = found("priority")
-        assert one.level == level and f"{late * 1e6:.0f} us at worst" in one.text, one

@@ -9,7 +9,6 @@ import platform
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,7 +26,6 @@ from arm_emulator.version import VERSION
 if TYPE_CHECKING:  # this machine may have no ROS 2
     from rclpy.node import Node
 
-WAKE_UP, WAKE_UPS = 1e-3, 500  # s, and how many are timed
 LEAST_DISK = 1.0  # GB: libraries, a recording
 DISCOVERY = 1.0  # s, wall: for the middleware to find the nodes of the domain
 MOST_FAULTS = 3  # of a network, that are named
@@ -256,29 +254,11 @@ def _priority() -> Finding:
     before = os.sched_getscheduler(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, before, os.sched_param(0))
     except OSError as error:
         text = f"no real-time priority ({error.strerror}): `--clock realtime` may be late"
         return Finding("priority", "note", text, "`ulimit -r` must be > 0")
-    try:
-        late = sorted(_late_wake_ups())
-    finally:
-        os.sched_setscheduler(0, before, os.sched_param(0))
-    half, worst = late[len(late) // 2] * 1e6, late[-1] * 1e6
-    text = f"real-time priority may be had; {len(late)} wake-ups after 1 ms came {half:.0f} us late"
-    text += f" in the median, {worst:.0f} us at worst"
-    if late[-1] < WAKE_UP:
-        return Finding("priority", "ok", text)
-    return Finding("priority", "note", text, "servo periods below that will be lost")
-
-
-def _late_wake_ups() -> list[float]:
-    """Return by how much wake-ups at the end of periods of 1 ms were late [s]."""
-    late, due = [], time.monotonic()
-    for _ in range(WAKE_UPS):
-        due = max(due, time.monotonic()) + WAKE_UP
-        time.sleep(max(0.0, due - time.monotonic()))
-        late.append(time.monotonic() - due)
-    return late
+    return Finding("priority", "ok", "real-time priority may be had; `latency` measures it")
 
 
 CLOCK = "rosgraph_msgs/msg/Clock"
