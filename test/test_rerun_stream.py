@@ -211,15 +211,6 @@ def test_the_line_goes_on_at_a_whole_second_after_a_reset(tmp_path):
     assert sorted({*expected} - {*ends.tolist()}) == [0, 2000 * MS, 3000 * MS]
 
 
-def test_signals_keep_one_sample_in_so_many(tmp_path):
-    file = tmp_path / "a.rrd"
-    stream = RerunStream(URDF, NAMES, file=file, signal_every=7)
-    times, rows = samples(3000)  # more than one batch
-    offer_all(stream, times, rows)
-    assert stream.close()
-    assert np.array_equal(signal_of(file, "v", "turn")[0], times[::7])
-
-
 def test_values_not_measured_or_not_finite_are_not_shown(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)

@@ -6,13 +6,16 @@ import contextlib
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from arm_emulator.base import warning
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+WIDEST = 500  # columns of a table: one that is wider than the terminal is not cut
 
 
 class Output:
@@ -58,6 +61,20 @@ class Output:
         return Console(
             width=width, highlight=False, soft_wrap=least_width is None, quiet=self.as_json
         )
+
+    def table(
+        self, heads: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", left: int = 1
+    ) -> None:
+        """Print rows of cells below their heads; the first columns stand left, numbers right."""
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
+        for k, head in enumerate(heads):
+            table.add_column(Text(head), justify="left" if k < left else "right", no_wrap=True)
+        for row in rows:
+            table.add_row(*map(Text, row))
+        self.console(WIDEST).print(table)
 
     def facts(self, facts: Mapping[str, object]) -> None:
         """Add values to the object."""

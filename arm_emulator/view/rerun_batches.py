@@ -17,7 +17,6 @@ from arm_emulator.view.rerun_blueprint import (
     COLOURS,
     DEVIATION,
     EVENTS,
-    LIMITS,
     TIMELINE,
     TOOL_PATH,
     TOOL_TARGET,
@@ -47,9 +46,7 @@ class RerunBatches:
         shafts: the N that are sampled, in the order of the samples, and the joints that they move.
         tool: the link whose path is drawn; None draws none.
         arm_rate: poses of the arm per second on the time line [Hz].
-        signal_every: one of this many samples goes into the signals.
         further: names of quantities after `QUANTITIES`, with their units.
-        limits: of quantities by their names, lower and upper (2, N); drawn where they are finite.
 
     Attributes:
         waiting: samples whose signals are still to be sent.
@@ -65,9 +62,7 @@ class RerunBatches:
         shafts: Shafts,
         tool: str | None,
         arm_rate: int,
-        signal_every: int,
         further: Mapping[str, str] = MappingProxyType({}),
-        limits: Mapping[str, Array] = MappingProxyType({}),
     ) -> None:
         known = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
         for name in shafts.joints:
@@ -78,14 +73,6 @@ class RerunBatches:
         self._shafts = shafts
         self._further = further
         self._quantities = (*QUANTITIES, *further)
-        self._limited = tuple(name for name, rows in limits.items() if np.isfinite(rows).any())
-        self._limits = {
-            _path(LIMITS, quantity, f"{name}, {side}"): (float(value), colour)
-            for quantity, rows in limits.items()
-            for side, row in zip(("least", "most"), rows, strict=True)
-            for name, value, colour in zip(self._names, row, itertools.cycle(COLOURS), strict=False)
-            if np.isfinite(value)
-        }
         self._links = [tree.root_link().name, *(one.child_link for one in tree.joints())]
         if tool not in (None, *self._links):
             valid = ", ".join(sorted(self._links))
@@ -93,12 +80,10 @@ class RerunBatches:
         self._tool = tool
         self._positions = LinkPositions(urdf_xml, shafts.joints)
         self._arm_rate = arm_rate
-        self._signal_every = signal_every
         self._transform_columns = _transform_columns()
         self._start_over()
 
     def _start_over(self) -> None:
-        self._count = 0  # samples seen
         self._shift = 0  # ns, from logical time to the time line
         self._last_time = -1  # ns, on the time line
         self._last_pose = -1  # number of the last pose shown, at `arm_rate`
@@ -133,7 +118,7 @@ class RerunBatches:
         q = self._shafts.of_joints(q)
         links = np.array([self._positions(name, q)[0] for name in self._links])
         tool = None if self._tool is None else links[self._links.index(self._tool)]
-        known = self._tree.name, self._links[0], links, tool, self._further, self._limited
+        known = self._tree.name, self._links[0], links, tool, self._further
         return blueprint(*known, targets=targets)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
@@ -164,9 +149,6 @@ class RerunBatches:
                 (f"{DEVIATION}/{axis}", axis, colour, False)
                 for axis, colour in zip("xyz", COLOURS, strict=False)
             ]
-        for path, (_, colour) in self._limits.items():
-            thin = rr.SeriesLines(colors=colour, widths=0.5, names=path.rsplit("/", 1)[-1])
-            recording.log(path, thin, static=True)
         for path, name, colour, held in curves:
             mode = rr.components.InterpolationMode
             drawn = mode.StepAfter if held else mode.Linear
@@ -217,10 +199,8 @@ class RerunBatches:
         import rerun as rr
 
         times = self._on_the_line(times)
-        chosen = slice((-self._count) % self._signal_every, None, self._signal_every)
-        self._count += len(times)
-        self._waiting.append((times[chosen], rows[chosen]))
-        self.waiting += len(times[chosen])
+        self._waiting.append((times, rows))
+        self.waiting += len(times)
 
         numbers = times * self._arm_rate // SECOND
         q = rows[:, 0]
@@ -252,10 +232,6 @@ class RerunBatches:
             return
         times = np.concatenate([times for times, _ in waiting])
         line = _line(times)
-        for path, (value, _) in self._limits.items() if len(times) else ():
-            ends = rr.Scalars.columns(scalars=np.full(2, value))
-            recording.send_columns(path, [_line(times[[0, -1]])], ends, strict=True)
-            yield
         rows = np.concatenate([rows for _, rows in waiting])
         for index, quantity in enumerate(self._quantities):
             if len(rows) == 0 or np.isnan(rows[:, index]).all():

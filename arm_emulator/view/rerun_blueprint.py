@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +18,6 @@ TOOL_PATH = "tool/path"
 TOOL_TARGET = "tool/target"
 DEVIATION = "signals/tool_deviation"
 EVENTS = "events"
-LIMITS = "limits"
 
 # Seconds of tool path that stay visible behind the tool.
 PATH_SECONDS = 10.0
@@ -46,7 +45,6 @@ def blueprint(
     links: NDArray[np.float64],
     tool: NDArray[np.float64] | None,
     further: Mapping[str, str],
-    limited: Sequence[str] = (),
     *,
     targets: bool = True,
 ) -> rrb.Blueprint:
@@ -58,7 +56,6 @@ def blueprint(
         links: origins of all links at the start (L, 3) [m]; the eye is set so that they are seen.
         tool: origin of the tool at the start (3,) [m]; if given, its path is shown too.
         further: quantities beside the usual ones, with their units.
-        limited: those that are shown with their limits once more, which take much of a plot's room.
         targets: whether the tool's target, and the deviation from it, are shown beside its path.
     """
     import rerun.blueprint as rrb
@@ -77,7 +74,6 @@ def blueprint(
                 _plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
                 for name, unit in further.items()
             ),
-            *map(_within, limited),
         ),
         rrb.Tabs(
             _plot("Motor current [A]", "signals/current"),
@@ -120,7 +116,6 @@ def _arm(robot: str, root: str, links: NDArray[np.float64]) -> rrb.Spatial3DView
             "+ /**",
             f"- /{robot}/collision_geometries/**",
             "- /signals/**",
-            "- /limits/**",
             "- /events",
         ],
         spatial_information=_frame(root),
@@ -174,11 +169,3 @@ def _plot(name: str, path: str) -> rrb.TimeSeriesView:
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
-
-
-def _within(quantity: str) -> rrb.TimeSeriesView:
-    """Return the plot of a quantity with its limits."""
-    import rerun.blueprint as rrb
-
-    both = [f"+ /signals/{quantity}/**", f"+ /{LIMITS}/{quantity}/**"]
-    return rrb.TimeSeriesView(name=f"{quantity} and its limits", origin="/", contents=both)

@@ -43,6 +43,7 @@ BREATH = 1e-4  # s, after each small step: lets the control path have Python's l
 FLUSH_WAIT = 0.5  # s, real time: longest wait in one call for a slow disk
 MOST_WAITING = 10_000  # samples that wait before one that may wait, too
 ROOM_BREATH = 1e-3  # s, real time, between two looks for room
+SERVER_MEMORY = "512MiB"  # of the server, for viewers that connect late
 LONGEST_END = 60.0  # s, real time, for all samples of a whole run
 
 
@@ -76,10 +77,7 @@ class RerunStream:
         port: the TCP port at which a viewer on this machine may connect.
         capacity: capacity of the queue [samples].
         arm_rate: poses of the arm per second of logical time [Hz].
-        signal_every: one of this many samples goes into the signals.
-        server_memory: memory of the server for viewers that connect late.
         further: quantities that are offered beside the usual ones, with their units.
-        limits: of quantities, see `RerunBatches`.
         targets: whether targets of the tool may come, see `offer_target`: the layout has a plot for
             them.
 
@@ -100,10 +98,7 @@ class RerunStream:
         port: int | None = None,
         capacity: int = 20_000,
         arm_rate: int = 60,
-        signal_every: int = 1,
-        server_memory: str = "512MiB",
         further: Mapping[str, str] = MappingProxyType({}),
-        limits: Mapping[str, Array] = MappingProxyType({}),
         targets: bool = True,
     ) -> None:
         self.url: str | None = None
@@ -134,13 +129,11 @@ class RerunStream:
             Shafts(urdf_xml, joint_names),
             tool,
             arm_rate,
-            signal_every,
             further,
-            limits,
         )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")
-        sinks = self._sinks(file, port, server_memory)
+        sinks = self._sinks(file, port)
         blueprint = self._batches.blueprint(q_start, targets)
         try:
             recording.set_sinks(*sinks, default_blueprint=blueprint)
@@ -163,7 +156,7 @@ class RerunStream:
         atexit.register(self.close)
 
     def _sinks(
-        self, file: str | Path | None, port: int | None, server_memory: str
+        self, file: str | Path | None, port: int | None
     ) -> list[rr.FileSink | rr.GrpcServerSink]:
         """Return where the recording goes."""
         import rerun as rr
@@ -173,7 +166,7 @@ class RerunStream:
             sinks.append(rr.FileSink(str(file)))
         if port is not None:
             # The default address would be every interface of the machine.
-            server = rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=server_memory)
+            server = rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=SERVER_MEMORY)
             sinks.append(server)
             self.url = server.uri
         return sinks

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from rich.table import Table
 
 from arm_emulator.analysis.advice import Advice, Judge, Setting, check_error
 from arm_emulator.analysis.advice import advise as settings_for
@@ -79,7 +78,7 @@ def advise(
         console.print(f"no setting keeps it: {found.why_none}")
         return 1
     best = found.settings[0]
-    console.print(_table(found))
+    _print(found)
     console.print(_statement(best, len(motions)))
     checked = _checked(judge, file, error)
     console.print(checked)
@@ -170,19 +169,16 @@ def _checked(judge: Judge, file: Path, error: float) -> str:
     return f"SciPy at {rtol:.0e} on Pinocchio's dynamics: {off:.1e} from the truth of {motion.name}"
 
 
-def _table(found: Advice) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    table.add_column("setting", no_wrap=True)
-    for name in ("dt [s]", "error, judged", "others", "us per second"):
-        table.add_column(name, justify="right", no_wrap=True)
+def _print(found: Advice) -> None:
     labels = ["cheapest", *[""] * (len(found.settings) - 1), "now"]
+    rows = list[tuple[str, ...]]()
     for label, one in zip(labels, [*found.settings, found.now], strict=True):
         assert one is not None, "timed along with the others"
         errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (one.error, one.others))
         cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "diverges"
-        table.add_row(label, str(one.method), f"{one.dt:.6g}", *errors, cost)
-    return table
+        rows.append((label, str(one.method), f"{one.dt:.6g}", *errors, cost))
+    heads = "", "setting", "dt [s]", "error, judged", "others", "us per second"
+    output.table(heads, rows, left=2)
 
 
 def read_commands(path: Path, scene: Scene) -> Array:

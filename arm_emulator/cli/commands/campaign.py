@@ -345,11 +345,8 @@ def print_findings(findings: Sequence[Finding], digest: str, count: int, folder:
     """Print what a search found."""
     for one in findings:
         output.line(one.about)
-        table = [one.head, *one.texts()] if one.rows else []
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        for row in table:
-            cells = (text.ljust(width) for text, width in zip(row, widths, strict=True))
-            output.line(f"  {'  '.join(cells)}".rstrip())
+        if one.rows:
+            output.table(one.head, one.texts(), left=len(one.head))
     output.line(f"digest  {digest}")
     output.facts({
         "findings": [asdict(one) for one in findings], "count": count, "digest": digest,

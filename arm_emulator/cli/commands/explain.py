@@ -155,18 +155,13 @@ def _print(scene: Scene, now: Explanation) -> None:
 
 
 def _table(title: str, names: tuple[str, ...], rows: dict[str, Array | None]) -> None:
-    there = {name: row for name, row in rows.items() if row is not None}
-    width = max(len(title), *map(len, there))
-    columns = [max(11, len(name)) for name in names]
-    heads = (f"{name:>{size}}" for name, size in zip(names, columns, strict=True))
+    cells = (
+        (name, *("-" if math.isnan(one) else format(one + 0.0, ".5g") for one in row.tolist()))
+        for name, row in rows.items()
+        if row is not None
+    )
     output.line("")
-    output.line(f"{title:{width}}  {'  '.join(heads)}")
-    for name, row in there.items():
-        cells = (
-            f"{'-' if math.isnan(one) else format(one + 0.0, '.5g'):>{size}}"
-            for one, size in zip(row.tolist(), columns, strict=True)
-        )
-        output.line(f"{name:{width}}  {'  '.join(cells)}")
+    output.table((title, *names), cells)
 
 
 def _facts(scene: Scene, now: Explanation) -> dict[str, Any]:

@@ -11,7 +11,6 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.config_files import find_scene
@@ -110,7 +109,13 @@ def identify(
         draw_torques(found.motion, found.torques, nominal.joint_names, picture, title)
     console = output.console(110)
     console.print(_heading(found, late, low_pass))
-    console.print(_table(numbers))
+    heads = "number", "unit", "before", "found", "+-", ""
+    rows = (
+        (one.name, one.unit, f"{one.before:.5g}", f"{one.value:.5g}", f"{one.deviation:.2g}",
+         one.remark)
+        for one in numbers
+    )  # fmt: skip
+    output.table(heads, rows, title="Found, with standard deviations", left=2)
     for doubt in doubts:
         console.print(f"warning: {doubt}", markup=False, highlight=False)
     console.print(f"scene: {out}\npicture: {picture}")
@@ -177,19 +182,6 @@ def _heading(found: Identified, delays: dict[str, float], low_pass: float) -> st
         f"{int(fit.fitted.sum())} numbers looked for; the motion has {fit.directions} "
         "combinations of them, the rest is as uncertain as before"
     )
-
-
-def _table(numbers: Sequence[Found]) -> Table:
-    table = Table(title="Found, with standard deviations")
-    for heading, side in (("number", "left"), ("unit", "left"), ("before", "right"),
-                          ("found", "right"), ("+-", "right"), ("", "left")):  # fmt: skip
-        table.add_column(heading, justify=side, no_wrap=True)  # type: ignore[arg-type]
-    for one in numbers:
-        table.add_row(
-            one.name, one.unit, f"{one.before:.5g}", f"{one.value:.5g}", f"{one.deviation:.2g}",
-            one.remark,
-        )  # fmt: skip
-    return table
 
 
 def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],

@@ -9,8 +9,6 @@ from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from arm_emulator.base.config_files import check_own, find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
@@ -66,7 +64,7 @@ def tune(
         swings = {
             label: predicted_swing(machine, one.servo, inertias) for label, one in pair.items()
         }
-    _print(console, machine, inertias, pair, swings)
+    _print(machine, inertias, pair, swings)
     picture = None
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -120,7 +118,6 @@ def _check(scene: Scene, servo: ServoConfig) -> None:
 
 
 def _print(
-    console: Console,
     scene: Scene,
     inertias: list[Range],
     pair: Mapping[str, Tuned],
@@ -166,15 +163,12 @@ def _print(
         (rest, "at rest", "a count, mrad (mm)", "swing predicted, counts",
          "of the machine, counts"),
     ):  # fmt: skip
-        table = Table(box=None, pad_edge=False, title=title, title_justify="left")
-        for column in ("joint", "gains"):
-            table.add_column(column)
-        for column in columns:
-            table.add_column(column, justify="right")
-        for j, name in enumerate(scene.joint_names):
-            for label in pair:
-                table.add_row(name if label == "present" else "", label, *cells(label, j))
-        console.print(table)
+        rows = [
+            (name if label == "present" else "", label, *cells(label, j))
+            for j, name in enumerate(scene.joint_names)
+            for label in pair
+        ]
+        output.table(("joint", "gains", *columns), rows, title=title, left=2)
 
 
 ROWS = 400
