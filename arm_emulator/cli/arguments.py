@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import io
@@ -13,6 +14,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import Box
 from rich.console import Console
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import Command, command_names, load_command
 from arm_emulator.cli.options import Json
 
@@ -53,8 +55,15 @@ def page_of(one: Command) -> str:
 
 
 def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
-    """Return the script that completes all commands and their options in a shell."""
-    every = filter(None, map(load_command, command_names()))
+    """Return the script that completes the commands and their options in a shell.
+
+    Commands whose packages are not installed are left out.
+    """
+    every = list[Command]()
+    for name in command_names():
+        with contextlib.suppress(ModuleNotFoundError, Refusal):
+            if one := load_command(name):
+                every.append(one)
     return _app(every).generate_completion(prog_name="arm_emulator", shell=shell)
 
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Annotated, Literal
 
+import rclpy  # noqa: F401  # where it is missing nothing is started
 from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
