@@ -36,7 +36,7 @@ class FirstDifference(NamedTuple):
 
     @property
     def ulps(self) -> int | None:
-        """How many representable numbers lie between two numbers; None: none are compared."""
+        """Representable numbers between two numbers; None: other values differ."""
         if not all(isinstance(one, float) and not math.isnan(one) for one in self.values):
             return None
         bits = np.array(self.values).view(np.int64).tolist()

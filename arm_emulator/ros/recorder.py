@@ -219,7 +219,7 @@ class _Recorder(Node):
             self._runs.append(run)
             follow = run.take
         events = SubscriptionEventCallbacks(message_lost=numbered.on_lost)
-        group = OwnExecutorOnly()  # rclpy does not say of which publisher a message is
+        group = OwnExecutorOnly()  # rclpy drops the publisher of a message
         subscription = self.create_subscription(
             message, name, lambda _: None, request(offered), event_callbacks=events,
             callback_group=group,

@@ -49,7 +49,7 @@ class OwnExecutorOnly(CallbackGroup):
 
 
 def receive(subscription: Any, owner: CData | None = None) -> CData | None:
-    """Take the oldest message that is not dropped, as ``ros_received``; None: there is none.
+    """Take the oldest message that is not dropped, as ``ros_received``; None if none has come.
 
     Args:
         subscription: the subscription.
