@@ -120,48 +120,6 @@ def test_no_object_shows_itself_by_its_address() -> None:
         assert not re.search(r"\bat 0x", repr(one)), repr(one)
 
 
-def test_a_misspelt_attribute_is_refused_with_the_nearest(tmp_path: Path) -> None:
-    gains, plant, fleet = load_gains("three_axis"), Plant("three_axis"), Fleet("three_axis", 2)
-    kinematics = Kinematics(plant.scene.urdf, plant.scene.joint_names, plant.scene.tool)
-    session = Session("three_axis", "lockstep", "free_run")
-    misspelt = {
-        "powered": (plant, session, copy.copy(session), copy.copy(plant)),
-        "command": (plant,),
-        "t": (fleet.step(np.zeros((2, 3))), fleet.state, plant.state),
-        "scene": (fleet, plant.scene),
-        "config": (Servo("three_axis"), copy.copy(Servo("three_axis"))),
-        "weight": (JacobianController(kinematics),),
-        "tool": (kinematics,),
-        "aimed": (OfflineRun("three_axis", gains.servo, gains.motion),),
-        "newest": (Timeline(OfflineRun("three_axis", gains.servo, gains.motion)),),
-        "struct": (ServoFleet(fleet, "three_axis"),),
-        "take": (Recording(plant),),
-        "applied": (plant.measured,),
-        "R": (Pose([0.0, 0.0, 0.0], np.eye(3)),),
-        "A": (linearise(plant, plant.state.q),),
-    }
-    for name, owners in misspelt.items():
-        for owner in owners:
-            wrong = name[:-1] + "ee" if len(name) > 1 else name + "x"
-            with pytest.raises(AttributeError) as refusal:
-                setattr(owner, wrong, False)
-            assert wrong not in dir(owner) and wrong in str(refusal.value), owner
-            if isinstance(refusal.value, Refusal) and len(name) > 2:
-                assert name in str(refusal.value), owner
-    plant.powered = False
-    assert not plant.powered, "one that it has is set"
-    with pytest.raises(AttributeError, match="no setter"):
-        session.tick = 5  # type: ignore[misc]
-
-
-class Tuned(Plant):
-    """A machine of a user, with a number of its own."""
-
-    def __init__(self, scene: str) -> None:
-        super().__init__(scene)
-        self.gain = 1.0
-
-
 def test_true_values_are_not_set_in_a_copy_of_them() -> None:
     plant, fleet = Plant("three_axis"), Fleet("three_axis", 2)
     for rows in (plant.state.q, plant.state.current, fleet.state.q, fleet.state.t, fleet.powered):
@@ -175,14 +133,6 @@ def test_a_name_that_is_nearly_public_is_named_in_the_error() -> None:
     with pytest.raises(AttributeError) as error:
         arm_emulator.Plnat  # noqa: B018
     assert (error.value.name, error.value.obj) == ("Plnat", arm_emulator), "Python looks there"
-
-
-def test_a_class_of_a_user_may_have_attributes_of_its_own() -> None:
-    tuned = Tuned("three_axis")
-    tuned.gain = 2.0
-    assert tuned.gain == 2.0
-    with pytest.raises(AttributeError, match="gain"):
-        tuned.gian = 3.0  # type: ignore[attr-defined]
 
 
 def test_arguments_are_taken_or_refused(tmp_path: Path) -> None:
@@ -362,21 +312,6 @@ def test_arms_of_a_fleet_are_the_same_objects_and_come_in_slices() -> None:
     assert some[0].state.q.tolist() == [0.1, 0.2, 0.3]
 
 
-def test_an_attribute_that_is_elsewhere_is_refused_with_its_place() -> None:
-    plant, fleet = Plant("three_axis"), Fleet("three_axis", 2)
-    session = Session("three_axis", "lockstep", "free_run")
-    for owner, name, place in (
-        *((one, "q", "state.q") for one in (plant, fleet, session)),
-        (plant, "joint_names", "scene.joint_names"), (plant, "dt", "scene.integrator.dt"),
-        (fleet, "encoder_counts", "measured.encoder_counts"),
-        (session, "exchange", "plant.exchange"), (plant, "measurd", "measured"),
-        (plant.scene, "joint_name", "joint_names"),
-    ):  # fmt: skip
-        with pytest.raises(AttributeError, match=rf"got {name}; valid: {re.escape(place)}"):
-            getattr(owner, name)
-        assert not hasattr(owner, name)
-
-
 def test_a_closed_session_can_be_read_and_not_moved() -> None:
     session = Session("three_axis", "lockstep", "free_run")
     session.advance()
@@ -416,29 +351,6 @@ def test_public_classes_go_with_abstract_bases_and_protocols(kind: type) -> None
         if kind is Plant:
             plant = mine("three_axis")
             assert (plant.state.q == Plant("three_axis").state.q).all()
-            if bases[0] is not Logged:  # whose constructor ends it
-                with pytest.raises(AttributeError, match="powered"):
-                    plant.powerd = False
-
-
-def test_a_missing_attribute_searches_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The nearest names are found when the error is read, not when it is raised."""
-    plant = Plant("three_axis")
-    owners = (plant, plant.state, plant.scene, plant.measured, Servo("three_axis"))
-
-    def searched(*_: Any) -> list[str]:
-        raise AssertionError("a search")
-
-    for one in owners:
-        with pytest.raises(AttributeError) as error:
-            one.tolist  # type: ignore[union-attr]  # noqa: B018
-        assert (error.value.name, error.value.obj) == ("tolist", one)
-        assert "got tolist; valid: " in str(error.value)
-        with pytest.raises(AttributeError, match="got tolist"):
-            raise pickle.loads(pickle.dumps(error.value))
-        with monkeypatch.context() as patched:
-            patched.setattr("difflib.get_close_matches", searched)
-            assert not hasattr(one, "tolist") and getattr(one, "tolist", None) is None
 
 
 def test_the_keywords_of_a_part_are_its_signature() -> None:

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.closed import Known
 
-
-class ByValue(Known):  # noqa: PLW1641  # arrays change: there is no hash
+class ByValue:  # noqa: PLW1641  # arrays change: there is no hash
     """Base of dataclasses with arrays, which take ``eq=False``: equal if all values are.
 
     The equality that dataclasses generate asks an array for one truth value, and raises. A value

@@ -14,13 +14,11 @@ import weakref
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
-from arm_emulator.base.closed import Closed
-
 _all: weakref.WeakSet[Turns] = weakref.WeakSet()
 _held: list[Turns] = []  # while the process forks
 
 
-class Turns(Closed):
+class Turns:
     """An object whose methods take turns.
 
     Attributes:

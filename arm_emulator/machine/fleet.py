@@ -26,7 +26,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet_control import FleetControl, FleetFrame
 from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.machine.inputs import check_inputs, further_rows
-from arm_emulator.machine.plant import INSIDE, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
 
@@ -59,8 +59,6 @@ class Fleet(CoreMachines):
     Raises:
         Refusal: the scene's core cannot be compiled, or an argument that makes no sense.
     """
-
-    _inside = INSIDE
 
     def __init__(
         self,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import FLEET, PLACES
@@ -20,7 +20,7 @@ from arm_emulator.machine.scene import Scene
 _LARGEST = 2**64 - 1  # address
 
 
-class FleetControl(Uncopied, Closed):
+class FleetControl(Uncopied):
     """A function in C that commands arms in every servo period, for `Fleet.follow`.
 
     Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
@@ -60,7 +60,7 @@ class FleetControl(Uncopied, Closed):
         """
 
 
-class FleetFrame(Closed):
+class FleetFrame:
     """Measured and true values of all arms after a step.
 
     The arrays are reused in every step; copy them to keep values.

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from arm_emulator.base.closed import Uncopied
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag, as_kind
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.core_calls import ARM, FLEET

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.by_value import ByValue
-from arm_emulator.base.closed import NoAttribute
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import KNOWN, input_of, outputs_of, readings_of
@@ -35,7 +34,7 @@ class Measured(ByValue):
     def __getattr__(self, name: str) -> NDArray[Any]:
         output = KNOWN.get(name)
         if output is None:
-            raise NoAttribute(name=name, obj=self)
+            raise AttributeError(f"Measured has no {name}", name=name, obj=self)
         values = self.place(output)
         return values.astype(np.int64) if output.kind in ("flag", "bits") else values
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,15 +32,9 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.inputs import check_inputs, further_inputs, further_rows
 from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace
-from arm_emulator.machine.outputs import KNOWN
-from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
+from arm_emulator.machine.plant_state import link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.tick.c import TICK, tick_calls
-
-# Where people look for what a machine has elsewhere.
-INSIDE: Mapping[str, Iterable[str]] = {
-    "state": ("t", *ROWS), "measured": KNOWN, "scene": dir(Scene), "scene.integrator": ("dt",),
-}  # fmt: skip
 
 
 class Plant(CoreMachine):
@@ -68,8 +62,6 @@ class Plant(CoreMachine):
     Raises:
         Refusal: the scene's core cannot be compiled.
     """
-
-    _inside = INSIDE
 
     def __init__(
         self,

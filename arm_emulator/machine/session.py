@@ -7,10 +7,10 @@ pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.phase import Phase
-from arm_emulator.machine.plant import INSIDE, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.state_of_joints import StateOfJoints
@@ -67,8 +67,6 @@ class Session(Turns):
     Raises:
         Refusal: another clock or start than these.
     """
-
-    _inside: ClassVar[Mapping[str, Iterable[str]]] = {**INSIDE, "plant": vars(Plant)}
 
     def __init__(
         self,

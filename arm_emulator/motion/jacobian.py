@@ -12,7 +12,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.closed import Closed
 from arm_emulator.base.given import FloatArray, as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
@@ -26,7 +25,7 @@ _SHARE = Number("weight", above=0.0, at_most=1.0)
 _STEP_LIMIT = Number("step_limit", "rad", above=0.0)
 
 
-class JacobianController(Closed):
+class JacobianController:
     """Eq. (6) for the joints that move the tool; others stay where they are.
 
     The error ``X_target - X(q)`` is the translation and, in a pose task, the rotation vector

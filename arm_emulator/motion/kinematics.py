@@ -11,7 +11,6 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
-from arm_emulator.base.closed import Closed
 from arm_emulator.base.given import FloatArray, as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
@@ -32,7 +31,7 @@ POSITION_ROWS = 3
 POSE_ROWS = 6
 
 
-class Kinematics(Closed, Lasting):
+class Kinematics(Lasting):
     """Tool pose, Jacobian and joint limits of any arm, or of a tree of arms with one tool.
 
     Tool errors and Jacobians have the rows of the task: translation, then in a pose task the

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import FloatArray
@@ -17,6 +16,7 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
@@ -31,7 +31,7 @@ from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
 
-class OfflineRun(Uncopied, Closed):
+class OfflineRun(Uncopied):
     """One run from tick 0.
 
     Attributes:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.bound import ANY_COMMANDS
-from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.count import check_count
 from arm_emulator.base.kept import check_suffix
 from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
@@ -28,7 +28,7 @@ RERUN = ".rrd"
 MEASURED = tuple(f"measured.{name}" for name in KNOWN)
 
 
-class Recording(Uncopied, Closed):
+class Recording(Uncopied):
     """Rows of a plant's quantities, taken whenever `take` is called.
 
     As a context it writes its file at the end.

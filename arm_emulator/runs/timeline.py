@@ -6,9 +6,9 @@ import bisect
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
-from arm_emulator.base.closed import Closed, Uncopied
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.uncopied import Uncopied
 
 
 @runtime_checkable
@@ -54,7 +54,7 @@ class _Place:
         self.visitor = visitor
 
 
-class Timeline(Uncopied, Closed, Generic[R]):
+class Timeline(Uncopied, Generic[R]):
     """A run with checkpoints: any tick of its past is reached by restoring and driving again.
 
     What is changed by hand goes through `change`, so that it is not forgotten. Timelines that fork
@@ -200,7 +200,6 @@ class Timeline(Uncopied, Closed, Generic[R]):
         other.changes = [one for one in self.changes if one.tick <= self.tick]
         other._checkpoints = [one for one in self._checkpoints if one.tick <= self.tick]
         other._place = self._place
-        other.close_attributes()
         return other
 
     def _enter(self) -> None:

@@ -96,7 +96,6 @@ class Servo(Turns):
     def __setstate__(self, of: dict[str, Any]) -> None:
         Servo.__init__(self, of["config"])
         self.go_back(of)
-        self.close_attributes()
 
     def go_back(self, of: dict[str, Any]) -> None:
         """Go on from what `__getstate__` of this servo, or of one like it, has returned."""

@@ -14,9 +14,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, dataclass_transform
 
-from arm_emulator.base.declared import Declared
 from arm_emulator.base.number import REQUIRED, Ends, Number, between, field_of, numbers_of
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
@@ -60,7 +59,10 @@ def number(
     return field_of(PartNumber("", unit, symbol=symbol, default=default, **bounds, **declared))
 
 
-class Part(Declared):
+@dataclass_transform(
+    kw_only_default=True, frozen_default=True, field_specifiers=(dataclasses.field,)
+)
+class Part:
     """A part of a joint's drive; see the top of this file."""
 
     owners: ClassVar[str] = "joints"  # the section of the scene that has whom it belongs to
@@ -71,6 +73,9 @@ class Part(Declared):
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, kw_only=True)(cls)
 
     @classmethod
     def owned_name(cls) -> str:

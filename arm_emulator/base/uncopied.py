@@ -1,0 +1,20 @@
+"""Objects that refuse to be copied."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NoReturn
+
+from arm_emulator.base.refusal import Refusal
+
+
+class Uncopied:
+    """Mixin that refuses `copy`, `deepcopy` and `pickle`.
+
+    Attributes:
+        instead: replaces a copy, for refusals.
+    """
+
+    instead: ClassVar[str]
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        raise Refusal(type(self).__name__, "the object", "stay one", "a copy", self.instead)
