@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator import Fleet, Plant, Scene, load_scene
-from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import Task, interleaved, progress
@@ -22,6 +21,7 @@ from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, mujoco
 from bench.pictures import COLOURS, new_figure, save
 from bench.tables import table
 from bench.work_precision import steps_of
+from oracles.reference import reference
 
 TITLE = "Many arms"
 

@@ -20,10 +20,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator import Diverged, Plant, Refusal, Scene
-from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from bench.bare import odd_parts
+from oracles.reference import links_model
 
 Array = NDArray[np.float64]
 

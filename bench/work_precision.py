@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Plant, Scene, load_scene
-from arm_emulator.analysis.reference import reference
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import (
@@ -27,6 +26,7 @@ from bench.motion import SERVO_PERIOD, Array, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of
 from bench.time_at_error import time_at_error
 from bench.work_precision_report import FROM_PYTHON, INPUTS, draw, report
+from oracles.reference import reference
 
 TITLE = "Work and precision"
 

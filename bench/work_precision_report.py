@@ -54,7 +54,7 @@ def report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "Error is the difference of the link angles from the reference (SciPy DOP853 on "
-        "Pinocchio's dynamics, rtol 1e-11, arm_emulator/analysis/reference.py) after 1 s: the "
+        "Pinocchio's dynamics, rtol 1e-11, oracles/reference.py) after 1 s: the "
         f"largest over the joints, root mean square over {INPUTS} motions (sines of 12 V with "
         "seeded frequencies and phases, from rest). Each voltage is held for one servo period of "
         "1 ms where not stated otherwise, so no step is longer than that.",

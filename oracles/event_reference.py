@@ -1,6 +1,6 @@
 """An independent solution for machines that stick and whose currents meet limits.
 
-As `analysis.reference`, in pieces: in each the modes of the joints are held, and SciPy finds
+As `oracles.reference`, in pieces: in each the modes of the joints are held, and SciPy finds
 where the first of them ends, on the dense output of its own steps. Shares no line with the core.
 """
 
@@ -13,9 +13,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from arm_emulator.analysis.reference import ROWS, STIFF, ReferenceMachine
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
+from oracles.reference import ROWS, STIFF, ReferenceMachine
 
 ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it
 MOST_PIECES = 1000  # in one row

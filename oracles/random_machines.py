@@ -24,11 +24,11 @@ import pinocchio as pin
 import yaml
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
-from arm_emulator.analysis.reference import ReferenceMachine
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
 from oracles.event_reference import reference_with_events
 from oracles.random_chain import random_chain_urdf
+from oracles.reference import ReferenceMachine
 
 PERIOD, ROWS = 0.02, 6  # s, that each voltage is held, and how many of them
 STEP_OF_RATE = 0.1  # the coarse step times the machine's fastest rate

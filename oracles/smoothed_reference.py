@@ -20,7 +20,6 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Refusal, Scene
-from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
@@ -35,6 +34,7 @@ from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.lugre import LinkLuGre, LuGre, RotorLuGre
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from oracles.reference import links_model
 
 KNOWN = (
     DcMotor, CurrentLoop, TorqueMotor, CurrentMotor, RigidGear, ElasticGear, ProgressiveGear,

@@ -20,10 +20,10 @@ import pinocchio as pin
 import yaml
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.analysis.reference import links_model, reference
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
+from oracles.reference import links_model, reference
 
 HELD, DRIFTS, DETECTED, FAILED = "held", "drifts", "detected", "FAILED"
 

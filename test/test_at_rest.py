@@ -12,9 +12,9 @@ from draws import some
 from machines import ROTOR, write_scene
 
 from arm_emulator import Plant, load_scene
-from arm_emulator.analysis.reference import links_model
 from oracles.at_rest import INSTANT, LAWS, PARTS, PLACES, Case, equations_of, judge
 from oracles.random_chain import moving_joints, random_chain_urdf
+from oracles.reference import links_model
 
 DRY, LOADED = ("viscous", "coulomb", "breakaway"), ("load", "load and coulomb")
 # Laws of one kind share a library.

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from arm_emulator import Plant, Refusal, load_scene
-from arm_emulator.analysis.reference import reference_states
+from oracles.reference import reference_states
 
 PERIOD = 2e-3  # s, over which a command is held
 SUPPLY = 24.0

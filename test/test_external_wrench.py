@@ -17,10 +17,10 @@ from test_fleet_calls import SENSED
 from test_fleet_step import LOCATED
 
 from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
-from arm_emulator.analysis.reference import ROWS, ReferenceMachine
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.external_wrench import AXES
 from arm_emulator.machine.scene_unit import scene_unit
+from oracles.reference import ROWS, ReferenceMachine
 
 PERIOD = 1e-2  # s, over which a wrench is held
 MASS = 1.5  # kg

@@ -16,9 +16,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene, load_servo_config
-from arm_emulator.analysis.reference import reference
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.runs.gains import check_joints
+from oracles.reference import reference
 
 PERIOD = 1e-2  # s, over which a command is held
 TORQUE = {"kind": "torque", "rotor_inertia": ROTOR}

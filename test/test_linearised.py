@@ -1,6 +1,6 @@
 """The linear machine is the derivative of the machine: every entry of A and B, on every scene.
 
-The truth is `analysis.reference` and `oracles.event_reference`, in NumPy and Pinocchio, by central
+The truth is `oracles.reference` and `oracles.event_reference`, in NumPy and Pinocchio, by central
 differences; what they do not know, by what must follow from how the machine stands.
 """
 
@@ -16,12 +16,12 @@ from draws import some
 from numpy.typing import NDArray
 
 from arm_emulator import LinearMachine, Plant, Refusal, Scene, linearise, load_scene
-from arm_emulator.analysis.reference import ReferenceMachine
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from oracles.event_reference import MachineWithModes
+from oracles.reference import ReferenceMachine
 
 Array = NDArray[np.float64]
 

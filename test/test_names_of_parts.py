@@ -55,7 +55,7 @@ WORDS = {
 INDEPENDENT = "an independent solution or peer, whose equations must not follow from the parts"
 ABOUT = "a bench about these very parts"
 ALLOWED = {
-    "arm_emulator/analysis/reference.py": INDEPENDENT,
+    "oracles/reference.py": INDEPENDENT,
     "oracles/smoothed_reference.py": INDEPENDENT,
     "oracles/alone.py": "draws what the smoothed reference solves",
     "bench/bare.py": "the parts that peers have, too",

@@ -14,7 +14,6 @@ from machines import LINK_INERTIA, moving_joints, one_link_urdf, random_chain_ur
 from scipy.special import ellipj, ellipk
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
-from arm_emulator.analysis.reference import reference, reference_states
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import CORE
 from arm_emulator.machine.chain import Array
@@ -23,6 +22,7 @@ from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
+from oracles.reference import reference, reference_states
 
 PERIOD = 1e-2  # s, over which a voltage is held
 # A scheme of second order and one of first first.

@@ -23,8 +23,8 @@ from machines import (
 from scipy.linalg import expm
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
-from arm_emulator.analysis.reference import links_model, reference, reference_states
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
+from oracles.reference import links_model, reference, reference_states
 
 PERIOD = 1e-2  # s, over which a voltage is held
 ROWS = 30

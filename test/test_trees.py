@@ -20,7 +20,6 @@ from machines import (
 )
 
 from arm_emulator.analysis.holding import LinkLoads
-from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
 from arm_emulator.identification.inertia import dynamic
 from arm_emulator.identification.link_regressor import LinkRegressor
@@ -35,6 +34,7 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.way_controller import WayController
 from arm_emulator.runs.breakpoint import Breakpoint
+from oracles.reference import reference
 
 STATES = 200
 # Both sides lose about cond(M) units of the last place, and cond(M) < 1e5 here.

@@ -142,10 +142,6 @@ class Judge:
         """Return the error on each motion (M,)."""
         return np.array([self._error_on(method, steps, m) for m in range(len(self.motions))])
 
-    def truth(self, m: int) -> Truth:
-        """Return the best known truth of a motion, by its number."""
-        return self._truths[m]
-
     def know_truths(self, error: float) -> str:
         """Find the truths to a share of an error; return why that is impossible, or nothing."""
         for m, motion in enumerate(self.motions):

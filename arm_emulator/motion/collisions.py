@@ -175,10 +175,6 @@ class Collisions(Lasting):
         lost = self._distances(now)[both] - self._distances(q)[both]
         return self.name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
 
-    def nearest(self, q: FloatArray) -> float:
-        """Return the distance of the two nearest parts at q (N,) [m]; < 0: they overlap."""
-        return float(self._distances(q).min())
-
     def _distances(self, q: FloatArray) -> FloatArray:
         whole, tested = self._arm.whole(q), self._tested
         with self._alone:

@@ -44,7 +44,7 @@ class ConfigurationSearch:
         starts = low + self._parts * (high - low)
         far = np.linalg.norm((starts - q) / kinematics.joint_scale, axis=1)
         self._starts = self._whole_turns(q) + list(starts[np.argsort(far, kind="stable")])
-        self._target, self._here = target, q
+        self._target = target
         self._begin_next()
 
     @property

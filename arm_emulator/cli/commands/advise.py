@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
@@ -13,11 +13,9 @@ from cyclopts import Parameter
 from arm_emulator.analysis.advice import Advice, Judge, Setting, check_error
 from arm_emulator.analysis.advice import advise as settings_for
 from arm_emulator.analysis.judged_motions import FINE, Motion, judged_motions
-from arm_emulator.analysis.reference import reference
 from arm_emulator.analysis.true_motion import FINEST
 from arm_emulator.base.config_files import check_own, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
@@ -39,7 +37,7 @@ SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 @command(
     keys=(
         "`scene`, `judged_on`, `error`, `settings` (the cheapest first), `now`, `why_none`; if "
-        "one is found `checked`, `written`"
+        "one is found `written`"
     ),
 )
 def advise(
@@ -80,8 +78,6 @@ def advise(
     best = found.settings[0]
     _print(found)
     console.print(_statement(best, len(motions)))
-    checked = _checked(judge, file, error)
-    console.print(checked)
     events = f", events: {best.method.events}" if best.method.events != "step" else ""
     threads = f"; threads: {best.method.threads}" if machine.threads != best.method.threads else ""
     step = f"scheme: {best.method.scheme}, dt: {best.dt:.6g}{events}"
@@ -89,7 +85,7 @@ def advise(
     if write:
         write_integrator(file, best.method, best.dt)
         console.print(f"written into {file}")
-    output.facts({"checked": checked, "written": file if write else None})
+    output.facts({"written": file if write else None})
     return 0
 
 
@@ -153,20 +149,6 @@ def _statement(best: Setting, motions: int) -> str:
         f"errors: a bound for the {motions} motions judged; for others of their kinds an estimate, "
         f"with a reserve of {best.others / best.error:.1f}"
     )
-
-
-def _checked(judge: Judge, file: Path, error: float) -> str:
-    """Return the difference between the truth of the last motion and an independent solution."""
-    scene, motion, truth = judge.scene, judge.motions[-1], judge.truth(len(judge.motions) - 1)
-    payload: Any = read_yaml(file).get("payload")
-    # Per step of the reference, of which there are some thousand: far below the judged error.
-    rtol = max(1e-4 * error, 1e-11)
-    try:
-        q = reference(scene, motion.commands, scene.servo_period, rtol, payload=payload)
-    except Refusal as reason:
-        return f"no independent solution: {reason}"
-    off = float(np.abs(q - truth.q).max())
-    return f"SciPy at {rtol:.0e} on Pinocchio's dynamics: {off:.1e} from the truth of {motion.name}"
 
 
 def _print(found: Advice) -> None:
