@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from arm_emulator.base.number import Ends, Number, between, field_of
+from arm_emulator.base.number import REQUIRED, Ends, Number, between, field_of, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 
@@ -95,6 +95,56 @@ def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
     rule = f"hold the parameters of the node {node}"
     valid = f"{node}: ros__parameters:"
     raise Refusal(path.name, "the file", rule, ", ".join(map(str, document)), valid)
+
+
+def tables_of(given: object, where: str, section: str) -> dict[str, dict[str, Any]]:
+    """Return the tables of a section by name; nested, or with ROS's dotted names.
+
+    A table's name may have dots, a key has none.
+
+    Raises:
+        Refusal: no table, or a value in the place of one.
+    """
+    if not isinstance(given, Mapping):
+        raise Refusal(where, section, "be a mapping", given)
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in given.items():
+        if isinstance(value, Mapping):
+            tables.setdefault(str(name), {}).update(value)
+            continue
+        table, _, key = str(name).rpartition(".")
+        if not table:
+            raise Refusal(where, f"{section}.{name}", "be a mapping", value)
+        tables.setdefault(table, {})[key] = value
+    return tables
+
+
+def numbers_in(
+    table: Mapping[str, Any], kind: type[Any], where: str, path: str = ""
+) -> dict[str, Any]:
+    """Return the numbers that a dataclass declares, as a table has them, or by default.
+
+    Raises:
+        Refusal: an unknown, missing or impossible value; `path` is that of the table.
+    """
+    known, prefix = numbers_of(kind), f"{path}." if path else ""
+    check_keys(table, known, where, path)
+    given = {key: one.default for key, one in known.items()}
+    for key, one in known.items():
+        if key in table:
+            given[key] = one.take(where, table[key], f"{prefix}{key}")
+        elif one.default is REQUIRED:
+            raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
+    return given
+
+
+def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str, path: str) -> None:
+    """Refuse keys of the table at a path that are not known."""
+    known = tuple(known)
+    for key in table:
+        if key not in known:
+            name, got = f"{path}.{key}" if path else key, f"an unknown one{perhaps(key, known)}"
+            raise Refusal(where, name, "be a known key", got, ", ".join(known))
 
 
 def perhaps(name: str, known: Iterable[str]) -> str:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from arm_emulator.base.given import FloatArray
-from arm_emulator.base.number import number, numbers_of
-from arm_emulator.base.parameters import perhaps
-from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.number import number
+from arm_emulator.base.parameters import numbers_in, tables_of
 
 SECTION = "joints"  # of the motion controller's parameter file
 
@@ -50,23 +48,6 @@ class DriveNumbers:
         text="friction of the rotor at any speed, divided by |ratio|",
     )
 
-    @classmethod
-    def from_mapping(cls, table: object, where: str, path: str) -> DriveNumbers:
-        """Validate the numbers of one joint.
-
-        Raises:
-            Refusal: an unknown key or an impossible value.
-        """
-        if not isinstance(table, Mapping):
-            raise Refusal(where, path, "be a mapping", table)
-        known, values = numbers_of(cls), {}
-        for key, value in table.items():
-            if key not in known:
-                got = f"an unknown one{perhaps(str(key), known)}"
-                raise Refusal(where, f"{path}.{key}", "be a known key", got, ", ".join(known))
-            values[key] = known[key].named(f"{path}.{key}").take(where, value)
-        return cls(**values)
-
 
 Drives = Mapping[str, DriveNumbers]
 
@@ -81,20 +62,9 @@ def drives_of(given: object, where: str) -> dict[str, DriveNumbers]:
     Raises:
         Refusal: an unknown key or an impossible value.
     """
-    if not isinstance(given, Mapping):
-        raise Refusal(where, SECTION, "be a mapping", given)
-    tables: dict[str, dict[str, Any]] = {}
-    for name, value in given.items():
-        if isinstance(value, Mapping):
-            tables.setdefault(name, {}).update(value)
-        else:  # a joint's name may have dots, a key has none
-            joint, _, key = str(name).rpartition(".")
-            if not joint:
-                raise Refusal(where, f"{SECTION}.{name}", "be a mapping", value)
-            tables.setdefault(joint, {})[key] = value
     return {
-        name: DriveNumbers.from_mapping(table, where, f"{SECTION}.{name}")
-        for name, table in tables.items()
+        name: DriveNumbers(**numbers_in(table, DriveNumbers, where, f"{SECTION}.{name}"))
+        for name, table in tables_of(given, where, SECTION).items()
     }
 
 

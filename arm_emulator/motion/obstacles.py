@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from arm_emulator.base.number import Number
+from arm_emulator.base.parameters import tables_of
 from arm_emulator.base.refusal import Refusal
 
 OBSTACLES = "obstacles"  # the section's name
@@ -37,17 +38,7 @@ def obstacles_of(given: object, where: str) -> tuple[Obstacle, ...]:
     Raises:
         Refusal: an unknown key or an impossible value.
     """
-    if not isinstance(given, Mapping):
-        raise Refusal(where, OBSTACLES, "be a mapping", given)
-    tables: dict[str, dict[str, Any]] = {}
-    for key, value in given.items():
-        name, _, leaf = str(key).rpartition(".")
-        if isinstance(value, Mapping):
-            tables.setdefault(str(key), {}).update(value)
-        elif name:
-            tables.setdefault(name, {})[leaf] = value
-        else:
-            raise Refusal(where, f"{OBSTACLES}.{key}", "be a mapping", value)
+    tables = tables_of(given, where, OBSTACLES)
     return tuple(_obstacle(name, table, where) for name, table in tables.items())
 
 

@@ -13,8 +13,14 @@ import numpy as np
 from arm_emulator.base.bound import encoder_counts
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.given import as_kind
-from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
-from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
+from arm_emulator.base.number import Number, number, numbers_of
+from arm_emulator.base.parameters import (
+    ROS_PARAMETERS,
+    check_keys,
+    numbers_in,
+    ros_parameters,
+    tables_of,
+)
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 
@@ -213,28 +219,26 @@ class ServoConfig(Lasting):
             if name.split(".")[0] in ROS_PARAMETERS:
                 del given[name]
         names = _joint_names(given.pop("joint_names", None), where)
-        # A joint's name may have dots, a field has none.
-        tables: dict[str, dict[str, Any]] = {}
-        for key in [key for key in given if key.startswith("joints.")]:
-            name, _, field_name = key.removeprefix("joints.").rpartition(".")
-            if not name:
-                raise Refusal(where, key, "be a mapping", given[key])
-            tables.setdefault(name, {})[field_name] = given.pop(key)
-        if "joints" in given:
-            raise Refusal(where, "joints", "be a mapping", given["joints"])
+        below = [key for key in given if key.startswith("joints.")]
+        rest = {key.removeprefix("joints."): given.pop(key) for key in below}
+        tables = tables_of(given.pop("joints", rest), where, "joints")
         for name in tables:
             # ROS changes the meaning of a section under a name with dots.
             if name not in names and any("." in known for known in names):
                 rule = "be a joint (one whose name has dots is written out in parameter files)"
                 raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
-        _check_keys(tables, names, where, "joints")
-        _check_keys(given, _SCALARS, where, "")
-        scalars = {name: one.take(where, given[name]) for name, one in _SCALARS.items()}
+        check_keys(tables, names, where, "joints")
+        scalars = numbers_in(given, ServoConfig, where)
         _check_periods(scalars, where)
-        joints = tuple(_joint(name, tables[name], where) for name in names)
+        joints = []
+        for name in names:
+            if name not in tables:
+                raise Refusal(where, f"joints.{name}", "be given", "nothing")
+            numbers = numbers_in(tables[name], JointServo, where, f"joints.{name}")
+            joints.append(JointServo(name=name, **numbers))
         for joint in joints:
             check_rates(joint, scalars["period"], where)
-        return cls(**scalars, joints=joints)
+        return cls(**scalars, joints=tuple(joints))
 
 
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6  # s
@@ -308,30 +312,6 @@ def _joint_names(value: object, where: str) -> tuple[str, ...]:
     ):
         raise Refusal(where, "joint_names", "be a list of different joint names", value)
     return tuple(value)
-
-
-def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
-    """Refuse what is not a table, lacks one of `allowed` or has anything else."""
-    if not isinstance(table, Mapping):
-        raise Refusal(where, path, "be a mapping", table)
-    prefix = f"{path}." if path else ""
-    valid = ", ".join(allowed)
-    for key in table:
-        if key not in allowed:
-            got = f"an unknown one{perhaps(str(key), allowed)}"
-            raise Refusal(where, f"{prefix}{key}", "be a known key", got, valid)
-    for key in allowed:
-        if key not in table:
-            raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
-
-
-def _joint(name: str, table: dict[str, Any], where: str) -> JointServo:
-    path = f"joints.{name}"
-    given = {key: one.default for key, one in _FIELDS.items() if one.default is not REQUIRED}
-    _check_keys(given | table, _FIELDS, where, path)
-    for key, value in table.items():
-        given[key] = _FIELDS[key].take(where, value, f"{path}.{key}")
-    return JointServo(name=name, **given)
 
 
 def _check_periods(scalars: Mapping[str, float], where: str) -> None:
