@@ -16,8 +16,7 @@ import yaml
 from draws import FULL
 
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
-from arm_emulator.base.bound_formula import bound_to
-from arm_emulator.base.formula import parse_formula
+from arm_emulator.base.formula import bound_to, parse_formula
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import drawn_case
 from arm_emulator.campaign.forking import ForkingRun

@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
-from arm_emulator.base.bound_formula import bound_to, signals_in
-from arm_emulator.base.formula import Constant, Operation, Signal, parse_formula
+from arm_emulator.base.formula import (
+    Constant,
+    Operation,
+    Signal,
+    bound_to,
+    parse_formula,
+    signals_in,
+)
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.program import Program, Rows, Targets, judges
 from arm_emulator.campaign.requirement import Robustness

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.bound_formula import bound_to
-from arm_emulator.base.formula import Formula, Window, parse_formula
+from arm_emulator.base.formula import Formula, Window, bound_to, parse_formula
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.bound_formula import bound_to, meant_by
 from arm_emulator.base.formula import (
     Combined,
     Expression,
     Formula,
     Signal,
+    bound_to,
+    meant_by,
     parse_expression,
     parse_formula,
 )

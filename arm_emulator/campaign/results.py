@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.bound_formula import bound_to
 from arm_emulator.base.formula import (
     Constant,
     Expression,
     Formula,
     Margin,
     Signal,
+    bound_to,
     fold,
     parse_formula,
 )

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.base.bound_formula import bound_to
 from arm_emulator.base.column import Column
-from arm_emulator.base.formula import Combined, Formula, Window, parse_formula
+from arm_emulator.base.formula import Combined, Formula, Window, bound_to, parse_formula
 from arm_emulator.base.given import as_kind
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.formula_rows import CONDITION, FormulaRows, formula_library
