@@ -7,11 +7,11 @@ import pytest
 from draws import some
 
 from arm_emulator import Kinematics, Refusal, load_scene
-from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
+from arm_emulator.motion.joint_trajectory import JointMotion, JointTrajectory, TrajectoryPoint
 from arm_emulator.motion.laws import joint_limits
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.trajectory_way import AsAsked, Slower, within_limits
+from arm_emulator.motion.trajectory_way import Slower, within_limits
 from arm_emulator.motion.way_controller import WayController
 
 SECOND = 1_000_000_000
@@ -36,14 +36,14 @@ def planned(
     scaled: bool = True,
     now: Reference | None = None,
     **more: float,
-) -> AsAsked | Slower:
+) -> JointMotion | Slower:
     names = one.kinematics.joint_names
     limits = joint_limits(one.kinematics, config(**more))
     trajectory = JointTrajectory(names, limits, names, points)
     return within_limits(one, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
 
 
-def judge(one: WayController, motion: AsAsked | Slower) -> np.ndarray:
+def judge(one: WayController, motion: JointMotion | Slower) -> np.ndarray:
     """Limits over all of the way; return its angles."""
     times = np.linspace(0, motion.end_ns, 4001).astype(np.int64)
     seen = [motion.at(int(t)) for t in times]
@@ -66,7 +66,7 @@ def test_a_trajectory_within_the_limits_keeps_its_times() -> None:
         for t, by in ((1, 0.2), (2, -0.1))
     ]
     motion = planned(law(), points)
-    assert isinstance(motion, AsAsked) and motion.end_ns == 2 * SECOND
+    assert isinstance(motion, JointMotion) and motion.end_ns == 2 * SECOND
     np.testing.assert_allclose(motion.at(SECOND).q, START + 0.2, atol=1e-12)
 
 
@@ -114,7 +114,7 @@ def test_one_that_begins_in_motion_comes_to_rest_first_where_it_must_be_slower()
 def test_the_parameter_counts_where_the_description_has_no_limit() -> None:
     still = np.zeros(6)
     points = [TrajectoryPoint(SECOND, START + 0.5, velocities=still, accelerations=still)]
-    assert isinstance(planned(law(), points), AsAsked)
+    assert isinstance(planned(law(), points), JointMotion)
     slow = {"acceleration_limit": 0.5}
     motion = planned(law(**slow), points, **slow)
     # From rest to rest within an acceleration: 2 sqrt(d / a), and the jerk's share.

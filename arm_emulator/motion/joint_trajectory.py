@@ -24,6 +24,7 @@ from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import beyond
+from arm_emulator.motion.reference import Reference
 
 WHERE = "joint_trajectory"
 MOST_POINTS = 10_000
@@ -83,13 +84,24 @@ class JointMotion:
         coefficients: of each piece, in powers of the seconds since it began, (S, 6, N).
     """
 
+    way = ""  # it keeps its times, see `TimedMotion`
+
     def __init__(self, starts_ns: Sequence[int], end_ns: int, coefficients: FloatArray) -> None:
         self.starts_ns = list(starts_ns)
         self.end_ns = end_ns
         self.coefficients = coefficients
 
-    def sample(self, time_ns: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return angles [rad], speeds [rad/s] and accelerations [rad/s2] at a logical time."""
+    @property
+    def durations(self) -> FloatArray:
+        """Of the pieces (S,) [s]."""
+        return _seconds_between([*self.starts_ns, self.end_ns])
+
+    def asked_ns(self, time_ns: int) -> int:
+        """Return the time for which the trajectory gives what holds at a logical time."""
+        return time_ns
+
+    def at(self, time_ns: int) -> Reference:
+        """Return the joints at a logical time."""
         within = min(max(time_ns, self.starts_ns[0]), self.end_ns)
         piece = max(0, bisect.bisect_right(self.starts_ns, within) - 1)
         c, t = self.coefficients[piece], (within - self.starts_ns[piece]) * _SECONDS
@@ -100,7 +112,7 @@ class JointMotion:
             q = q * t + row
         if within != time_ns or time_ns == self.end_ns:
             v, a = np.zeros_like(v), np.zeros_like(a)
-        return q, v, a
+        return Reference(q, v, a)
 
 
 def come_to_rest(
@@ -399,7 +411,7 @@ def _from(motion: JointMotion, start_ns: int) -> FloatArray:
     """Return the piece that holds at a time, in powers of the seconds since then, (6, N)."""
     if start_ns >= motion.end_ns:
         c: FloatArray = np.zeros_like(motion.coefficients[0])
-        c[0] = motion.sample(motion.end_ns)[0]
+        c[0] = motion.at(motion.end_ns).q
         return c
     piece = max(0, bisect.bisect_right(motion.starts_ns, start_ns) - 1)
     t = (start_ns - motion.starts_ns[piece]) * _SECONDS

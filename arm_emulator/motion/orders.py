@@ -23,7 +23,7 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
-from arm_emulator.motion.trajectory_way import AsAsked, Delayed, InSeconds, Slower, within_limits
+from arm_emulator.motion.trajectory_way import Delayed, InSeconds, TimedMotion, within_limits
 from arm_emulator.motion.way_controller import WayController, angles_over
 
 PATIENCE = 1.0  # s: an error that has not decreased for this long never will
@@ -225,7 +225,7 @@ class TrajectoryOrder:
     def __init__(self, trajectory: JointTrajectory, tolerances: Tolerances) -> None:
         self.stamp_ns, self.trajectory = trajectory.stamp_ns, trajectory
         self._tolerances = tolerances
-        self._motion: AsAsked | Slower | Delayed
+        self._motion: TimedMotion
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -241,7 +241,7 @@ class TrajectoryOrder:
         left = Delayed(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
         self._follow(laws, left, now_ns)
 
-    def _follow(self, laws: Laws, motion: AsAsked | Slower | Delayed, now_ns: int) -> None:
+    def _follow(self, laws: Laws, motion: TimedMotion, now_ns: int) -> None:
         whole = InSeconds(motion, now_ns)
         if not self.trajectory.stops:
             _check(laws, self.kind, whole)

@@ -6,6 +6,7 @@ A trajectory whose speeds step, as those of points without speeds do, comes to r
 from __future__ import annotations
 
 import itertools
+from typing import Protocol
 
 import numpy as np
 
@@ -26,34 +27,26 @@ _LOOKS = np.linspace(0.0, 1.0, 9)  # places of a piece at which it is held again
 _SECONDS = 1e-9
 
 
-class AsAsked:
-    """A joint trajectory that keeps its times.
+class TimedMotion(Protocol):
+    """A joint trajectory over logical time; `JointMotion` keeps the times that were asked for.
 
     Attributes:
         end_ns: when it ends.
+        way: why it takes longer, in words; empty: it does not.
     """
 
-    way = ""
-
-    def __init__(self, motion: JointMotion) -> None:
-        self._motion, self.end_ns = motion, motion.end_ns
+    end_ns: int
+    way: str
 
     def at(self, time_ns: int) -> Reference:
         """Return the joints at a logical time."""
-        return Reference(*self._motion.sample(time_ns))
 
     def asked_ns(self, time_ns: int) -> int:
         """Return the time for which the trajectory gives what holds at a logical time."""
-        return time_ns
 
 
 class Slower:
-    """A joint trajectory that takes longer than asked.
-
-    Attributes:
-        end_ns: when it ends.
-        way: why, in words.
-    """
+    """A joint trajectory that takes longer than asked."""
 
     def __init__(
         self, now_ns: int, before: Motion, runs: list[tuple[int, int, Way]], way: str
@@ -63,11 +56,11 @@ class Slower:
         self.end_ns = now_ns + round(self._row.duration / _SECONDS)
 
     def at(self, time_ns: int) -> Reference:
-        """Return the joints at a logical time."""
+        """See `TimedMotion`."""
         return self._row.at((time_ns - self._now_ns) * _SECONDS)
 
     def asked_ns(self, time_ns: int) -> int:
-        """Return the time for which the trajectory gives what holds at a logical time."""
+        """See `TimedMotion`."""
         time = (time_ns - self._now_ns) * _SECONDS
         for (begin, end, run), since in zip(self._runs, self._row.begins[1:], strict=False):
             if time < since + run.duration:
@@ -84,15 +77,11 @@ class Delayed:
         now_ns: logical time [ns].
         now: joints at rest.
         limits: of the joints.
-
-    Attributes:
-        end_ns: when it ends.
-        way: why, in words.
     """
 
     def __init__(
         self,
-        before: AsAsked | Slower | Delayed,
+        before: TimedMotion,
         since_ns: int,
         now_ns: int,
         now: Reference,
@@ -104,11 +93,11 @@ class Delayed:
         self.way = f"goes on, in {self._left.duration:.3g} s"
 
     def at(self, time_ns: int) -> Reference:
-        """Return the joints at a logical time."""
+        """See `TimedMotion`."""
         return self._left.at((time_ns - self._now_ns) * _SECONDS)
 
     def asked_ns(self, time_ns: int) -> int:
-        """Return the time for which the trajectory gives what holds at a logical time."""
+        """See `TimedMotion`."""
         gone = self._left.place((time_ns - self._now_ns) * _SECONDS)
         return self._before.asked_ns(self._since_ns + round(gone / _SECONDS))
 
@@ -116,7 +105,7 @@ class Delayed:
 class InSeconds:
     """A motion over logical time as one over the seconds since a moment."""
 
-    def __init__(self, motion: AsAsked | Slower | Delayed, since_ns: int) -> None:
+    def __init__(self, motion: TimedMotion, since_ns: int) -> None:
         self._motion, self._since_ns = motion, since_ns
         self.duration = max(0.0, (motion.end_ns - since_ns) * _SECONDS)
 
@@ -132,7 +121,7 @@ def within_limits(
     start_ns: int,
     now: Reference,
     scaled: bool,
-) -> AsAsked | Slower:
+) -> JointMotion | Slower:
     """Return the motion of a trajectory.
 
     Args:
@@ -149,7 +138,7 @@ def within_limits(
     motion = trajectory.begin(now_ns, start_ns, now.q, now.v, now.a)
     beyond = "" if trajectory.stops else too_fast(law, motion, now)
     if not beyond:
-        return AsAsked(motion)
+        return motion
     if not scaled:
         rule = "keep the limits (trajectory_limits: scale makes it slower)"
         raise Refusal(WHERE, "the points", rule, beyond)
@@ -169,7 +158,7 @@ def within_limits(
 
 def too_fast(law: WayController, motion: JointMotion, now: Reference) -> str:
     """Return the limit that a motion exceeds most, with place and ratio; empty: none."""
-    c, T = motion.coefficients, _durations(motion)[:, None, None]
+    c, T = motion.coefficients, motion.durations[:, None, None]
     limits, names = law.limits, law.kinematics.joint_names
     top = law.top_speed
     worst, words = BETWEEN_POINTS, ""
@@ -196,7 +185,7 @@ def _falling(d: int, order: int) -> float:
 
 def _steps(motion: JointMotion, now: Reference) -> FloatArray:
     """Return the steps of speed where pieces begin, and at the end, (S + 1, N)."""
-    c, T = motion.coefficients, _durations(motion)[:, None]
+    c, T = motion.coefficients, motion.durations[:, None]
     before = sum(d * c[:, d] * T ** (d - 1) for d in range(1, 6))
     return np.asarray(np.abs(np.vstack([c[:, 1], 0.0 * now.v]) - np.vstack([now.v, before])))
 
@@ -215,12 +204,6 @@ def _runs(law: WayController, motion: JointMotion) -> list[tuple[int, int, Joint
         scaled = motion.coefficients[first:last] * whole ** np.arange(6)[:, None]
         runs.append((begin, end, JointCurve(breaks, scaled)))
     return runs
-
-
-def _durations(motion: JointMotion) -> FloatArray:
-    """Return the durations of the pieces (S,) [s]."""
-    times = np.array([*motion.starts_ns, motion.end_ns], dtype=np.int64)
-    return np.diff(times).astype(np.float64) * _SECONDS
 
 
 def _place(motion: JointMotion, piece: int) -> str:
