@@ -73,6 +73,6 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
             raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, known)
     if config.watches_collisions:
         CollisionGuard(kinematics, config)  # refuses shapes that cannot be read
-    if config.method_for(len(kinematics.joint_names)) == "way":
+    if config.method == "way":
         return WayController(kinematics, config)
     return JacobianController(kinematics, config.weight, config.step_limit, config.singular_below)

@@ -41,7 +41,7 @@ class Feedforward:
 
     def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
         names = kinematics.joint_names
-        self.gives = config.feedforward_for(len(names))
+        self.gives = config.gives
         self.trouble = ""
         self.wound: FloatArray = np.zeros(len(names))
         self._period = config.period

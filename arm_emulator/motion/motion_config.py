@@ -25,10 +25,10 @@ class MotionConfig(Lasting):
         0.05, "logical time between joint targets", unit="s", ends=(1e-4, 10.0)
     )
     method: str = parameter(
-        "auto",
+        "way",
         "control law: way, motions planned before they begin, within all limits; paper, eq. (6) of "
-        "the paper; auto: way",
-        choices=("auto", "way", "paper"),
+        "the paper",
+        choices=("way", "paper"),
     )
     weight: float = parameter(
         0.5,
@@ -250,15 +250,12 @@ class MotionConfig(Lasting):
         obstacles = obstacles_of(sections.get(OBSTACLES, {}), where)
         return replace(self, where=where, drives=drives, obstacles=obstacles)
 
-    def method_for(self, joints: int) -> str:
-        """Return the method, way or paper, for an arm of so many joints."""
-        return self.method if self.method != "auto" else "way"
-
-    def feedforward_for(self, joints: int) -> str:
-        """Return the feed-forward of joint angles: none, speed, torque (and speed), or full."""
+    @property
+    def gives(self) -> str:
+        """Feed-forward of joint angles: none, speed, torque (and speed), or full."""
         if self.feedforward != "auto":
             return self.feedforward
-        if self.method_for(joints) == "paper":
+        if self.method == "paper":
             return "speed"
         return "full" if self.drives else "torque"
 

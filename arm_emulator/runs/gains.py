@@ -93,8 +93,7 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
     """Warn of torques given to the servo for another gravity than the scene's."""
     given = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
     real = scene.gravity or (0.0, 0.0, 0.0)
-    gives_torques = motion.feedforward_for(len(scene.joint_names)) in ("torque", "full")
-    if gives_torques and given != tuple(real):
+    if motion.gives in ("torque", "full") and given != tuple(real):
         warn(
             f"{scene.where}: the motion controller gives torques for a gravity of {given} "
             f"m/s2 (gravity_x, _y, _z), but the scene's is {real}"
