@@ -110,7 +110,7 @@ def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
     for name, one, value in zip(("current", "speed", "turn"), sums, expected, strict=True):
         # Large terms may cancel, and either exponential loses digits if L R and Mm are far apart.
         terms = np.abs(np.array(one) * [i, omega, V, load]).sum()
-        got = one.of(i, omega, V, load)
+        got = float(np.dot(one, [i, omega, V, load]))
         assert got == pytest.approx(value, abs=1e-6 * terms), f"{name} at x = {x:g}, y = {y:g}"
 
 

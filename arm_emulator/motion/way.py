@@ -214,14 +214,14 @@ class Way(Lasting):
 
     def _too_heavy(self, sigma: float, where: str) -> Refusal:
         assert self._arm is not None
-        s = self._ramps.derivatives(np.array([sigma]))[0]
-        q = self.curve.derivatives(s)[0]
+        s = self._ramps.at(sigma)[0]
+        q = self.curve.derivatives(np.array([s]))[0]
         still = np.zeros_like(q)
         share = np.abs(self._arm.torques(q, still, still)[0]) / self._limits.torque
         j = int(np.argmax(share))
         name = self._arm.kinematics.joint_names[j]
         rule = f"need no more torque of {name} than its limit, {self._limits.torque[j]:.4g} N m"
-        got = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s[0]:.0%} of the way"
+        got = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s:.0%} of the way"
         return Refusal(where, "the way", rule, got)
 
 
@@ -249,7 +249,7 @@ class Ramps:
         self.ramp = ramp
 
     def at(self, sigma: float) -> tuple[float, float, float, float]:
-        """Return s and its first three derivatives at one place."""
+        """Return s and its first three derivatives."""
         r, top = self.ramp, 1.0 / (1.0 - self.ramp)
         falling = sigma > 0.5
         x = (1.0 - sigma if falling else sigma) / r
@@ -260,26 +260,10 @@ class Ramps:
             s2, s3 = top / r * 6.0 * x * (1.0 - x), top / r**2 * (6.0 - 12.0 * x)
         return (1.0 - s, s1, -s2, s3) if falling else (s, s1, s2, s3)
 
-    def derivatives(self, sigma: FloatArray) -> FloatArray:
-        """Return s and its first three derivatives, (4, K)."""
-        r, top = self.ramp, 1.0 / (1.0 - self.ramp)
-        falling = sigma > 0.5
-        x = np.where(falling, 1.0 - sigma, sigma) / r
-        up = np.minimum(x, 1.0)
-        rising = x < 1.0
-        out = np.empty((4, len(sigma)))
-        s = top * r * (up**3 - 0.5 * up**4 + (x - up))
-        out[0] = np.where(falling, 1.0 - s, s)
-        out[1] = top * up * up * (3.0 - 2.0 * up)
-        out[2] = np.where(rising, top / r * 6.0 * up * (1.0 - up), 0.0)
-        out[3] = np.where(rising, top / r**2 * (6.0 - 12.0 * up), 0.0)
-        out[2, falling] *= -1.0
-        return out
 
-
-def places(pieces: int, within: tuple[float, ...] = POINTS) -> FloatArray:
-    """Return sigma at places within each of so many equal pieces."""
-    inside = np.clip(np.array(within), _BESIDE, 1.0 - _BESIDE)
+def places(pieces: int) -> FloatArray:
+    """Return sigma at the `POINTS` of each of so many equal pieces."""
+    inside = np.clip(np.array(POINTS), _BESIDE, 1.0 - _BESIDE)
     return np.asarray(((np.arange(pieces)[:, None] + inside) / pieces).ravel())
 
 

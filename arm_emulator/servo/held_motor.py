@@ -30,11 +30,6 @@ class Sum(NamedTuple):
     voltage: float
     load: float
 
-    def of(self, current: float, speed: float, voltage: float, load: float) -> float:
-        """Return the sum."""
-        a, b, c, d = self
-        return a * current + b * speed + c * voltage + d * load
-
 
 @dataclass(frozen=True)
 class HeldMotor:
