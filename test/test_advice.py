@@ -20,7 +20,7 @@ from test_written_integrator import add_demo, run, scene_copy
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.advice import SHARE, Judge, advise, reserve, step_counts
 from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_motions
-from arm_emulator.analysis.stability import attempts, what_holds
+from arm_emulator.analysis.stability import why
 from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.advise import advise as advise_scene
@@ -294,13 +294,9 @@ def test_advice_is_on_the_values_that_a_machine_has_of_varied_numbers(seed: int)
     made_so = Plant(load_scene("three_axis", overrides={**common, **values}))
     expected = diverged(made_so, volts)
     assert got.t == expected.t, "when it diverged"
-    hint = what_holds(got)
-    assert hint == what_holds(expected), "what would hold for small motions"
+    hint = why(got)
+    assert hint == why(expected), "what would hold for small motions"
     assert "each step multiplies a small motion" in hint, hint
-    if FULL and seed == 0:  # takes some seconds
-        tried, expected_tries = list(attempts(got)), list(attempts(expected))
-        assert tried == expected_tries, "trials"
-        assert tried[-1].held and tried[-1].integrator.dt < 1e-4, f"no smaller step: {tried}"
 
 
 def test_command_shows_what_errors_are_worth_and_writes(

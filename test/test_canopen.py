@@ -266,7 +266,7 @@ def test_a_machine_that_diverged_stays_and_its_nodes_answer(
     segment = segment_of(scene, operational=True)
     segment.receive(SYNC)
     still = np.zeros(3)
-    gone = Diverged("waist", 0.001, scene, still, still, still, (still, still))
+    gone = Diverged("waist", 0.001, scene, still, still, still)
 
     def diverge() -> None:
         raise gone

@@ -24,7 +24,7 @@ from hard_cases import (
 )
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
-from arm_emulator.analysis.stability import SmallMotions, attempts, what_holds
+from arm_emulator.analysis.stability import SmallMotions, why
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 # The corners below meet the class of the first, with gears without damping.
@@ -179,18 +179,16 @@ def test_no_sound_motion_is_taken_for_a_divergence(scheme: str, overrides: dict[
         plant.advance(rng.uniform(-48.0, 48.0, 3), 300)
 
 
-def test_the_text_states_which_joint_when_and_what_holds() -> None:
+def test_the_text_states_which_joint_when_and_why() -> None:
     plant = Plant(paper(1.25e-3))
     words = (
         r"joint (waist|shoulder|elbow) diverged after t = 0\.\d+ s with scheme paper at "
         r"dt = 0\.00125 s; the plant stays at the last state before; each step multiplies a small "
-        r"motion about rest in this pose by 1\.\d+; tried in this pose and from the start, under "
-        r"this: paper at dt = (0\.00\d+) s held \([0-9.]+ s\), "
-        r"rosenbrock at dt = 0\.00125 s held \([0-9.]+ s\)"
+        r"motion about rest in this pose by 1\.\d+, with dt = (0\.00\d+) s none grows"
     )
     with pytest.raises(Diverged) as reported:
         drive(plant, 300)
-    reported.value.hint = what_holds(reported.value)
+    reported.value.hint = why(reported.value)
     found = re.search(words, str(reported.value))
     assert found, reported.value
     assert 1e-3 < float(found[2]) < 1.25e-3, "the largest step that holds"
@@ -202,52 +200,8 @@ def test_a_motion_too_fast_for_its_step_is_reported_as_such() -> None:
     plant.reset(v=[5000.0, 0.0, 0.0])
     with pytest.raises(Diverged) as reported:
         plant.advance([0.0, 0.0, 0.0], 10)
-    hint = what_holds(reported.value)
+    hint = why(reported.value)
     assert "the motion is too fast for the step, 5 rad or m per step" in hint, hint
-
-
-@pytest.mark.parametrize("seed", some(range(5), 1))
-def test_joints_reported_to_hold_do_hold_at_the_supply_voltage(seed: int) -> None:
-    """Of 20 such cures by small motions alone, 5 ended as another divergence."""
-    rng = np.random.default_rng([seed, 21])
-    stiffness = {f"joints.{joint}.gear.stiffness": float(10 ** rng.uniform(4.0, 5.0))
-                 for joint in ("waist", "shoulder", "elbow")}  # fmt: skip
-    overrides = {**SHARED, **stiffness}
-    plant, reported = Plant(paper(1e-3, **overrides)), []
-    for _ in range(20):
-        plant.reset(rng.uniform(-2.0, 2.0, 3))
-        try:
-            plant.advance(rng.uniform(-48.0, 48.0, 3), 5000)
-        except Diverged as diverged:
-            diverged.hint = what_holds(diverged)
-            reported.append(diverged)
-    assert reported, "none diverged"
-    for fault in reported:
-        cures = re.findall(r"(\w+) at dt = ([-0-9.e]+) s held", fault.hint)
-        assert {scheme for scheme, _ in cures} == {"paper", "rosenbrock"}, str(fault)
-        for scheme, dt in cures:
-            steps = round(1e-2 / float(dt))
-            cured = Plant(paper(1e-2 / steps, **overrides, **{"integrator.scheme": scheme}))
-            for start in (fault.q, fault.began[0]):
-                cured.reset(start)
-                cured.advance(fault.applied, round(2.0 * fault.t / 1e-2) * steps)
-
-
-def test_the_advice_after_a_divergence_was_tried() -> None:
-    plant = Plant(paper(1.25e-3))
-    with pytest.raises(Diverged) as fault:
-        drive(plant, 300)
-    tried = list(attempts(fault.value))
-    assert [(a.integrator.scheme, a.integrator.dt, a.held) for a in tried] == [
-        ("rosenbrock", 1.25e-3, True),
-        ("extrapolated", 1.25e-3, True),
-        ("implicit", 1.25e-3, True),
-        ("richardson", 1.25e-3, True),
-        ("paper", 1e-2 / 9, True),
-    ], "scheme, step, and whether it held"
-    assert str(tried[-1]).startswith("paper at dt = 0.00111 s held ("), tried[-1]
-    reached = [a.reached for a in tried]
-    assert min(reached) >= 2.0 * fault.value.t, f"each goes on past the fault: {reached}"
 
 
 @pytest.mark.parametrize(

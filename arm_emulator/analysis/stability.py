@@ -1,4 +1,4 @@
-"""Stability of schemes and steps on a machine: by the eigenvalues of one step, and by trial.
+"""Stability of schemes and steps on a machine: by the eigenvalues of one step.
 
 Linearised about rest in a pose, every scheme is a matrix that maps the state x = (z, q, v) of one
 sample to the next; z are the states of the drives. Its spectral radius is the factor by which a
@@ -7,10 +7,8 @@ small motion grows per step.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,16 +16,13 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_machine import LinearDrive
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import Integrator
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES, SCHEMES
+from arm_emulator.machine.schemes.known import KNOWN
 
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.
 HARMLESS = 0.1
 SMALLEST_STEP = 1e-8  # s; no step below is looked at
 SLOW = 0.01  # rad or m per step; with less, speed is no reason
-LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six joints
 
 
 class _AllDrives:
@@ -214,116 +209,27 @@ def at_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
 
 
 def explain(fault: Exception) -> Exception:
-    """Add to a divergence what would hold, see `what_holds`, before it is reported; return it."""
+    """Add to a divergence why it came, before it is reported; return it."""
     if isinstance(fault, Diverged) and not fault.hint:
-        fault.hint = what_holds(fault)
+        fault.hint = why(fault)
     return fault
 
 
-def what_holds(fault: Diverged) -> str:
-    """Return in words why a machine diverged, and what held where it was tried.
-
-    That is the scene's scheme at a smaller step, and the first of the others. May compile and take
-    seconds.
-    """
-    motions = _small_motions(fault)
-    own = fault.scene.integrator.scheme
-    last: list[Attempt] = []  # of each scheme that was tried
-    for scheme in (own, *(other for other in SCHEMES if other != own)):
-        try:
-            last += list(_attempts_with(scheme, fault, motions))[-1:]
-        except Refusal:  # nothing to compile with
-            continue
-        if scheme != own and last and last[-1].held:
-            break
-    tried = ", ".join(map(str, last)) or "nothing could be"
-    return f"{_why(fault, motions)}; tried in this pose and from the start, under this: {tried}"
-
-
-def _small_motions(fault: Diverged) -> SmallMotions | None:
+def why(fault: Diverged) -> str:
+    """Return in words why a machine diverged, by its small motions about rest in that pose."""
+    scene, now = fault.scene, fault.scene.integrator
     try:
-        motions = SmallMotions(Plant(fault.scene), fault.q)
-        motions.holds(fault.scene.integrator.scheme, fault.scene.integrator.dt)
+        motions = SmallMotions(Plant(scene), fault.q)
+        if not motions.holds(now.scheme, now.dt):
+            growth, dt = motions.growth(now.scheme, now.dt), motions.largest_step(now.scheme)
+            words = f"each step multiplies a small motion about rest in this pose by {growth:.3g}"
+            return words if dt is None else f"{words}, with dt = {dt:.3g} s none grows"
     except (np.linalg.LinAlgError, Refusal):  # numbers so far apart that something overflows
-        return None
-    return motions
-
-
-def _why(fault: Diverged, motions: SmallMotions | None) -> str:
-    now = fault.scene.integrator
-    if motions is None:
         return "small motions in this pose could not be examined"
-    if not motions.holds(now.scheme, now.dt):
-        growth = motions.growth(now.scheme, now.dt)
-        return f"each step multiplies a small motion about rest in this pose by {growth:.3g}"
     turn = float(np.abs(fault.v).max()) * now.dt
-    why = "small motions about rest in this pose hold"
+    words = "small motions about rest in this pose hold"
     if turn < SLOW:
-        return f"{why}, and the motion was slow, {turn:.2g} rad or m per step"
-    return (
-        f"{why}: the motion is too fast for the step, {turn:.2g} rad or m per step"
-        f"{_stiffened(fault.scene)}"
-    )
-
-
-def _stiffened(scene: Scene) -> str:
-    progressive = any(joint.gear.stiffens for joint in scene.joints)
-    return ", or a gear is wound up beyond what is linear in it" if progressive else ""
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One trial: the scene with another integrator, under constant commands."""
-
-    integrator: Integrator
-    reached: float  # s of logical time
-    held: bool
-
-    def __str__(self) -> str:
-        end = "held" if self.held else "diverged"
-        return (
-            f"{self.integrator.scheme} at dt = {self.integrator.dt:.3g} s {end} "
-            f"({self.reached:.3g} s)"
-        )
-
-
-def attempts(fault: Diverged) -> Iterator[Attempt]:
-    """Try what would hold; may compile and take seconds.
-
-    Under the commands that were applied last, the machine starts at rest in the pose where it
-    diverged, and from where it was reset before; it moves for twice the time to the divergence
-    (half a second at least). Each scheme is tried at the largest step that holds for small motions,
-    the scene's at most, and then at a half, a fourth, ... of it until it holds; the scene's own
-    scheme last, and below the scene's step, at which it is known to fail.
-    """
-    own, motions = fault.scene.integrator.scheme, _small_motions(fault)
-    for scheme in (*(other for other in SCHEMES if other != own), own):
-        yield from _attempts_with(scheme, fault, motions)
-
-
-def _attempts_with(scheme: str, fault: Diverged, motions: SmallMotions | None) -> Iterator[Attempt]:
-    now, duration = fault.scene.integrator, max(0.5, 2.0 * fault.t)
-    dt = now.dt if motions is None else motions.largest_step(scheme)
-    if dt == now.dt and scheme == now.scheme:
-        dt /= 2.0
-    while dt is not None and duration / dt < LONGEST_TRIAL:
-        attempt = _attempt(scheme, dt, fault, duration)
-        yield attempt
-        if attempt.held:
-            return
-        dt /= 2.0
-
-
-def _attempt(scheme: str, dt: float, fault: Diverged, duration: float) -> Attempt:
-    events = fault.scene.integrator.events if scheme in LOCATING_SCHEMES else "step"
-    integrator = dataclasses.replace(fault.scene.integrator, scheme=scheme, dt=dt, events=events)
-    plant = Plant(dataclasses.replace(fault.scene, integrator=integrator, threads=1))
-    reached = math.inf
-    for q, v in ((fault.q, np.zeros_like(fault.v)), fault.began):
-        plant.reset(q, v)
-        try:
-            plant.advance(fault.applied, math.ceil(duration / dt))
-        except Diverged:
-            return Attempt(integrator, plant.t, held=False)
-        reached = min(reached, plant.t)
-    return Attempt(integrator, reached, held=True)
+        return f"{words}, and the motion was slow, {turn:.2g} rad or m per step"
+    wound = any(joint.gear.stiffens for joint in scene.joints)
+    more = ", or a gear is wound up beyond what is linear in it" if wound else ""
+    return f"{words}: the motion is too fast for the step, {turn:.2g} rad or m per step{more}"

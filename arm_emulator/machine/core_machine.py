@@ -32,7 +32,6 @@ class Borrowed:
     owner: Turns
     core: Library
     machine: CData
-    began: tuple[Array, Array]  # positions and speeds to which it was reset
 
 
 class CoreMachine(Turns):

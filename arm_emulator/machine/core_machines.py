@@ -66,7 +66,6 @@ class CoreMachines(Turns):
         self._measurement = FLEET.new(
             "arm_fleet_measurement", powered=self._powered, **self._place.arrays
         )
-        self._began = np.zeros((2, self._count, self._N))
 
     def __del__(self) -> None:
         fleet, self._fleet = getattr(self, "_fleet", None), None
@@ -119,7 +118,6 @@ class CoreMachines(Turns):
         for name, column in columns.items():
             self._set_parameter(name, column, mask)
         self.core.arm_fleet_reset(self._fleet, mask_bytes(mask), pointer(at), pointer(speed))
-        self._began[0, mask], self._began[1, mask] = at[mask], speed[mask]
 
     @property
     @in_turn

@@ -12,7 +12,7 @@ from arm_emulator.machine.scene import Scene
 class Diverged(RuntimeError):
     """The integration left the physical range; the plant stays at the last sound state.
 
-    Its text states joint and time. `analysis.stability.explain` adds a remedy.
+    Its text states joint and time. `analysis.stability.explain` adds why.
 
     Attributes:
         joint: the joint that left first, or that held the most of an energy from nowhere.
@@ -21,8 +21,7 @@ class Diverged(RuntimeError):
         q: its link positions then (N,) [rad or m].
         v: its link speeds then (N,) [rad/s or m/s].
         applied: to the motors then (N,) [V, N m, A].
-        began: positions and speeds to which it was reset before.
-        hint: what would hold, in words, where somebody has found it out; part of the text.
+        hint: why, in words, where somebody has found it out; part of the text.
     """
 
     def __init__(
@@ -33,10 +32,9 @@ class Diverged(RuntimeError):
         q: Array,
         v: Array,
         applied: Array,
-        began: tuple[Array, Array],
     ) -> None:
         self.joint, self.t, self.scene = joint, t, scene
-        self.q, self.v, self.applied, self.began = q, v, applied, began
+        self.q, self.v, self.applied = q, v, applied
         self.hint = ""
         super().__init__(
             f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme "

@@ -99,11 +99,10 @@ class Fleet(CoreMachines):
         return fleet
 
     @in_turn
-    def __getstate__(self) -> tuple[bytes, Array]:
-        return self.save(), self._began.copy()
+    def __getstate__(self) -> bytes:
+        return self.save()
 
-    def __setstate__(self, state: tuple[bytes, Array]) -> None:
-        saved, self._began[:] = state
+    def __setstate__(self, saved: bytes) -> None:
         self.restore(saved)
 
     def __deepcopy__(self, memo: dict[int, object]) -> Fleet:
@@ -128,8 +127,7 @@ class Fleet(CoreMachines):
         if (known := self._arms.get(arm)) is not None:
             return known
         machine = self.core.arm_fleet_machine(self._fleet, arm)
-        began = self._began[0, arm], self._began[1, arm]  # as it is then
-        plant = self._arms[arm] = Plant(self.scene, of=Borrowed(self, self.core, machine, began))
+        plant = self._arms[arm] = Plant(self.scene, of=Borrowed(self, self.core, machine))
         weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm)
         return plant
 

@@ -98,9 +98,7 @@ class Plant(CoreMachine):
         self._exchange = tick_calls().tick_exchange
         self.link_angle_per_count = link_angle_per_count(scene)
         self._start_bounds = start_bounds(scene)
-        if of:
-            self._reset_to = of.began
-        else:
+        if not of:
             self.reset()
 
     def __repr__(self) -> str:
@@ -123,11 +121,11 @@ class Plant(CoreMachine):
     @in_turn
     def __getstate__(self) -> tuple[Any, ...]:
         count = self.ticks.tick
-        return self.save(), count, self._added, self._reset_to, self._held.copy(), self.commanded
+        return self.save(), count, self._added, self._held.copy(), self.commanded
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.restore(state[0])
-        self.ticks.tick, self._added, self._reset_to, self._held[:], commands = state[1:]
+        self.ticks.tick, self._added, self._held[:], commands = state[1:]
         self._commands["value"], self._further[:] = commands[0], commands[1:]
 
     @in_turn
@@ -148,7 +146,6 @@ class Plant(CoreMachine):
         of_q, of_v = self._start_bounds
         at = of_q.row(where, self.scene.start if q is None else q, N)
         speed = np.zeros(N) if v is None else of_v.row(where, v, N)
-        self._reset_to = at.copy(), speed.copy()
         self.ticks.tick = 0
         self.core.arm_reset(self.machine, pointer(at), pointer(speed))
 
@@ -360,8 +357,7 @@ class Plant(CoreMachine):
         values = self.parameters
         varied = tuple(replace(one, value=values[one.name]) for one in self.scene.varied)
         scene = replace(self.scene, varied=varied)
-        began = self._reset_to[0].copy(), self._reset_to[1].copy()
-        return Diverged(scene.joint_names[joint], t, scene, q, v, given, began)
+        return Diverged(scene.joint_names[joint], t, scene, q, v, given)
 
     def _diverged(self, applied: ArrayLike) -> Diverged:
         state = self.state
