@@ -11,7 +11,6 @@ from scipy import linalg
 
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.base.given import FloatArray
-from arm_emulator.servo.held_motor import held
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -36,21 +35,6 @@ class SampledPlant:
     current_by_command: FloatArray  # (N,)
     q: FloatArray  # (N, n), link positions
     period: float  # s
-
-    @classmethod
-    def of(
-        cls,
-        A: FloatArray,
-        B: FloatArray,
-        theta: FloatArray,
-        current: FloatArray,
-        current_by_command: FloatArray,
-        q: FloatArray,
-        period: float,
-    ) -> SampledPlant:
-        """Return the machine of dx/dt = A x + B V; the other arguments as the attributes."""
-        F, G = held(A, B, period)
-        return cls(F, G, theta, current, current_by_command, q, period)
 
 
 @dataclass(frozen=True)

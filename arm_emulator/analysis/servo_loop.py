@@ -23,6 +23,7 @@ from arm_emulator.base.warning import warn
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.servo.held_motor import held
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 HARMLESS = 0.1  # 1/s: what grows more slowly, e-fold in ten seconds, is drift
@@ -70,9 +71,8 @@ def sampled_plant(
     # A servo that is set up for another encoder takes the angle for another one.
     scale = np.array([[joint.counts_per_turn / known[joint.name]] for joint in scene.joints])
     J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
-    return SampledPlant.of(
-        J,
-        B,
+    return SampledPlant(
+        *held(J, B, period),
         scale * motions.theta_m,
         motions.current,
         motions.current_by_command,

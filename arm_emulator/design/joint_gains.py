@@ -37,6 +37,7 @@ from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.servo.held_motor import held
 from arm_emulator.servo.servo_config import Commanded, JointServo
 
 SENSITIVITY = 2.0
@@ -310,9 +311,8 @@ def joint_plant(
         A[2] += A[2, 0] * current
         kept = kept[1:]
     unit: FloatArray = np.eye(5)[:, kept]
-    return SampledPlant.of(
-        unit.T @ A @ unit,
-        unit.T @ B,
+    return SampledPlant(
+        *held(unit.T @ A @ unit, unit.T @ B, period),
         unit[1:2],
         current[None] @ unit,
         np.array([by_voltage]),
