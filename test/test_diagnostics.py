@@ -86,7 +86,8 @@ def test_a_node_logs_refusals_and_outcomes(
     nodes.nodes["servo"]._diagnostics.refuse("motor_states", Refusal("here", "q", "be 1", 2))
     motion = nodes.nodes["motion_controller"]
     motion._instructor.reports.waiting.extend(
-        MotionReport(Kind.TOOL_TARGET, 1, 0, state, "a reason", 0.0012) for state in State
+        MotionReport(state, "a reason", 0.0012, kind=Kind.TOOL_TARGET, number=1, stamp_ns=0)
+        for state in State
     )
     motion._report_status()
     assert lines == [

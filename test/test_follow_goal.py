@@ -81,7 +81,9 @@ def test_a_goal_without_points_is_refused() -> None:
     ],
 )
 def test_a_goal_ends_with_the_code_of_its_last_word(state: State, reason: str, code: int) -> None:
-    got, words = result_of(MotionReport(Kind.JOINT_TRAJECTORY, 1, 0, state, reason))
+    got, words = result_of(
+        MotionReport(state, reason, kind=Kind.JOINT_TRAJECTORY, number=1, stamp_ns=0)
+    )
     assert got == code and reason in words
 
 

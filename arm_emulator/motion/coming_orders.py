@@ -14,8 +14,8 @@ from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoin
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.laws import Laws, joint_limits, tool_limits
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_report import CANCELLED, Kind, MotionReport, Reports, State
-from arm_emulator.motion.orders import Order, PathOrder, Progress, TrajectoryOrder
+from arm_emulator.motion.motion_report import CANCELLED, Kind, Progress, Reports, State
+from arm_emulator.motion.orders import Order, PathOrder, TrajectoryOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
@@ -120,18 +120,7 @@ class TakenOrder:
         self.state = progress.state
         if silent or not self.number:
             return
-        order = self.order
-        reports.waiting.append(
-            MotionReport(
-                order.kind,
-                self.number,
-                order.stamp_ns,
-                progress.state,
-                progress.reason,
-                progress.distance,
-                progress.angle,
-            )
-        )
+        reports.add(progress, self.order.kind, self.number, self.order.stamp_ns)
 
 
 def trajectory_order(

@@ -25,9 +25,9 @@ from arm_emulator.motion.jog_order import JogOrder
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_report import CANCELLED, Kind, Reports, State
+from arm_emulator.motion.motion_report import CANCELLED, MOVING, Kind, Progress, Reports, State
 from arm_emulator.motion.no_way import NoWay
-from arm_emulator.motion.orders import MOVING, Order, Planned, Progress, TargetOrder
+from arm_emulator.motion.orders import Order, Planned, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.standstill import Flags, SlowingOrder, Standstill
@@ -180,14 +180,10 @@ class Instructor:
 
     def jog(self, command: JogCommand) -> None:
         """Take a jog command: it holds at once, and as long as jog commands last."""
-        active = self._active
-        if active is not None and isinstance(active.order, JogOrder) and not active.state.final:
-            active.order.take(command)
-            return
-        waiting = next((one for one in self._coming if one.order.kind is Kind.JOG), None)
-        if waiting is not None and isinstance(waiting.order, JogOrder):
-            waiting.order.take(command)
-            return
+        for order in (self.jogging, *(one.order for one in self._coming)):
+            if isinstance(order, JogOrder):
+                order.take(command)
+                return
         self._take(Kind.JOG, 0, lambda: JogOrder(command))
 
     @property

@@ -43,7 +43,22 @@ class State(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class MotionReport:
+class Progress:
+    """Progress of an order."""
+
+    state: State
+    reason: str = ""
+    distance: float = math.nan
+    """Distance of the tool from its end pose [m]; NaN: unknown."""
+    angle: float = math.nan
+    """The same for its orientation [rad]."""
+
+
+MOVING = Progress(State.MOVING)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionReport(Progress):
     """One change of one request."""
 
     kind: Kind
@@ -51,12 +66,6 @@ class MotionReport:
     """Number of this request among those of its kind, from 1."""
     stamp_ns: int
     """Logical time from which it holds [ns]; 0: at once."""
-    state: State
-    reason: str = ""
-    distance: float = math.nan
-    """Distance of the tool from its end pose [m]; NaN: unknown."""
-    angle: float = math.nan
-    """The same for its orientation [rad]."""
 
     def __str__(self) -> str:
         order, state = self.kind.name.lower().replace("_", " "), self.state.name.lower()
@@ -86,8 +95,13 @@ class Reports:
 
     def refuse(self, kind: Kind, stamp_ns: int, reason: object) -> None:
         """Report a refused one."""
-        number = self.next_number(kind)
-        self.waiting.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
+        refused, number = Progress(State.REFUSED, str(reason)), self.next_number(kind)
+        self.add(refused, kind, number, stamp_ns)
+
+    def add(self, progress: Progress, kind: Kind, number: int, stamp_ns: int) -> None:
+        """Report the progress of one."""
+        one = MotionReport(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
+        self.waiting.append(one)
 
     @property
     def newest(self) -> MotionReport | None:

@@ -16,7 +16,7 @@ from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.path_watch import PathWatch
 from arm_emulator.motion.path_way import plan_path
 from arm_emulator.motion.pose import Pose
@@ -35,21 +35,6 @@ PATH_TOLERANCE = "path tolerance"
 GOAL_TOLERANCE = "goal tolerance"
 
 _SECONDS = 1e-9
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress of an order."""
-
-    state: State
-    reason: str = ""
-    distance: float = math.nan
-    """Distance of the tool from its end pose [m]."""
-    angle: float = math.nan
-    """The same for its orientation [rad]."""
-
-
-MOVING = Progress(State.MOVING)
 
 
 @dataclass(frozen=True)

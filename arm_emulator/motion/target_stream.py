@@ -16,8 +16,8 @@ from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
-from arm_emulator.motion.motion_report import Kind
-from arm_emulator.motion.orders import MOVING, Planned, Progress, TargetOrder
+from arm_emulator.motion.motion_report import MOVING, Kind, Progress
+from arm_emulator.motion.orders import Planned, TargetOrder
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tool_directions import ToolDirections

@@ -8,8 +8,7 @@ from arm_emulator.base.given import FloatArray
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.motion_report import MotionReport, State, left
-from arm_emulator.motion.orders import Progress
+from arm_emulator.motion.motion_report import Progress, State, left
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.target_table import TargetTable
 
@@ -55,6 +54,6 @@ def missed_order(run: OfflineRun) -> str:
     return f"reached, and left again, {_in_words(now.state, now)}"
 
 
-def _in_words(state: State, progress: Progress | MotionReport) -> str:
+def _in_words(state: State, progress: Progress) -> str:
     why = f": {progress.reason}" if progress.reason else ""
     return f"{state.name.lower()}{left(progress.distance, progress.angle)}{why}"
