@@ -62,7 +62,14 @@ def number(
 @dataclass_transform(
     kw_only_default=True, frozen_default=True, field_specifiers=(dataclasses.field,)
 )
-class Part:
+class Declared:
+    """Base of classes that are frozen dataclasses with keywords, by what they inherit."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, kw_only=True)(cls)
+
+
+class Part(Declared):
     """A part of a joint's drive; see the top of this file."""
 
     owners: ClassVar[str] = "joints"  # the section of the scene that has whom it belongs to
@@ -73,9 +80,6 @@ class Part:
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
-
-    def __init_subclass__(cls) -> None:
-        dataclass(frozen=True, kw_only=True)(cls)
 
     @classmethod
     def owned_name(cls) -> str:
