@@ -86,7 +86,7 @@ class Instructor:
         self._now_ns: int | None = None  # logical time of the newest joint angles
         self._last: tuple[int, Instruction] | None = None
         if self._laws is not None:
-            self._laws.nobody_leads()
+            self._laws.leading = None
             self._laws.feedforward.forget()
 
     def retune(self, config: MotionConfig) -> None:

@@ -53,7 +53,7 @@ class JogOrder:
         self._joints.begin(reference)
         self._line = JogLine(laws.controller.kinematics)
         self._stale = False
-        laws.nobody_leads()
+        laws.leading = None
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""

@@ -10,7 +10,6 @@ from arm_emulator.motion.feedforward import Feedforward
 from arm_emulator.motion.joint_trajectory import JointLimits
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_path import ToolLimits
 from arm_emulator.motion.way_controller import ACCELERATION_SHARE, WayController
@@ -66,16 +65,6 @@ class Laws:
         self.config, self._braking = config, None
         if self._ways not in (None, self.controller):
             self.ways.retune(config)
-
-    def lead(self, law: Controller, now: Reference) -> None:
-        """Make a law lead; if it did not before, it begins with the joints' motion."""
-        if self.leading is not law:
-            law.begin_moving(now)
-            self.leading = law
-
-    def nobody_leads(self) -> None:
-        """Reset, so that the next law begins anew."""
-        self.leading = None
 
 
 def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:

@@ -104,12 +104,14 @@ class TargetOrder:
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        laws.lead(laws.controller, reference)
         self._law, self._arrival = laws.controller, _Arrival(laws.config)
+        if laws.leading is not self._law:
+            self._law.begin_moving(reference)
+            laws.leading = self._law
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        laws.nobody_leads()
+        laws.leading = None
         self._held = None
         self.begin(laws, now_ns, reference)
 
@@ -219,7 +221,7 @@ class TrajectoryOrder:
         motion = within_limits(laws.ways, self.trajectory, now_ns, start_ns, reference, scaled)
         self._follow(laws, motion, now_ns)
         self._start_ns = start_ns
-        laws.nobody_leads()
+        laws.leading = None
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""

@@ -100,7 +100,7 @@ class SlowingOrder:
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        laws.nobody_leads()
+        laws.leading = None
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""

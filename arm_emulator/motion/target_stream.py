@@ -169,7 +169,7 @@ class StreamOrder:
         self._joints = smooth_joints(laws.controller.kinematics, laws.config, margin=0.0)
         self._joints.begin(reference)
         self._rests = False
-        laws.nobody_leads()
+        laws.leading = None
 
     def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
