@@ -13,7 +13,7 @@ from machines import moving_joints, write_scene
 from test_servo_loop import Rng, draw_axis, log_uniform
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
-from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth, slower
+from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, joint_servo
@@ -153,7 +153,7 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
     assert all(loop.radius < 1.0 for loop in every), "the period that was named"
 
 
-def test_little_margin_is_warned_of_with_gains_that_have_more() -> None:
+def test_little_margin_is_warned_of() -> None:
     file = find_config("ur5", ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
     for factor in np.geomspace(1.0, 20.0, 10):
@@ -166,8 +166,7 @@ def test_little_margin_is_warned_of_with_gains_that_have_more() -> None:
             break
     assert len(lines) == 1
     assert lines[0].startswith("ur5.yaml: servo.joints.wrist_1_joint: ")
-    assert "; more has velocity_gain " in lines[0]
-    assert slower(joints[3], 0.5, 1e-3).velocity_gain == 0.5 * joints[3].velocity_gain
+    assert lines[0].endswith("; `tune` computes gains")
 
 
 def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine() -> None:

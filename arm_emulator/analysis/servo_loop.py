@@ -176,20 +176,6 @@ class ServoLoops:
                 return found, period
         return found, None
 
-    def what_has_more(self, joint: int) -> str:
-        """Return in words what gives a joint margins that are not too little."""
-        softer = self.joints[joint]
-        for _ in range(_TRIALS):
-            softer = slower(softer, 0.5, self.servo.period)
-            joints = [*self.joints[:joint], softer, *self.joints[joint + 1 :]]
-            loops = self.closed(joints, self.servo.period, self.delay)
-            if not any(too_little(loop.margins()[joint]) for loop in loops):
-                return (
-                    f"velocity_gain {softer.velocity_gain:.3g} with position_gain "
-                    f"{softer.position_gain:.3g}"
-                )
-        return "what `arm_emulator tune` computes"
-
     def _holds(self, joints: list[JointServo], period: float) -> bool:
         try:
             loops = self.closed(joints, period, self.delay)
@@ -286,9 +272,7 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
     for j, margins in enumerate(loops.margins()):
         little = too_little(margins)
         if little:
-            lines.append(
-                f"{where}: servo.joints.{names[j]}: {little}; more has {loops.what_has_more(j)}"
-            )
+            lines.append(f"{where}: servo.joints.{names[j]}: {little}; `tune` computes gains")
     return lines
 
 
