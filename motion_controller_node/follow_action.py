@@ -14,8 +14,8 @@ from rclpy.task import Future
 from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.follow_goal import result_of
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.motion_report import Kind, MotionReport
+from arm_emulator.motion.reference import Instruction
 from arm_emulator.ros.barrier import guard
 from arm_emulator.ros.managed_node import ManagedNode
 

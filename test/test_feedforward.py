@@ -18,10 +18,9 @@ from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.elastic_arm import ElasticArm
 from arm_emulator.motion.feedforward import Feedforward
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, Reference
 from arm_emulator.motion.rest_load import RestLoad
 from arm_emulator.servo.drives import Drives, Target
 from oracles.followed_line import Known, follow

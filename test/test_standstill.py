@@ -23,12 +23,11 @@ from std_msgs.msg import String
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_config, find_scene
 from arm_emulator.motion.going_on import GoingOn
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import joint_limits
 from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, Reference
 from arm_emulator.motion.way import Way, WayLimits
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of, stamp

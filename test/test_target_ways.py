@@ -19,8 +19,8 @@ from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.obstacles import Obstacle
+from arm_emulator.motion.reference import NoWay
 from arm_emulator.motion.target_ways import FARTHEST_PAST, QUIETLY_PAST, joint_arc, past_end
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way_controller import WayController

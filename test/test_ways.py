@@ -17,7 +17,7 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.no_way import NoWay
+from arm_emulator.motion.reference import NoWay
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way_controller import LOST, WayController
 from arm_emulator.runs.offline import load_offline_run

@@ -12,9 +12,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collisions import collisions_of
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.obstacles import OBSTACLES
-from arm_emulator.motion.reference import Motion, Reference
+from arm_emulator.motion.reference import Motion, NoWay, Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 
 _BETWEEN = 0.05  # m that parts of the arm may move to each other between two looks

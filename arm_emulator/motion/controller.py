@@ -11,12 +11,11 @@ from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.drive_numbers import SECTION
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, Reference
 from arm_emulator.motion.way_controller import WayController
 
 

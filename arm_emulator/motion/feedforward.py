@@ -11,11 +11,10 @@ from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.elastic_arm import Drive, ElasticArm
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, Reference
 from arm_emulator.motion.rest_load import RestLoad
 
 _TIMES = 4  # each reduces the error to about a thousandth

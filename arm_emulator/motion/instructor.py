@@ -19,17 +19,15 @@ from arm_emulator.motion.coming_orders import (
     trajectory_order,
 )
 from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.jog import JogCommand
 from arm_emulator.motion.jog_order import JogOrder
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, MOVING, Kind, Progress, Reports, State
-from arm_emulator.motion.no_way import NoWay
 from arm_emulator.motion.orders import Order, Planned, TargetOrder
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, NoWay, Reference
 from arm_emulator.motion.standstill import Flags, SlowingOrder, Standstill
 from arm_emulator.motion.target_stream import StreamOrder, TargetStream, is_near
 from arm_emulator.motion.tolerances import Tolerances

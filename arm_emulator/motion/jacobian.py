@@ -15,11 +15,10 @@ import numpy.typing as npt
 from arm_emulator.base.given import FloatArray, as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, Reference
 
 _SHARE = Number("weight", above=0.0, at_most=1.0)
 _STEP_LIMIT = Number("step_limit", "rad", above=0.0)

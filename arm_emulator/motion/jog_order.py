@@ -8,13 +8,12 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.given import FloatArray
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.jog import JogCommand, JogStatus
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.reference import Instruction, Reference
 from arm_emulator.motion.tool_directions import Speeds, ToolDirections
 from arm_emulator.motion.way_controller import ACCELERATION_SHARE
 

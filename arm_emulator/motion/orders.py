@@ -11,7 +11,6 @@ import numpy as np
 from arm_emulator.base.given import FloatArray
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.going_on import GoingOn
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.laws import Laws
@@ -20,7 +19,7 @@ from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.path_watch import PathWatch
 from arm_emulator.motion.path_way import plan_path
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Motion, Reference
+from arm_emulator.motion.reference import Instruction, Motion, Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 from arm_emulator.motion.trajectory_way import Delayed, InSeconds, TimedMotion, within_limits

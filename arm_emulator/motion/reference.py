@@ -1,4 +1,4 @@
-"""A motion of the joints that is known to its end."""
+"""Motions of the joints: known to their end, at a moment, as answered to the servo, or refused."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from arm_emulator.base.given import FloatArray
+from arm_emulator.base.refusal import Refusal
 
 
 class Motion(Protocol):
@@ -43,3 +44,28 @@ class Reference:
         """Return joints at rest."""
         still = np.zeros_like(q)
         return cls(q, still, still, still)
+
+
+@dataclass(frozen=True, eq=False)
+class Instruction:
+    """Joint targets, (N,) each in the motion controller's order of joints."""
+
+    q: FloatArray
+    """Link angles [rad or m]."""
+    v: FloatArray | None = None
+    """Link speeds that belong to them, those of the coming motion period; None: not known."""
+    tau: FloatArray | None = None
+    """Feed-forward torques of the links [N m or N]; None: unknown."""
+    now: Reference | None = None
+    """The motion at this moment with all its derivatives, of which `v` is the mean; None: the law
+    knows no more than the above."""
+    then: Reference | None = None
+    """The same at the end of the period; None: the jerk of `now` lasts until then."""
+
+
+class NoWay(Refusal):
+    """Raised for a motion on which parts would touch, or the tool would go far past its end."""
+
+
+class PastEnd(NoWay):
+    """Raised for one on which the tool would go far past its end."""

@@ -8,12 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.given import FloatArray
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.orders import Planned
 from arm_emulator.motion.paced import Paced
-from arm_emulator.motion.reference import Motion, Reference
+from arm_emulator.motion.reference import Instruction, Motion, Reference
 from arm_emulator.motion.take_over import Rest
 
 Flags = npt.NDArray[np.bool_]

@@ -19,8 +19,8 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.configuration_search import spread
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.kinematics import POSITION_ROWS
-from arm_emulator.motion.no_way import PastEnd
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.reference import PastEnd
 from arm_emulator.motion.smooth_joints import found
 from arm_emulator.motion.tool_line import joints_along
 from arm_emulator.motion.way import AlongLimits, Way, WayLimits

@@ -25,14 +25,12 @@ from arm_emulator.base.given import FloatArray, as_kind
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.no_way import NoWay, PastEnd
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Motion, Reference
+from arm_emulator.motion.reference import Instruction, Motion, NoWay, PastEnd, Reference
 from arm_emulator.motion.take_over import Rest, TakeOver
 from arm_emulator.motion.target_ways import TargetWays
 from arm_emulator.motion.tool_line import joints_along

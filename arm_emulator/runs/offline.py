@@ -21,10 +21,10 @@ from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.reference import Instruction
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.servo.drives import Drives, Target
