@@ -143,7 +143,8 @@ def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str, path:
     known = tuple(known)
     for key in table:
         if key not in known:
-            name, got = f"{path}.{key}" if path else key, f"an unknown one{perhaps(key, known)}"
+            name = f"{path}.{key}" if path else str(key)
+            got = f"an unknown one{perhaps(str(key), known)}"
             raise Refusal(where, name, "be a known key", got, ", ".join(known))
 
 
