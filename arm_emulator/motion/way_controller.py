@@ -133,11 +133,6 @@ class WayController:
         return self._time
 
     @property
-    def seeking(self) -> bool:
-        """Whether the joint angles of the target are still unknown."""
-        return self._seeking > 0
-
-    @property
     def posture(self) -> FloatArray:
         """The joint angles that redundant arms come back to (N,)."""
         return self._goal.posture
