@@ -109,11 +109,6 @@ class Way(Lasting):
         self._timing = self._found(pieces, given, where)
         self.duration = self._timing.duration
 
-    @property
-    def loaded(self) -> bool:
-        """Whether limits of torque are kept."""
-        return self._arm is not None
-
     def at(self, time: float) -> Reference:
         """Return the joints at a time since the start [s]."""
         q, v, a, jerk = self.curve.moving(*self._over_time(time))
