@@ -37,22 +37,21 @@ class ArmTree(Lasting):
         gravity: acceleration of gravity along the world's axes (3,) [m/s2].
 
     Attributes:
-        trouble: reason for which masses are missing; empty: they exist.
+        struct: the arm as way.h takes it.
     """
 
     def __init__(
         self, kinematics: Kinematics, gravity: Sequence[float] = (0.0, 0.0, -9.81)
     ) -> None:
         self.kinematics = kinematics
-        self.trouble = ""
         names = kinematics.joint_names
         shafts = Shafts(kinematics.urdf_xml, names)
         try:
             model = arm_model(
                 kinematics.urdf_xml, names, shafts.joints, kinematics.tool, WHERE, masses=True
             )
-        except Refusal as reason:
-            self.trouble, model, shafts = str(reason), kinematics.model, kinematics.shafts
+        except Refusal:  # masses are missing
+            model, shafts = kinematics.model, kinematics.shafts
         order = [model.getJointId(JOINT + name) for name in shafts.joints]
         chain = sorted(order)  # parents before children
         place_of = [order.index(joint) for joint in chain]
@@ -78,7 +77,7 @@ class ArmTree(Lasting):
             centre.append(body.lever)
             inertia.append(body.inertia)
         frame = model.frames[tool_frame(model, kinematics.tool, WHERE)]
-        self._arrays = {
+        self._arrays = {  # which the struct points to
             "parent": np.array(parent, dtype=np.int32),
             "slides": np.array(slides, dtype=np.int32),
             "axis": _doubles(axis),
@@ -94,24 +93,22 @@ class ArmTree(Lasting):
             "tool_rotation": _doubles(frame.placement.rotation),
             "tool_place": _doubles(frame.placement.translation),
         }
-        self._arm = WAY.ffi.new("way_arm*")
-        self._arm.joints, self._arm.coordinates = len(chain), len(names)
-        self._arm.tool_parent = chain.index(frame.parentJoint) if frame.parentJoint else -1
-        self._arm.tool_coordinates = int(kinematics.to_tool.sum())
-        self._arm.reach = kinematics.reach
-        self._held = [self._point(name, array) for name, array in self._arrays.items()]
+        self.struct: CData = WAY.new(
+            "way_arm",
+            joints=len(chain),
+            coordinates=len(names),
+            tool_parent=chain.index(frame.parentJoint) if frame.parentJoint else -1,
+            tool_coordinates=int(kinematics.to_tool.sum()),
+            reach=kinematics.reach,
+            **self._arrays,
+        )
         self._law = way_library()
-
-    @property
-    def struct(self) -> CData:
-        """The arm as way.h takes it, which must not outlive it."""
-        return self._arm
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""
         q = self._joints(q)
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
-        self._law.way_forward(self._arm, len(q), pointer(q), pointer(p), pointer(R))
+        self._law.way_forward(self.struct, len(q), pointer(q), pointer(p), pointer(R))
         return p, R
 
     def torques(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
@@ -119,7 +116,7 @@ class ArmTree(Lasting):
         q = self._joints(q)
         v, a = (np.ascontiguousarray(one @ self._coupling.T) for one in (v, a))
         tau = np.empty_like(q)
-        self._law.way_torques(self._arm, len(q), pointer(q), pointer(v), pointer(a), pointer(tau))
+        self._law.way_torques(self.struct, len(q), pointer(q), pointer(v), pointer(a), pointer(tau))
         return np.asarray(tau @ self._coupling)
 
     def trace(
@@ -144,7 +141,7 @@ class ArmTree(Lasting):
         wanted = None if goal is None else np.ascontiguousarray(goal)
         p, R = np.ascontiguousarray(p), np.ascontiguousarray(R)
         reached = self._law.way_trace(
-            self._arm,
+            self.struct,
             self.kinematics.rows if turns else POSITION_ROWS,
             len(p),
             pointer(p),
@@ -157,11 +154,6 @@ class ArmTree(Lasting):
     def _joints(self, q: FloatArray) -> FloatArray:
         """Return the joints of the tree, (K, joints)."""
         return np.ascontiguousarray(q @ self._coupling.T + self._offset)
-
-    def _point(self, name: str, array: Any) -> Any:
-        place = pointer(array)
-        setattr(self._arm, name, place)
-        return place
 
 
 def _doubles(values: Any) -> FloatArray:
