@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
@@ -71,8 +71,9 @@ def read_motor(section: Section) -> Motor:
 
 def ideal_motor(takes: Input, inertia: float) -> Motor:
     """Return the motor that gives at once what it is commanded, and takes only that."""
-    kind = next(one for one in MOTORS if one.inputs == (takes,))
-    return kind(rotor_inertia=inertia)
+    kind: Any = next(one for one in MOTORS if one.inputs == (takes,))  # which has an inertia
+    motor: Motor = kind(rotor_inertia=inertia)
+    return motor
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
