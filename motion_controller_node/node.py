@@ -62,7 +62,6 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, ServoState
 from motion_controller_node.follow_action import FollowAction, installed
-from motion_controller_node.jog_topics import JogTopics
 from motion_controller_node.order_topics import OrderTopics
 
 _MOVABLE = BRAKE_CLOSED.named("movable")
@@ -135,8 +134,7 @@ class MotionControllerNode(ManagedNode):
         self.create_subscription(
             JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS, only_from="servo"
         )
-        self._orders = OrderTopics(self, self._instructor, self._take, lambda: self._controller)
-        self._jogs = JogTopics(
+        self._orders = OrderTopics(
             self,
             self._instructor,
             self._take,
@@ -345,7 +343,7 @@ class MotionControllerNode(ManagedNode):
         instruction = self._instructor.instruct(controller, now, q, v, movable, tau)
         self._report()
         self._report_status()
-        self._jogs.publish()
+        self._orders.publish()
         # The instructor keeps published values within the bounds.
         answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp

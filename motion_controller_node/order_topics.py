@@ -1,4 +1,9 @@
-"""Orders by topics: tool targets, joint trajectories and tool paths."""
+"""Orders by topics: tool targets, joint trajectories, tool paths and jog commands.
+
+Jogs have the names and types of MoveIt Servo: `~/delta_twist_cmds` moves the tool,
+`~/delta_joint_cmds` joints (where control_msgs is installed); `~/status` has the code of the active
+limit of the motion.
+"""
 
 from __future__ import annotations
 
@@ -6,31 +11,41 @@ from collections.abc import Callable
 from typing import Any
 
 from geometry_msgs.msg import Pose as PoseOfMessage
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from std_msgs.msg import Header
+from std_msgs.msg import Header, Int8
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.jog import JogCommand, joint_command, twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
+from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import Kind
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import check_number_of_poses
-from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, NANOSECONDS, time_of
+from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, EVENT_QOS, NANOSECONDS, time_of
+
+try:
+    from control_msgs.msg import JointJog
+except ImportError:  # no wheel has it
+    JointJog = None
+
+_SECONDS = 1e-9
 
 
 class OrderTopics:
-    """Takes targets, trajectories and paths.
+    """Takes targets, trajectories, paths and jog commands.
 
     Args:
         node: node of the topics.
         instructor: follows them.
         take: calls a function for a message, and publishes its result.
-        controller: returns the controller; None: no robot description so far.
+        now: returns controller (None: no robot description so far), parameters and logical time
+            [ns].
     """
 
     def __init__(
@@ -38,15 +53,20 @@ class OrderTopics:
         node: Node,
         instructor: Instructor,
         take: Callable[[Kind, Header, Callable[[], None]], Any],
-        controller: Callable[[], Controller | None],
+        now: Callable[[], tuple[Controller | None, MotionConfig, int]],
     ) -> None:
-        self._instructor, self._take, self._controller = instructor, take, controller
+        self._instructor, self._take, self._now = instructor, take, now
+        self._status = node.create_publisher(Int8, "~/status", EVENT_QOS)
+        self._published: int | None = None
         for kind, topic, callback in (
             (PoseStamped, "tool_target", self._on_tool_target),
             (JointTrajectory, "joint_trajectory", self._on_joint_trajectory),
             (Path, "tool_path", self._on_tool_path),
+            (TwistStamped, "~/delta_twist_cmds", self._on_twist),
+            (JointJog, "~/delta_joint_cmds", self._on_joints),
         ):
-            node.create_subscription(kind, topic, callback, COMMAND_SUB_QOS)
+            if kind is not None:
+                node.create_subscription(kind, topic, callback, COMMAND_SUB_QOS)
 
     def add_trajectory(
         self,
@@ -65,8 +85,16 @@ class OrderTopics:
         check_number_of_points(len(message.points))
         stamp_ns = time_of("joint_trajectory", message.header.stamp)
         points = [_trajectory_point(i, point) for i, point in enumerate(message.points)]
-        names = list(message.joint_names)
-        self._instructor.add_trajectory(self._controller(), names, points, stamp_ns, tolerances)
+        names, controller = list(message.joint_names), self._now()[0]
+        self._instructor.add_trajectory(controller, names, points, stamp_ns, tolerances)
+
+    def publish(self) -> None:
+        """Publish the code of the jog's limit, if it has changed."""
+        jog = self._instructor.jogging
+        code = 0 if jog is None else int(jog.status)
+        if code != self._published:
+            self._published = code
+            self._status.publish(Int8(data=code))
 
     def _on_tool_target(self, message: PoseStamped) -> None:
         def take() -> None:
@@ -89,12 +117,45 @@ class OrderTopics:
             # Planners put one stamp on all poses, or none: such stamps carry no times.
             given = times if len(set(times)) > 1 else None
             poses = [_pose(one.pose, "tool_path") for one in message.poses]
-            self._instructor.add_path(self._controller(), poses, stamp_ns, given)
+            self._instructor.add_path(self._now()[0], poses, stamp_ns, given)
 
         self._take(Kind.TOOL_PATH, message.header, take)
 
+    def _on_twist(self, message: TwistStamped) -> None:
+        def command() -> JogCommand:
+            controller, config, time_ns = self._jogged("delta_twist_cmds", message.header)
+            linear, angular = message.twist.linear, message.twist.angular
+            twist = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+            link = message.header.frame_id
+            return twist_command(time_ns, twist, link, controller.kinematics, config)
+
+        self._take(Kind.JOG, message.header, lambda: self._instructor.jog(command()))
+
+    def _on_joints(self, message: Any) -> None:
+        def command() -> JogCommand:
+            topic = "delta_joint_cmds"
+            if len(message.displacements):
+                rule = "be empty: speeds are taken, no displacements"
+                raise Refusal(topic, "displacements", rule, list(message.displacements))
+            controller, config, time_ns = self._jogged(topic, message.header)
+            names, speeds = list(message.joint_names), message.velocities
+            return joint_command(time_ns, names, speeds, controller.kinematics, config)
+
+        self._take(Kind.JOG, message.header, lambda: self._instructor.jog(command()))
+
+    def _jogged(self, topic: str, header: Header) -> tuple[Controller, MotionConfig, int]:
+        """Return controller, parameters and the logical time of a command [ns]."""
+        controller, config, now = self._now()
+        if controller is None:
+            raise Refusal(topic, "the message", "come after the robot description", "none so far")
+        stamped, timeout = time_of(topic, header.stamp), config.jog_incoming_command_timeout
+        if stamped and abs((now - stamped) * _SECONDS) > timeout:
+            rule = f"be 0 for now, or within {timeout:g} s of logical time {now * _SECONDS:g} s"
+            raise Refusal(topic, "header.stamp", rule, f"{stamped * _SECONDS:.10g} s")
+        return controller, config, stamped or now
+
     def _check_frame(self, topic: str, header: Header) -> None:
-        controller = self._controller()
+        controller = self._now()[0]
         root = () if controller is None else (controller.kinematics.base,)
         bases = list(dict.fromkeys(("world", *root)))
         if header.frame_id not in ("", *bases):

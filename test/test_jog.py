@@ -28,7 +28,7 @@ from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_directions import ToolDirections
 from arm_emulator.motion.way_controller import ACCELERATION_SHARE
 from arm_emulator_msgs.msg import MotionStatus
-from motion_controller_node import jog_topics
+from motion_controller_node import order_topics
 
 NS = 1_000_000_000
 
@@ -352,7 +352,7 @@ def test_the_node_takes_joint_jogs(monkeypatch: pytest.MonkeyPatch) -> None:
     deserialize, serialize = wires.deserialize_message, wires.serialize_message
     monkeypatch.setattr(wires, "deserialize_message", read)
     monkeypatch.setattr(wires, "serialize_message", write)
-    monkeypatch.setattr(jog_topics, "JointJog", JointJog)
+    monkeypatch.setattr(order_topics, "JointJog", JointJog)
     with in_process() as nodes:
         nodes.run_to(5)
         heard: list[MotionStatus] = []
