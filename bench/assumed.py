@@ -1,7 +1,5 @@
 """Spread of an arm's demo over the assumed numbers of its scene.
 
-    python -m bench.assumed [SCENE ...]
-
 Most figures of motors, gears and friction of the scenes are assumed, each within a range
 (bench/origins.py). Here these make the demo's motion: an arm as the scene has it, arms with one
 figure at either end of its range, and arms with all figures drawn from their ranges. Servo and
@@ -10,16 +8,14 @@ motion controller are the scene's in all of them: they do not know.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arm_emulator import Diverged, OfflineRun, Pose, Refusal, load_gains, load_scene
+from arm_emulator import Diverged, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.chain import Array
@@ -214,22 +210,3 @@ def table_of(name: str, figures: dict[str, Any]) -> str:
             + (f", after {min(settled)} to {max(settled)} instructions." if settled else "."),
         ]
     return "\n".join(lines)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Print the tables of scenes."""
-    parser = argparse.ArgumentParser(prog="bench.assumed", description=__doc__)
-    parser.add_argument("scenes", nargs="*", default=ARMS)
-    parser.add_argument("--quick", action="store_true", help="fewer arms and instructions")
-    options = parser.parse_args(arguments)
-    try:
-        for name in options.scenes:
-            print(table_of(name, measure(name, options.quick)), end="\n\n", flush=True)
-    except Refusal as refusal:
-        print(refusal, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,24 +1,18 @@
-"""Price of equal bits: steps as they are compiled, over those of a compiler that may reorder sums.
-
-    python -m bench.portable_arithmetic [SCENE ...] [--schemes SCHEME ...] [--repetitions 15]
-
-Ratios of times within one run, each pair in turn, of single arms and of an arm in a fleet. The last
-column shows whether both kept the same motion, and with it the same events.
-"""
+"""Price of equal bits: steps as compiled, over those of a compiler that may reorder sums."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import arm_emulator.machine.compiler as of_machines
 from arm_emulator import Fleet, Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from bench.measure import Task, interleaved, progress
+from bench.tables import table
+
+TITLE = "Portable arithmetic"
 
 SHIPPED = ("three_axis", "ur5", "panda")
 ARMS = 64
@@ -35,54 +29,54 @@ FLAGS = {
 }
 
 
-def main() -> None:
-    """Print a row for each scene, scheme and way of stepping."""
-    parser = argparse.ArgumentParser(
-        prog="bench.portable_arithmetic", description=__doc__.splitlines()[0]
-    )
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", default=SHIPPED)
-    parser.add_argument("--schemes", nargs="+", choices=SCHEMES, default=SCHEMES)
-    parser.add_argument("--repetitions", type=int, default=15)
-    arguments = parser.parse_args()
-    cases = [
-        (scene, fleet)
-        for scene in _scenes(arguments.scenes, arguments.schemes)
-        for fleet in (False, True)
-    ]
-    table = Table(title="portable over free arithmetic")
-    for column in ("scene", "scheme", "", "ns per step", "ratio", "apart [rad]"):
-        table.add_column(column, justify="left" if len(table.columns) < 3 else "right")
-    with progress("portable arithmetic", len(cases)) as done:
-        for scene, fleet in cases:
-            table.add_row(*_row(scene, fleet, arguments.repetitions))
-            done(f"{scene.name}, {scene.integrator.scheme}")
-    Console().print(table)
+def run(quick: bool) -> dict[str, Any]:
+    """Measure each scheme on each shipped scene, of single arms and of an arm in a fleet."""
+    names = SHIPPED[:1] if quick else SHIPPED
+    rows = []
+    with progress("portable arithmetic", 2 * len(names) * len(SCHEMES)) as done:
+        for name in names:
+            for scheme in SCHEMES:
+                events = "located" if scheme in LOCATING_SCHEMES else "step"
+                own = {"integrator.scheme": scheme, "integrator.events": events}
+                for fleet in (False, True):
+                    scene = load_scene(name, overrides=own)
+                    rows.append(_row(scene, fleet, 5 if quick else 15))
+                    done(f"{name}, {scheme}")
+    return {"rows": rows}
 
 
-def _scenes(names: list[str], schemes: list[str]) -> Iterator[Scene]:
-    for name in names:
-        for scheme in schemes:
-            events = "located" if scheme in LOCATING_SCHEMES else "step"
-            own = {"integrator.scheme": scheme, "integrator.events": events}
-            yield load_scene(name, overrides=own)
-
-
-def _row(scene: Scene, fleet: bool, repetitions: int) -> list[str]:
+def _row(scene: Scene, fleet: bool, repetitions: int) -> dict[str, Any]:
     machines = {name: _machine(scene, fleet, flags) for name, flags in FLAGS.items()}
     tasks = {name: _stepping(machine) for name, machine in machines.items()}
     timings = interleaved(tasks, repetitions)
     steps = STEPS[fleet] * (ARMS if fleet else 1)
     # Other work on the machine only adds to times.
-    least = {name: timing.low / steps for name, timing in timings.items()}
+    portable, free = (timings[name].low / steps for name in (PORTABLE, FREE))
     ends = [np.asarray(machine.state.q) for machine in machines.values()]
-    return [
-        scene.name,
-        scene.integrator.scheme,
-        f"fleet of {ARMS}" if fleet else "single",
-        f"{least[PORTABLE] * 1e9:.1f}",
-        f"{least[PORTABLE] / least[FREE]:.2f}",
-        f"{np.abs(ends[0] - ends[1]).max():.1e}",
-    ]
+    return {
+        "scene": scene.name,
+        "scheme": scene.integrator.scheme,
+        "fleet": fleet,
+        "per_step": portable,
+        "ratio": portable / free,
+        "apart": float(np.abs(ends[0] - ends[1]).max()),
+    }
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section in Markdown."""
+    rows = (
+        (row["scene"], row["scheme"], f"fleet of {ARMS}" if row["fleet"] else "single",
+         f"{1e9 * row['per_step']:.1f}", f"{row['ratio']:.2f}", f"{row['apart']:.1e}")
+        for row in figures["rows"]
+    )  # fmt: skip
+    return "\n".join([
+        "Steps as they are compiled, over steps of a compiler that may reorder sums: ratios of "
+        "times within one run, each pair in turn. The last column shows whether both kept the same "
+        "motion, and with it the same events.",
+        "",
+        table(("scene", "scheme", "", "ns per step", "ratio", "apart [rad]"), rows),
+    ])  # fmt: skip
 
 
 def _machine(scene: Scene, fleet: bool, flags: tuple[str, ...]) -> Plant | Fleet:
@@ -103,7 +97,3 @@ def _stepping(machine: Plant | Fleet) -> Task:
         machine.advance(rows, START)
 
     return Task(lambda _: machine.advance(rows, STEPS[fleet]), start, about=1e-3)
-
-
-if __name__ == "__main__":
-    main()

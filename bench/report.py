@@ -30,12 +30,14 @@ SECTIONS = (
     "clocks",
     "first_use",
 )
-# Sections that run only when they are named: controllers and given machines:
-# docs/concepts/motion.md, docs/validation/assumed.md and docs/how_to/identify.md.
+# Sections that run only when they are named, of which the pages have the figures.
 BY_NAME = (
     "feedforward",
     "tool_paths",
     "assumed",
+    "beside_mujoco",
+    "portable_arithmetic",
+    "shipped_scenes",
     "identification",
     "doubtful_records",
 )

@@ -85,7 +85,7 @@ def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
     for one in assumed_of(CONFIG / f"{name}.yaml"):
         joints = f"{one.joints[0]} to {one.joints[-1]}"
         row = f"| `{one.label}` | {joints} | {one.value:.3g} | {one.low:.3g} to {one.high:.3g} | "
-        assert row in PAGE, f"{row}: make the tables anew by python -m bench.assumed"
+        assert row in PAGE, f"{row}: make the tables anew by python -m bench --only assumed"
 
 
 def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
