@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bench.time_at_error import time_at_error
+from bench.work_precision import time_at_error
 
 
 def points(*pairs):
