@@ -23,7 +23,6 @@ from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
 from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
-from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
@@ -35,17 +34,16 @@ from arm_emulator.machine.parts.torque_ripple import TorqueRipple
 from arm_emulator.machine.possible import could_vary
 from arm_emulator.machine.varied import of_child
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
+from bench.identification import ANGLE_NOISE, LOW_PASS, SECONDS, SIGMAS, model_of
 from bench.identification import truth as three_axis
 from bench.measure import progress
+from bench.tables import table
 from oracles.synthetic_record import make_record
 
 TITLE = "Doubtful records"
-SECONDS, PERIOD = 10.0, 4e-3
-ANGLE_NOISE, TORQUE_NOISE = 2e-6, 0.03
-LOW_PASS = 10.0
+PERIOD = 4e-3  # s
+TORQUE_NOISE = 0.03  # share of a joint's torque
 OFF = 0.15  # share by which the machine that is recorded differs from the scene
-TRUST = 0.3
-SIGMAS = 2.0
 SEED = 0  # of the spoiled records
 
 
@@ -185,7 +183,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
 
     run = make_record(real, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, numbers, drift)
     run, motion, _ = looked_over(scene, run, LOW_PASS, as_is=True)
-    model = TorqueModel(scene, (motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)), TRUST)
+    model = model_of(scene, motion)
     fit = fit_torques(model, motion, model.choose(["*"], "bench"))
     inside = [
         abs(one.value - values[one.name]) < SIGMAS * one.deviation
@@ -274,7 +272,7 @@ def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
     try:
         check_samples(run)
         run, motion, doubts = looked_over(scene, run, LOW_PASS)
-        model = TorqueModel(scene, (motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)), TRUST)
+        model = model_of(scene, motion)
         fit = fit_torques(model, motion, model.choose(["*"], "bench"))
         check_fit(run.where, run.joints, fit.explained)
     except Refusal as refusal:
@@ -323,18 +321,19 @@ def report(figures: dict[str, Any]) -> str:
     well = sum(one["inside"] >= 0.9 for one in rows)
     named = sum(one["named"] for one in rows)
     good = sum(one["inside"] >= 0.9 or one["named"] for one in rows)
+    cells = (
+        (one["machine"], one["effect"], f"{100 * one['inside']:.0f}",
+         "yes" if one["named"] else "; ".join(one["names"]) or "no") for one in rows
+    )  # fmt: skip
     text = (
         f"Of {len(rows)} records with an effect that the scene lacks, two deviations hold for at "
         f"least 90 % of the numbers in {well}, the effect is named in {named}, one or the other in "
-        f"{good}.\n\n| machine | effect | within two deviations, % | named |\n|---|---|---|---|\n"
+        f"{good}.\n\n" + table(("machine", "effect", "within two deviations, %", "named"), cells)
     )
-    for one in rows:
-        sign = "yes" if one["named"] else "; ".join(one["names"]) or "no"
-        text += f"| {one['machine']} | {one['effect']} | {100 * one['inside']:.0f} | {sign} |\n"
     right = sum(one["right"] for one in spoiled)
     silent = sum(not one["answer"] for one in spoiled)
     text += (
-        f"\nOf {len(spoiled)} spoiled records the right cause is named in {right}; of {silent} "
+        f"\n\nOf {len(spoiled)} spoiled records the right cause is named in {right}; of {silent} "
         "nothing is reported.\n"
     )
     for one in spoiled:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.identification.filtered import filtered
+from arm_emulator.identification.filtered import Filtered, filtered
 from arm_emulator.identification.found import numbers_found
 from arm_emulator.identification.torque_fit import fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
@@ -39,6 +39,11 @@ def truth() -> Scene:
     return load_scene(SCENE, overrides)
 
 
+def model_of(scene: Scene, data: Filtered) -> TorqueModel:
+    """Return the model of a scene for what was measured."""
+    return TorqueModel(scene, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), TRUST)
+
+
 def off(scene: Scene, seed: int) -> np.ndarray:
     """Return by how many of the published deviations each number found is off.
 
@@ -47,8 +52,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     record = make_record(scene, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE)
     ratio = scene.gear_ratios
     data = filtered(record, ratio, LOW_PASS)
-    typical = data.tau.std(axis=0), np.abs(data.v).max(axis=0)
-    model = TorqueModel(scene, typical, TRUST)
+    model = model_of(scene, data)
     fitted = model.choose(["*"], "bench")
     true = {one.name: one.value for one in model.unknowns}
     for joint in scene.chain.joints:
