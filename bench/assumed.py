@@ -96,12 +96,15 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
     """
     file = find_scene(scene_name)
     gains = load_gains(file)
-    shared = {"varied": sorted({name for arm in arms for name in arm})}  # of one library
+    names = sorted({name for arm in arms for name in arm})
+    # Numbers that are set later change the machine, not what its current loops know of it.
+    scene = load_scene(file, {"varied": names} if names else None)
     found = []
     with progress(f"{file.stem}, {len(arms)} arms", len(arms)) as done:
         for arm in arms:
-            scene = load_scene(file, {**shared, **arm} if shared["varied"] else None)
             run = OfflineRun(scene, gains.servo, gains.motion)
+            for name, value in arm.items():
+                run.session.set_varied(name, value)
             found.append(_demo(run, file, instructions))
             done()
     return np.stack(found)
