@@ -8,7 +8,7 @@ cause.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from typing import Any
 
@@ -17,7 +17,6 @@ import numpy as np
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.identification import inertia
 from arm_emulator.identification.found import numbers_found
-from arm_emulator.identification.free_run_fit import torque_driven
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.read_run import read_run
@@ -27,7 +26,8 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.friction import RotorFriction
-from arm_emulator.machine.parts.known import EXTRAS, without
+from arm_emulator.machine.parts.input import TORQUE
+from arm_emulator.machine.parts.known import EXTRAS, MOTORS, without
 from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
@@ -66,6 +66,34 @@ def kuka() -> Scene:
 MACHINES: dict[str, Callable[[], Scene]] = {
     "three_axis": cache(three_axis), "ur5": cache(ur5), "kuka": cache(kuka),
 }  # fmt: skip
+
+
+def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene:
+    """Return a scene with ideal torque motors, otherwise unchanged.
+
+    Parts between a voltage or a current and the torque of the windings are left out.
+
+    Args:
+        scene: the machine.
+        period: of the commands [s].
+        sought: names of numbers to vary.
+    """
+    ideal: Any = next(one for one in MOTORS if one.inputs == (TORQUE,))  # which has an inertia
+
+    def driven(joint: Joint) -> Joint:
+        if joint.motor is None or joint.inputs == (TORQUE,):
+            return joint
+        kept = tuple(one for one in joint.decorators if not one.electrical)
+        motor = ideal(rotor_inertia=joint.motor.inertia)
+        return dataclasses.replace(joint, motor=motor, decorators=kept)
+
+    joints = tuple(driven(joint) for joint in scene.joints)
+    steps = max(1, round(period / scene.integrator.dt))
+    varied = tuple(one for one in could_vary(joints, scene.chain, ()) if one.name in sought)
+    return dataclasses.replace(
+        scene, joints=joints, servo_period=period, varied=varied, load=None,
+        integrator=dataclasses.replace(scene.integrator, dt=period / steps),
+    )  # fmt: skip
 
 
 def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, float]]:

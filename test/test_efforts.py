@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
 from machines import MOVED, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
-from arm_emulator.identification.free_run_fit import torque_driven
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.known import PARTS
@@ -133,21 +130,3 @@ def test_every_part_states_what_it_takes_or_is_refused(tmp_path: Path) -> None:
     ones = np.ones(3), np.ones(3)
     with pytest.raises(Refusal, match=r"joints\.x\.motor\.winding must be without parts"):
         TorqueModel(machine(tmp_path, drives), ones, 0.5)
-
-
-def test_free_runs_keep_all_that_the_scene_has(tmp_path: Path) -> None:
-    for drives in some(MACHINES, 2):
-        scene = machine(tmp_path, drives)
-        driven = torque_driven(scene, 2e-3, ["joints.x.motor.rotor_inertia"])
-        assert [one.name for one in driven.varied] == ["joints.x.motor.rotor_inertia"]
-        assert driven.joints == scene.joints, "torque motors stay as they are"
-        other = [
-            dataclasses.replace(
-                joint, motor=load_scene("three_axis").joints[0].motor
-            ) for joint in scene.joints
-        ]  # fmt: skip
-        electric = dataclasses.replace(scene, joints=tuple(other))
-        for one, was in zip(torque_driven(electric, 2e-3, []).joints, other, strict=True):
-            assert one.unit == "N m"
-            assert vars(one.motor)["rotor_inertia"] == vars(was.motor)["rotor_inertia"]
-            assert dataclasses.replace(one, motor=None) == dataclasses.replace(was, motor=None)

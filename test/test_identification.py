@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import FULL, some
+from draws import some
 from machines import one_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
@@ -16,7 +16,6 @@ from arm_emulator.cli.commands.identify import identify
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.found import numbers_found
-from arm_emulator.identification.free_run_fit import fit_free_runs
 from arm_emulator.identification.identified import with_followers, write_fitted
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import looked_over
@@ -97,7 +96,7 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
     kept = np.delete(np.arange(K), slice(at, at + int(rng.integers(1, 200))))
     nan, held, still = RUN_A.tau.copy(), RUN_A.q_motor.copy(), RUN_A.q_motor.copy()
     nan[at, j], held[at : at + 40, j], still[:, j] = np.nan, held[at, j], 0.3
-    cut = {n: getattr(RUN_A, n)[kept] for n in ("t", "q_motor", "tau", "q_link", "q_ref")}
+    cut = {n: getattr(RUN_A, n)[kept] for n in ("t", "q_motor", "tau", "q_link")}
     speeds = RUN_A.v_motor * np.where(np.arange(6) == j, -1.0, 1.0)
     huge = RUN_A.tau.copy()
     huge[at, j] = 10.0 ** rng.integers(10, 300)
@@ -157,32 +156,24 @@ def test_a_table_reads_as_the_archive(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.tau, RUN_A.tau)
 
 
-@pytest.mark.parametrize("simulate", [FULL])
-def test_the_shipped_machine_is_what_identify_makes_of_run_a(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], simulate: bool
+def test_the_shipped_machine_is_near_what_identify_makes_of_run_a(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From run A alone; without the second stage, which compiles, it is near."""
+    """From run A alone; free runs have moved the shipped one a little since."""
     late = [f"{name}={value}" for name, value in DELAYS.items()]
     out, given = tmp_path / "kuka_kr300.yaml", str(DATA / "given.yaml")
     identify(
-        given, SHIPPED[0], hold="links.link_6.x,links.link_6.y", out=out, angles="deg", delay=late,
-        simulate=simulate,
-    )  # fmt: skip
+        given, SHIPPED[0], hold="links.link_6.x,links.link_6.y", out=out, angles="deg", delay=late
+    )
     assert "not identifiable" in capsys.readouterr().out
     made, shipped = load_scene(out), load_scene("kuka_kr300")
-    # The second stage moves friction by up to 10 %, stiffness by 1 %.
-    friction, stiffness = (0.01, 0.01) if simulate else (0.2, 0.05)
+    friction, stiffness = 0.2, 0.05
     for one, same in zip(made.joints, shipped.joints, strict=True):
         for name in ("viscous", "coulomb"):
             values = (getattr(joint.rotor_friction, name) for joint in (one, same))
             assert next(values) == pytest.approx(next(values), rel=friction), f"{one.name} {name}"
         if one.gear.stiffness is not None:
             assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=stiffness)
-    # Masses of links 1 to 5 are not identifiable, to some 50 %: last places of derivatives decide
-    # the way to the minimum, and so a fifth of that.
-    for link, true in zip(made.chain.joints, shipped.chain.joints, strict=True):
-        if simulate:
-            assert link.body.mass == pytest.approx(true.body.mass, rel=0.1), link.name
 
 
 def test_truth_lies_within_the_confidence_reported() -> None:
@@ -192,40 +183,6 @@ def test_truth_lies_within_the_confidence_reported() -> None:
     # 95.4 % are expected; errors of a record go together, but less than 87 % is a fault.
     assert np.mean(np.abs(every) < 2.0) > 0.87, f"{np.mean(np.abs(every) < 2.0)} within 2 sigma"
     assert np.sqrt(np.mean(every**2)) < 1.5, "root of mean square, in deviations"
-
-
-def test_free_runs_find_what_a_pendulum_is(tmp_path: Path) -> None:
-    """From figures 20 % off; driven by the torques of a record that the emulator made."""
-    true = {"rotor_inertia": 1e-3, "friction": {"viscous": 0.01, "coulomb": 0.02}}
-    off_by = {"rotor_inertia": 1.2e-3, "friction": {"viscous": 0.03, "coulomb": 0.03}}
-    files = {}
-    for name, motor, mass in (("true", true, 2.0), ("off", off_by, 2.4)):
-        (tmp_path / name).mkdir()
-        files[name] = write_scene(
-            tmp_path / name, one_link_urdf(mass), {"joint": {
-                "motor": {"kind": "torque", **motor}, "gear": {"ratio": 0.05},
-            }}, gravity=[0.0, 0.0, -9.81], servo_period=4e-3,
-            integrator={"scheme": "rosenbrock", "dt": 1e-3},
-        )  # fmt: skip
-    record = make_record(load_scene(files["true"]), 3, 10.0, 1e-6, 0.02)
-    known = load_scene(files["off"])
-    data = filtered(record, np.array([0.05]), 10.0)
-    model = TorqueModel(known, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
-    fitted = model.choose(["joints", "links.*.log_mass", "links.*.x"], "test")
-    first = fit_torques(model, data, fitted)
-    # As if the first stage had found a fifth less.
-    begun = dataclasses.replace(first, values=0.8 * first.values + 0.2 * model.start)
-    printed = list[str]()
-    found = fit_free_runs(begun, known, record, printed.append)
-    ends = [float(line.split("end ")[1].split()[0]) for line in printed]
-    assert ends[-1] < 0.5 * ends[0], f"free runs end {ends} % off"
-    numbers = {one.name: one for one in numbers_found(known, found)}
-    weight = numbers["links.joint_link.moment_x"]
-    assert weight.value == pytest.approx(0.6, rel=0.02), weight.line
-    for name, wanted in (("viscous", 0.01), ("coulomb", 0.02)):
-        one = numbers[f"joints.joint.motor.friction.{name}"]
-        within = max(4.0 * one.deviation, 0.1 * wanted)
-        assert one.value == pytest.approx(wanted, abs=within), one.line
 
 
 def fitted(folder: Path, scene: Scene, file: Path, seed: int) -> tuple[Scene, dict[str, float]]:

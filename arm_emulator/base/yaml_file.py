@@ -142,6 +142,23 @@ def _look_over(text: str, where: str) -> None:
             raise Refusal(where, "file", f"hold at most {MOST_VALUES} keys and values", "more")
 
 
+def nodes_of(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
+    """Return key and value of everything in a document's sections, by dotted paths.
+
+    What an alias repeats stands under each of its paths.
+    """
+    found: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+
+    def collect(node: yaml.Node | None, path: str) -> None:
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                found[f"{path}{key.value}"] = key, value
+                collect(value, f"{path}{key.value}.")
+
+    collect(yaml.compose(text, yaml.SafeLoader), "")
+    return found
+
+
 def edited(text: str, edits: Iterable[tuple[int, int, str]]) -> str:
     """Return a text with pieces replaced.
 

@@ -68,7 +68,7 @@ def assume_bodies(
             if given > 0.0:
                 scale, how = given / body.mass, f"{how}, with the mass given"
             link.remove(old)
-        link.insert(0, _inertial(body.scaled(scale)))
+        link.insert(0, inertial_of(body.scaled(scale)))
         out.append(Assumed(name, how))
     return out
 
@@ -189,15 +189,17 @@ def _points(mesh: ET.Element, folder: Path) -> Array:
     return found
 
 
-def _inertial(body: Body) -> ET.Element:
+def inertial_of(body: Body, digits: int = 6) -> ET.Element:
     """Return the element <inertial> of a body given about its link's origin."""
     com = body.moment / body.mass
     offset = float(com @ com) * np.eye(3) - np.outer(com, com)
     tensor = body.inertia - body.mass * offset
     element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(f"{value:.6g}" for value in com), rpy="0 0 0")
-    ET.SubElement(element, "mass", value=f"{body.mass:.6g}")
+    ET.SubElement(
+        element, "origin", xyz=" ".join(f"{value:.{digits}g}" for value in com), rpy="0 0 0"
+    )
+    ET.SubElement(element, "mass", value=f"{body.mass:.{digits}g}")
     entries = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
     keys = zip(_KEYS, entries, strict=True)
-    ET.SubElement(element, "inertia", {key: f"{value:.6g}" for key, value in keys})
+    ET.SubElement(element, "inertia", {key: f"{value:.{digits}g}" for key, value in keys})
     return element

@@ -9,7 +9,7 @@ import yaml
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_text
-from arm_emulator.base.yaml_file import MOST_BYTES, edited
+from arm_emulator.base.yaml_file import MOST_BYTES, edited, nodes_of
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")
@@ -39,20 +39,21 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
 
 
 def _replaced(text: str, servo: ServoConfig) -> str:
-    nodes: dict[str, tuple[yaml.Node, yaml.Node]] = {}
-    root = yaml.compose(text, yaml.SafeLoader)
-    if root is not None:
-        _collect(root, "", nodes)
+    nodes = nodes_of(text)
+
+    def ending(path: str) -> tuple[yaml.Node, yaml.Node] | None:
+        return next((pair for name, pair in nodes.items() if name.endswith(f".{path}")), None)
+
     edits: list[tuple[int, int, str]] = []
     for joint in servo.joints:
         for key in (*GAINS, RIGID):
-            found = _ending(nodes, f"joints.{joint.name}.{key}")
+            found = ending(f"joints.{joint.name}.{key}")
             value = repr(float(getattr(joint, key)))
             if found is not None:
                 _, node = found
                 edits.append((node.start_mark.index, node.end_mark.index, value))
             elif key == RIGID and joint.link_inertia:
-                found = _ending(nodes, f"joints.{joint.name}.{GAINS[-1]}")
+                found = ending(f"joints.{joint.name}.{GAINS[-1]}")
                 if found is not None:  # a line of its own behind the last gain's
                     name, node = found
                     line_end = text.find("\n", node.end_mark.index)
@@ -62,18 +63,3 @@ def _replaced(text: str, servo: ServoConfig) -> str:
                     indent = " " * name.start_mark.column
                     edits.append((line_end, line_end, f"\n{indent}{new_key}: {value}"))
     return edited(text, edits)
-
-
-def _collect(node: yaml.Node, path: str, nodes: dict[str, tuple[yaml.Node, yaml.Node]]) -> None:
-    """Take every value of a document, by its dotted path."""
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            below = f"{path}.{key.value}"
-            nodes[below] = (key, value)
-            _collect(value, below, nodes)
-
-
-def _ending(
-    nodes: dict[str, tuple[yaml.Node, yaml.Node]], path: str
-) -> tuple[yaml.Node, yaml.Node] | None:
-    return next((pair for name, pair in nodes.items() if name.endswith(f".{path}")), None)

@@ -12,7 +12,7 @@ from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_bytes
-from arm_emulator.base.yaml_file import MOST_BYTES, edited
+from arm_emulator.base.yaml_file import MOST_BYTES, edited, nodes_of
 from arm_emulator.machine.integrator import EVENTS
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
@@ -76,20 +76,15 @@ def _rest(scene: Scene) -> tuple[object, ...]:
 
 def _replaced(text: str, section: str, values: dict[str, str]) -> str:
     """Return YAML text with values of a section, or at its top, replaced or added at its begin."""
-    root = yaml.compose(text, yaml.SafeLoader)
-    assert isinstance(root, yaml.MappingNode)
-    if section:
-        root = next(value for key, value in root.value if key.value == section)
-        assert isinstance(root, yaml.MappingNode)
-    found = {key.value: value for key, value in root.value}
+    nodes, prefix = nodes_of(text), f"{section}." if section else ""
     edits = []
     for key, value in values.items():
-        if key in found:
-            node = found[key]
-            edits.append((node.start_mark.index, node.end_mark.index, value))
+        if (found := nodes.get(f"{prefix}{key}")) is not None:
+            edits.append((found[1].start_mark.index, found[1].end_mark.index, value))
         else:
-            first, _ = root.value[0]
-            at = first.start_mark.index
-            gap = ", " if root.flow_style else "\n" + " " * first.start_mark.column
-            edits.append((at, at, f"{key}: {value}{gap}"))
+            first = next(one for path, (one, _) in nodes.items() if path.startswith(prefix))
+            root = nodes[section][1] if section else None
+            in_braces = isinstance(root, yaml.MappingNode) and root.flow_style
+            gap = ", " if in_braces else "\n" + " " * first.start_mark.column
+            edits.append((first.start_mark.index, first.start_mark.index, f"{key}: {value}{gap}"))
     return edited(text, edits)

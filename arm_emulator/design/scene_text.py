@@ -185,20 +185,24 @@ def servo_text(config: ServoConfig, heading: str) -> str:
         f"    supply_voltage: {config.supply_voltage!r}  # V",
         f"    joint_names: [{', '.join(_text(name) for name in config.joint_names)}]",
     ]
-    dotted = any("." in name for name in config.joint_names)  # ROS's reader loses its way
-    if not dotted:
-        lines.append("    joints:")
-    for joint in config.joints:
-        if not dotted:
-            lines.append(f"      {_text(joint.name)}:")
-        for one in fields(JointServo):
-            value = getattr(joint, one.name)
-            if one.name == "name" or value == one.default:
-                continue
-            path = _text(f"joints.{joint.name}.{one.name}")
-            key = f"    {path}" if dotted else f"        {one.name}"
-            lines.append(f"{key}: {value!r}")
+    lines += _by_joint("joints", {joint.name: joint for joint in config.joints})
     return "\n".join(lines) + "\n"
+
+
+def _by_joint(section: str, joints: Mapping[str, JointServo | DriveNumbers]) -> list[str]:
+    """Return a section of a ROS parameter file with the numbers of joints that are no defaults."""
+    dotted = any("." in name for name in joints)  # ROS's reader loses its way
+    lines = [] if dotted else [f"    {section}:"]
+    for name, joint in joints.items():
+        if not dotted:
+            lines.append(f"      {_text(name)}:")
+        for one in fields(joint):
+            value = getattr(joint, one.name)
+            if one.name != "name" and value != one.default:
+                path = _text(f"{section}.{name}.{one.name}")
+                key = f"    {path}" if dotted else f"        {one.name}"
+                lines.append(f"{key}: {value!r}")
+    return lines
 
 
 def motion_text(
@@ -212,30 +216,11 @@ def motion_text(
         shown = _text(value) if isinstance(value, str) else repr(value)
         comment = f"  # {comments[key]}" if key in comments else ""
         lines.append(f"    {key}: {shown}{comment}")
-    return "\n".join(lines + drives_text(drives)) + "\n"
-
-
-def drives_text(drives: Mapping[str, DriveNumbers]) -> list[str]:
-    """Return the section `joints` of the parameter file of a motion controller, as lines."""
     known = {name: drive for name, drive in drives.items() if drive != DriveNumbers()}
-    if not known:
-        return []
-    lines = [
-        "    # for feed-forward, as in the scene; seen at the links, in N m, rad, s (a slide: m)"
-    ]
-    dotted = any("." in name for name in known)  # ROS's reader loses its way
-    if not dotted:
-        lines.append(f"    {SECTION}:")
-    for name, drive in known.items():
-        if not dotted:
-            lines.append(f"      {_text(name)}:")
-        for one in fields(DriveNumbers):
-            value = getattr(drive, one.name)
-            if value != one.default:
-                path = _text(f"{SECTION}.{name}.{one.name}")
-                key = f"    {path}" if dotted else f"        {one.name}"
-                lines.append(f"{key}: {value!r}")
-    return lines
+    if known:
+        about = "for feed-forward, as in the scene; seen at the links, in N m, rad, s (a slide: m)"
+        lines += [f"    # {about}", *_by_joint(SECTION, known)]
+    return "\n".join(lines) + "\n"
 
 
 def demo_text(displacement: list[float], settle: float, instructions: int) -> str:

@@ -1,8 +1,7 @@
-"""From a record to numbers: looked over, fitted by torques and, if asked, by free runs."""
+"""From a record to numbers: looked over, and fitted by torques."""
 
 from __future__ import annotations
 
-import dataclasses
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -15,14 +14,14 @@ import yaml
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_text
-from arm_emulator.base.yaml_file import MOST_BYTES, edited, read_yaml
+from arm_emulator.base.yaml_file import MOST_BYTES, edited, nodes_of, read_yaml
+from arm_emulator.design.assumed_bodies import inertial_of
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered
 from arm_emulator.identification.found import Found
-from arm_emulator.identification.free_run_fit import fit_free_runs
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.plausibility import check_fit, looked_over
-from arm_emulator.identification.torque_fit import TorqueFit, explained, fit_torques
+from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel, matches
 from arm_emulator.machine.chain import Array, Body, Frame
 from arm_emulator.machine.overrides import override
@@ -38,7 +37,6 @@ class Asked:
         low_pass: cut-off frequency [Hz].
         trust: relative accuracy of the scene's inertias and springs.
         as_is: skip the check of axes, signs and units.
-        simulate: second stage, which fits simulated free runs.
     """
 
     fit: Sequence[str]
@@ -46,7 +44,6 @@ class Asked:
     low_pass: float
     trust: float
     as_is: bool
-    simulate: bool
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,6 @@ def identified(
     record: MeasuredRun,
     asked: Asked,
     stage: Callable[[str], None],
-    note: Callable[[str], None],
 ) -> Identified:
     """Return the numbers with which a scene explains a record.
 
@@ -87,7 +83,6 @@ def identified(
         record: as it was measured.
         asked: what is sought.
         stage: hears of each stage when it begins.
-        note: hears of the progress of free runs.
 
     Raises:
         Refusal: the record is not one of this machine, or there is nothing to identify.
@@ -104,11 +99,6 @@ def identified(
     torques = model.of(motion)
     fit = fit_torques(model, motion, fitted, torques)
     check_fit(run.where, run.joints, fit.explained)
-    if asked.simulate:
-        stage("compile, fit by simulating")
-        fit = fit_free_runs(fit, nominal, run, note)
-        error = torques.torques(fit.values) - motion.tau
-        fit = dataclasses.replace(fit, explained=explained(motion.tau, error, motion.moving))
     return Identified(run, motion, fit, torques.torques(fit.values), doubts)
 
 
@@ -247,8 +237,7 @@ def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
     section by an alias, or a place is not there yet, the scene is written anew.
     """
     text = read_text(file, MOST_BYTES)
-    nodes = dict[str, yaml.Node]()
-    _collect(yaml.compose(text, yaml.SafeLoader), "", nodes)
+    nodes = {place: value for place, (_, value) in nodes_of(text).items()}
     shared = Counter(id(node) for node in nodes.values())
     wanted = [nodes.get(name) for name in values]
     if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
@@ -264,14 +253,6 @@ def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
     return edited(text, edits)
 
 
-def _collect(node: yaml.Node | None, place: str, nodes: dict[str, yaml.Node]) -> None:
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            _collect(value, f"{place}.{key.value}" if place else str(key.value), nodes)
-    elif node is not None:
-        nodes[place] = node
-
-
 def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
     """Return the URDF with the bodies of its moving links; links fixed to them get none."""
     robot = ET.fromstring(scene.urdf)
@@ -283,21 +264,9 @@ def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
         for name in joint.links:
             for old in links[name].findall("inertial"):
                 links[name].remove(old)
-        links[joint.link].insert(0, _inertial(body))
+        links[joint.link].insert(0, inertial_of(body, 12))
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
-
-
-def _inertial(body: Body) -> ET.Element:
-    com = body.moment / body.mass
-    tensor = body.inertia - body.mass * (com @ com * np.eye(3) - np.outer(com, com))
-    element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(f"{x:.12g}" for x in com))
-    ET.SubElement(element, "mass", value=f"{body.mass:.12g}")
-    places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-    numbers = {f"i{name}": f"{tensor[at]:.12g}" for name, at in places.items()}
-    ET.SubElement(element, "inertia", numbers)
-    return element
 
 
 def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:

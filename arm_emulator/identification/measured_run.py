@@ -17,7 +17,7 @@ SHORTEST = 200  # samples
 UNEVEN = 0.01  # of a sample: jitter of clocks
 FROZEN = 8  # equal samples in a row while a joint moves are no measurement
 BOUNDS = {
-    "q_motor": POSITION, "q_link": POSITION, "q_ref": POSITION, "v_motor": VELOCITY, "tau": EFFORT,
+    "q_motor": POSITION, "q_link": POSITION, "v_motor": VELOCITY, "tau": EFFORT,
 }  # fmt: skip
 LATEST = 1e9  # s
 SLOWEST = 0.04  # of a joint's top speed: slower joints count as standing
@@ -33,7 +33,6 @@ class MeasuredRun:
     q_motor: Array  # rad or m: the motor's angle times the gear ratio, as seen at the link
     tau: Array  # N m, at the motor's shaft
     q_link: Array | None = None  # rad or m, by encoders at the links; NaN without one
-    q_ref: Array | None = None  # rad or m, commanded
     v_motor: Array | None = None  # rad/s or m/s, as the drives measure them
 
     @property
@@ -76,7 +75,7 @@ def check_samples(run: MeasuredRun) -> None:
         at = int(bad[0])
         rule = f"come every {usual:g} s, without gaps"
         raise Refusal(run.where, "samples", rule, f"{steps[at]:g} s after t = {t[at]:g} s")
-    for name in ("q_motor", "tau", "v_motor", "q_ref", "q_link"):
+    for name in ("q_motor", "tau", "v_motor", "q_link"):
         rows = getattr(run, name)
         if rows is None:
             continue

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import io
-import math
 import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import IO
 
 import numpy as np
-from numpy.lib import format as npy
+from numpy.lib.format import read_array
 
 from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
@@ -26,17 +24,17 @@ from arm_emulator.machine.scene import Scene
 # Contents of a record, by their names in files. Arrays and groups of columns have equal names.
 NAMES = {
     "q_mot": "q_motor", "tau": "tau", "tau_abs": "tau", "current": "current", "q_link": "q_link",
-    "q_ref": "q_ref", "v_mot": "v_motor",
+    "v_mot": "v_motor",
 }  # fmt: skip
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-OF_ANGLE = ("q_motor", "q_link", "q_ref", "v_motor")
+OF_ANGLE = ("q_motor", "q_link", "v_motor")
 
 
 def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") -> MeasuredRun:
     """Read a record of a scene's machine.
 
     An archive (``.npz``) has arrays ``t`` (K,) [s], ``q_mot`` (K, N), and ``tau`` (or ``tau_abs``)
-    [N m] or ``current`` [A] at the motors' shafts; it may have ``q_link``, ``q_ref`` and ``v_mot``.
+    [N m] or ``current`` [A] at the motors' shafts; it may have ``q_link`` and ``v_mot``.
     A table (``.csv``) has columns ``t``, ``q_mot.JOINT``, ``tau.JOINT`` and so on. Columns of
     ``q_link`` that are 0 throughout are no encoders.
 
@@ -145,9 +143,9 @@ def _from_table(path: Path, scene: Scene) -> dict[str, Array]:
     return signals
 
 
-# An archive may unpack to far more than its size, and an array's header may state any size: both
-# are checked before memory is allocated. Nothing in the file is executed: pickled objects are
-# refused.
+# An archive may unpack to far more than its size, which is checked before memory is allocated. What
+# an array's header states beyond that is never written to. Nothing in the file is executed: pickled
+# objects are refused.
 
 MOST_BYTES = 2**29  # of the file, and of all that is unpacked from it
 MOST_ENTRIES = 1000
@@ -207,57 +205,19 @@ def _arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dic
             continue
         if name in arrays:
             raise Refusal(where, "archive", "hold each array once", f"{name} again")
-        if entry.flag_bits & 1 or entry.compress_type not in _METHODS:
-            raise Refusal(
-                where, name, "be stored or deflated, without encryption", "another method"
-            )
+        if entry.compress_type not in _METHODS:
+            raise Refusal(where, name, "be stored or deflated", "another method")
         if entry.file_size > left:
             rule = f"unpack to at most {MOST_BYTES // 2**20} MiB"
             raise Refusal(where, "archive", rule, f"{entry.file_size} bytes of {name}")
-        with archive.open(entry) as packed:
-            arrays[name] = _array(packed, entry.file_size, name, where)
+        # Of archives by Python 2, and of numbers of more than 64 bits.
+        quiet = warnings.catch_warnings(action="ignore"), np.errstate(over="ignore")
+        with archive.open(entry) as packed, quiet[0], quiet[1]:
+            values = read_array(packed, allow_pickle=False)
+            if values.dtype.kind not in _NUMBERS:
+                raise Refusal(where, name, "be real numbers", f"type {values.dtype}")
+            if values.size * 8 > left:
+                raise Refusal(where, name, f"have at most {left // 8} numbers", values.size)
+            arrays[name] = values.astype(np.float64)
         left -= max(entry.file_size, arrays[name].nbytes)
     return arrays
-
-
-def _array(packed: IO[bytes], size: int, name: str, where: str) -> FloatArray:
-    head, shape, fortran, kind = _heading(packed)
-    if kind.kind not in _NUMBERS or kind.hasobject:
-        raise Refusal(where, name, "be real numbers", f"type {kind}")
-    count = math.prod(shape)
-    if min(shape, default=1) < 0 or count * kind.itemsize != size - head:
-        rule = f"have the {size - head} bytes that its heading promises"
-        raise Refusal(where, name, rule, f"shape {shape} of {kind}")
-    if count * 8 > MOST_BYTES:
-        raise Refusal(where, name, f"have at most {MOST_BYTES // 8} numbers", count)
-    body = packed.read(size - head + 1)
-    flat = np.frombuffer(body, dtype=kind, count=count)
-    with np.errstate(over="ignore", invalid="ignore"):  # of more than 64 bits
-        return flat.reshape(shape, order="F" if fortran else "C").astype(np.float64)
-
-
-def _heading(packed: IO[bytes]) -> tuple[int, tuple[int, ...], bool, np.dtype[np.generic]]:
-    """Return size, shape, order and type from the header of an array."""
-    counted = _Counted(packed)
-    version = npy.read_magic(counted)
-    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    with warnings.catch_warnings(action="ignore"):  # of archives by Python 2
-        shape, fortran, kind = read(counted)
-    return counted.size, shape, fortran, kind
-
-
-class _Counted:
-    """Counts the bytes read of a header, and refuses a long one."""
-
-    LONGEST = 2**14
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self.size = 0
-
-    def read(self, size: int = -1, /) -> bytes:
-        if not 0 <= size <= self.LONGEST:
-            raise zlib.error("a long heading")
-        piece = self._stream.read(size)
-        self.size += len(piece)
-        return piece

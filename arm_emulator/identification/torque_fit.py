@@ -8,7 +8,6 @@ is searched for effects that the model lacks, and the confidence includes them.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -176,15 +175,3 @@ def _spread(values: Array) -> float:
     if not len(values):
         return 1.0
     return max(float(np.sqrt(np.mean(values**2))), 1e-12)
-
-
-def with_discrepancy(fit: TorqueFit, values: Array, covariance: Array) -> TorqueFit:
-    """Return a fit with values of another kind; its confidence includes their difference.
-
-    Args:
-        fit: of torques.
-        values: found by another method (U,).
-        covariance: of these (U, U).
-    """
-    apart = values - fit.values
-    return dataclasses.replace(fit, values=values, covariance=covariance + np.outer(apart, apart))

@@ -17,12 +17,11 @@ from arm_emulator.machine.parts.encoder import Encoder
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.friction import Friction
 from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.input import TORQUE, VOLTAGE, Input
+from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
     gear_of,
-    ideal_motor,
     link_friction_of,
     read_decorators,
     read_extras,
@@ -69,17 +68,6 @@ class Joint:
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return its part of a kind, None if it has none."""
         return next((part for part in self.parts if isinstance(part, kind)), None)
-
-    def torque_driven(self) -> Joint:
-        """Return the joint with an ideal torque motor, all else unchanged.
-
-        Parts between a voltage or a current and the torque of the windings are left out.
-        """
-        if self.motor is None or self.inputs == (TORQUE,):
-            return self
-        motor = ideal_motor(TORQUE, self.motor.inertia)
-        kept = tuple(one for one in self.decorators if not one.electrical)
-        return replace(self, motor=motor, decorators=kept)
 
     @property
     def inputs(self) -> tuple[Input, ...]:

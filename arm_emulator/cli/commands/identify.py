@@ -63,7 +63,6 @@ def identify(
     low_pass: Annotated[float, Parameter(metavar="HZ")] = 10.0,
     trust: float = 0.5,
     as_is: bool = False,
-    simulate: bool = False,
 ) -> int:
     """Find a scene's numbers from a record of its machine's motion.
 
@@ -79,7 +78,6 @@ def identify(
         low_pass: cut-off frequency.
         trust: relative accuracy of the scene's inertias and springs.
         as_is: skip the check of axes, signs and units.
-        simulate: second stage: fit simulated free runs (compiles).
     """
     if not 0.0 < trust <= 10.0:
         raise Refusal("identify", "--trust", "be > 0 and <= 10", trust)
@@ -91,11 +89,11 @@ def identify(
         raise Refusal("identify", "--out", "be another file than the scene", out)
     wanted, kept = ([one for one in names.split(",") if one] for names in (fit, hold))
     late = _delays(delay or ())
-    with _stages() as (stage, note):
+    with _stages() as stage:
         stage("read")
         record = _record(data, nominal, angles, side).shifted(late)
-        asked = Asked(wanted, kept, low_pass, trust, as_is, simulate)
-        found = identified(nominal, record, asked, stage, note)
+        asked = Asked(wanted, kept, low_pass, trust, as_is)
+        found = identified(nominal, record, asked, stage)
         stage("write")
         numbers = numbers_found(nominal, found.fit)
         doubts = found.doubts + doubts_of(nominal, found.fit, numbers)
@@ -125,14 +123,14 @@ def identify(
 
 
 @contextlib.contextmanager
-def _stages() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
-    """Show the stage that runs; give what begins another one, and what prints beside it."""
+def _stages() -> Iterator[Callable[[str], None]]:
+    """Show the stage that runs; give what begins another one."""
     columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
     progress = Console(stderr=True)  # not for JSON, and erased at the end
     hidden = not progress.is_terminal
     with Progress(*columns, console=progress, transient=True, disable=hidden) as bar:
         task = bar.add_task("", total=None)
-        yield lambda stage: bar.update(task, description=stage), bar.console.print
+        yield lambda stage: bar.update(task, description=stage)
 
 
 def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:

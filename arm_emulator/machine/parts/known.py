@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
@@ -11,7 +11,6 @@ from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import kinds_of
@@ -67,13 +66,6 @@ def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
     return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
-
-
-def ideal_motor(takes: Input, inertia: float) -> Motor:
-    """Return the motor that gives at once what it is commanded, and takes only that."""
-    kind: Any = next(one for one in MOTORS if one.inputs == (takes,))  # which has an inertia
-    motor: Motor = kind(rotor_inertia=inertia)
-    return motor
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
