@@ -12,15 +12,10 @@ import pytest
 from draws import some
 
 from arm_emulator import Refusal, Scene, load_scene
-from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.wind_up import wind_up
 from arm_emulator.validation import manutec_r3
 from arm_emulator.validation.figure import Figure
-from arm_emulator.validation.kuka_closed_loop import closed_loop
 from arm_emulator.validation.kuka_kr300 import (
-    LEAST_OF_LARGE,
-    LOW_PASS,
-    MOVES,
     SHIPPED,
     compare,
     known,
@@ -29,7 +24,7 @@ from arm_emulator.validation.kuka_kr300 import (
     torques_of,
     wind_up_figures,
 )
-from arm_emulator.validation.manutec_table import MOST, SHOWN, manutec_failures
+from arm_emulator.validation.manutec_r3 import MOST, SHOWN, manutec_failures
 
 
 def figures(scene: Scene, path: Path) -> Iterator[Figure]:
@@ -91,12 +86,12 @@ def test_a_wrong_machine_is_rejected_on_every_run(kind: str, word: str, path: Pa
 
 
 @pytest.mark.parametrize("path", some(SHIPPED, 0))
-def test_free_runs_and_our_servo_are_nearer_than_null_models(path: Path) -> None:
+def test_free_runs_are_nearer_than_null_models(path: Path) -> None:
     found = compare(path)
     assert found.good, found.failures
     judged = [one for one in found.figures if not one.yardstick]
     assert {one.title.strip().split(",")[0] for one in judged} >= {
-        "free run of 0.6 s", "free run of 2 s", "our servo: torque explained",
+        "free run of 0.6 s", "free run of 2 s",
     }  # fmt: skip
     for one in judged:  # every figure that is shown can fail
         ends = [
@@ -104,20 +99,6 @@ def test_free_runs_and_our_servo_are_nearer_than_null_models(path: Path) -> None
             for end in (-1e9, 1e9)
         ]
         assert any(ends), one.title
-
-
-def test_our_servo_follows_the_first_motion_of_a_run() -> None:
-    """Large axes need the measured torque, all are nearer to the command than the real ones."""
-    scene = load_scene("kuka_kr300")
-    whole = load(SHIPPED[0], scene)
-    rows = slice(0, round(5.0 / whole.period))  # all axes move in it
-    parts = {name: value[rows] for name, value in vars(whole).items() if hasattr(value, "shape")}
-    run = dataclasses.replace(whole, **parts)
-    data = filtered(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1)
-    found = closed_loop(run, data, LOW_PASS)
-    assert found is not None
-    assert found.explained[:3].min() > LEAST_OF_LARGE, found.explained
-    assert (found.lag < found.measured_lag).all()
 
 
 def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:

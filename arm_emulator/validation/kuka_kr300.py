@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.identification.filtered import Filtered, filtered, smooth_motion
@@ -19,8 +22,7 @@ from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.identification.wind_up import WindUp, wind_up
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.validation.figure import Figure
-from arm_emulator.validation.kuka_closed_loop import closed_loop
+from arm_emulator.validation.figure import Figure, table_of
 
 DATA = config_folder() / "validation" / "kuka_kr300"
 SHIPPED = (DATA / "run_A.npz", DATA / "run_B.npz")
@@ -42,7 +44,6 @@ MOST_DRIFT = {0.6: (8.0, 15.0), 2.0: (40.0, 60.0)}  # %, mean and each axis, aft
 MOST_OF_NULL = 0.6  # free runs: their mean, of that of the best null model
 MOST_OF_RIGID = 0.85  # wind-up: of that of rigid gears, each axis
 MOST_BESIDE_WAVE = 0.7  # the same beside the encoder's wave
-LEAST_OF_LARGE, LEAST_OF_WRIST = 80.0, 60.0  # %, our servo: each of axes 1 to 3, mean of the wrist
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,6 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
         *torque_figures(scene, run, data, torques),
         *drifting,
         *wind_up_figures(run, of_gears),
-        *_servo_figures(run, data),
     )
     return Comparison(run, data, torques, of_gears, paths, begins, figures)
 
@@ -205,21 +205,6 @@ def _of_rigid(title: str, share: Array, most: float) -> Figure:
     return Figure(title, judged, ".2f", most=most, needed=JUDGED)
 
 
-def _servo_figures(run: MeasuredRun, data: Filtered) -> Iterator[Figure]:
-    closed = closed_loop(run, data, LOW_PASS)
-    if closed is None:
-        return
-    large, wrist = closed.explained.copy(), closed.explained.copy()
-    large[3:], wrist[:3] = np.nan, np.nan
-    yield Figure("our servo: torque explained, axes 1 to 3, %", large, ".1f", least=LEAST_OF_LARGE)
-    yield Figure("  wrist, whose real motion is not the command, %", wrist, ".1f",
-                 least_mean=LEAST_OF_WRIST)  # fmt: skip
-    real = np.degrees(closed.measured_lag)
-    yield Figure("  behind its command, deg rms: real controller", real, ".4f", yardstick=True)
-    yield Figure("  behind its command, of the real controller's", closed.lag / closed.measured_lag,
-                 ".4f", most=1.0)  # fmt: skip
-
-
 def _without_wave(error: Array, q: Array, order: Array, amplitude: Array) -> Array:
     """Return the root of mean square (N,) of errors (K, N) beside a wave whose phase is free."""
     phase = np.angle(np.mean(error * np.exp(-1j * order * q), axis=0))
@@ -298,3 +283,92 @@ def _features(data: Filtered, j: int) -> Array:
     q, v = data.q[:, j], data.v[:, j]
     one = np.ones(len(q))
     return np.column_stack([one, data.direction[:, j], v, data.a[:, j], np.cos(q), np.sin(q)])
+
+
+WIDTH = 150  # characters of the tables
+
+
+def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[str, Any]:
+    """Compare with runs, print, draw into a folder, and return the same for programs.
+
+    Args:
+        runs: files as run_A.npz; none: the shipped ones.
+        folder: of the pictures.
+        console: for the tables.
+
+    Raises:
+        Refusal: a file is not such a run.
+    """
+    scene = load_scene("kuka_kr300")
+    paths = list(runs) or list(SHIPPED)
+    found = [
+        compare(path, scene) for path in track(paths, "kuka_kr300", console=Console(stderr=True))
+    ]
+    compared = []
+    for one in found:
+        title = f"KUKA KR300, identified on run A, beside {one.run.where}"
+        console.print(table_of(title, scene.joint_names, one.figures))
+        picture = folder / f"kuka_kr300_{Path(one.run.where).stem}.png"
+        draw(one, scene.joint_names, picture)
+        for failure in one.failures:
+            console.print(f"[red]{failure}")
+        console.print(f"{one.run.where}: {'good' if one.good else 'NOT GOOD'}; picture: {picture}")
+        figures = [
+            {"title": f.title, "values": f.values, "mean": f.mean, "limits": f.limits}
+            for f in one.figures
+        ]
+        compared.append(
+            {
+                "record": one.run.where,
+                "good": one.good,
+                "failures": one.failures,
+                "figures": figures,
+                "picture": picture,
+            }
+        )
+    return {"good": all(one.good for one in found), "runs": compared}
+
+
+DRAWN = 5  # free runs: one of this many is drawn
+
+
+def draw(one: Comparison, names: tuple[str, ...], file: Path) -> None:
+    """Draw torques, free runs and wind-up of each axis."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    N, data, run = len(names), one.data, one.run
+    figure, axes = plt.subplots(N, 3, figsize=(15, 1.9 * N), layout="constrained", sharex=True)
+    for j, (row, name) in enumerate(zip(axes, names, strict=True)):
+        torque, free, wound = row
+        moving = np.where(data.moving[:, j], 1.0, np.nan)
+        torque.plot(data.t, data.tau[:, j], color="0.6", lw=1.2)
+        torque.plot(data.t, one.torques[:, j] * moving, "C0", lw=1.0)
+        torque.plot(data.t, (data.tau - one.torques)[:, j] * moving, "C3", lw=0.7)
+        torque.set_ylabel(name)
+        free.plot(run.t, np.degrees(run.q_motor[:, j]), color="0.6", lw=1.2)
+        for k in range(0, len(one.begins), DRAWN):
+            at = one.begins[k]
+            t = run.t[at + 1 : at + 1 + len(one.paths)]
+            free.plot(t, np.degrees(one.paths[:, k, j]), "C0", lw=1.0)
+        if np.isfinite(one.wind_up.measured[:, j]).any():
+            t, measured = one.wind_up.t, np.degrees(one.wind_up.measured[:, j])
+            computed = np.degrees(one.wind_up.computed[:, j])
+            wound.plot(t, measured, color="0.6", lw=0.8)
+            wound.plot(t, computed, "C0", lw=1.0)
+            wound.plot(t, measured - computed, "C3", lw=0.6)
+        else:
+            wound.set_axis_off()
+        for each in row:
+            each.grid(alpha=0.3)
+    titles = ("torque at the link, N m, below 10 Hz", "motor at the link, deg: free runs",
+              "wind-up, deg")  # fmt: skip
+    for each, title in zip(axes[0], titles, strict=True):
+        each.set_title(f"{title}\ngrey: measured, blue: computed, red: residual", fontsize="small")
+    for each in axes[-1]:
+        each.set_xlabel("s")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=85)
+    plt.close(figure)

@@ -35,11 +35,11 @@ def validate(
             raise Refusal(
                 "validate", "records", "be absent: it is compared with published results", runs[0]
             )
-        from arm_emulator.validation.manutec_table import WIDTH, validate_manutec
+        from arm_emulator.validation.manutec_r3 import WIDTH, validate_manutec
 
         facts = validate_manutec(out, output.console(WIDTH))
     else:
-        from arm_emulator.validation.kuka_table import WIDTH, validate_kuka
+        from arm_emulator.validation.kuka_kr300 import WIDTH, validate_kuka
 
         facts = validate_kuka(runs, out, output.console(WIDTH))
     output.facts({"machine": machine, **facts})
