@@ -24,7 +24,6 @@ from arm_emulator.design.joint_gains import (
     joint_plant,
     joint_servo,
 )
-from arm_emulator.design.tuned import swing_at_rest
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.held_motor import held, held_motor
 from arm_emulator.servo.servo import ServoConfig
@@ -300,8 +299,8 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
 
 @pytest.mark.parametrize("counts", some([64, 16, 1024], 1))
 @pytest.mark.parametrize("seed", range(1))
-def test_a_link_rests_within_counts_as_predicted(seed: int, counts: int) -> None:
-    """By a joint alone, against a whole arm in gravity; ur5's gears and limits."""
+def test_a_link_rests_within_counts(seed: int, counts: int) -> None:
+    """A whole arm in gravity; ur5's gears and limits."""
     rng = np.random.default_rng([seed, 10])
     scene = load_scene("ur5")  # as others compile it: the coarse encoders are read off its motors
     servo = load_gains(find_config("ur5", ".yaml")).servo
@@ -320,12 +319,4 @@ def test_a_link_rests_within_counts_as_predicted(seed: int, counts: int) -> None
             rows.append(session.state.q)
     counts_swung = np.ptp(np.array(rows), axis=0) / [joint.count_angle for joint in servo.joints]
     for j in range(3):  # the large joints; the wrists are moved by them
-        joint = scene.joints[j]
-        assert joint.motor is not None
-        motor = MotorData(0.3, 4e-4, 0.125, 0.125, 1e-4, counts)
-        gear = GearData(joint.gear.ratio, joint.gear.stiffness, joint.gear.damping)
-        plant = joint_plant(motor, gear, 3.0, 8.0, servo.period)
-        predicted = swing_at_rest(servo.joints[j], plant, 48.0) / servo.joints[j].count_angle
-        words = f"{scene.joint_names[j]}: {counts_swung[j]:.2f} counts, predicted {predicted:.2f}"
-        assert predicted < 1.5, words
-        assert counts_swung[j] < 1.5, words
+        assert counts_swung[j] < 1.5, f"{scene.joint_names[j]}: {counts_swung[j]:.2f} counts"

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from arm_emulator.analysis.holding import Overload, overloads
@@ -21,7 +22,6 @@ from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
 from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
 from arm_emulator.design.mesh_file import move_meshes
-from arm_emulator.design.own_collisions import own_collisions, own_shapes
 from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
 from arm_emulator.design.robot_file import forget_impossible, read_limits, robot_text, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
@@ -35,8 +35,10 @@ from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_chain import MovedBody, moved_bodies
 from arm_emulator.machine.urdf_tree import LARGEST_MASS
+from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s
@@ -261,7 +263,7 @@ def _texts(
     move_meshes(description, robot.parent)
     links = _links_alone(ET.tostring(description, encoding="unicode"), robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
-    shapes = own_shapes(links.urdf, links.joint_names)
+    shapes = _own_shapes(links.urdf, links.joint_names)
     bare = survey(links, kinematics, shapes)
     seen = bare
     if payload:
@@ -289,7 +291,7 @@ def _texts(
     }
     # The motion controller reads the joints' limits from the robot description.
     write_limits(description, {drive.joint.name: drive for drive in drives})
-    motion["collisions"], why = own_collisions(shapes, bare.start)
+    motion["collisions"], why = _own_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
     given = Given(robot.name, choice, payload or 0.0, *bodies, tools)
     scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
@@ -384,3 +386,40 @@ def _known_drive(joint: Joint) -> DriveNumbers:
             values[f"{prefix}viscous"] = getattr(law, "viscous", 0.0) / per**2
             values[f"{prefix}coulomb"] = getattr(law, "coulomb", 0.0) / per
     return DriveNumbers(**values)
+
+
+_DRAWN = 100  # poses within the limits
+_MOST = 0.8  # share of them: shapes that overlap nearly everywhere are not those of the arm
+
+
+def _own_shapes(urdf_xml: str, joint_names: tuple[str, ...]) -> Collisions | None:
+    """Return the test of an arm against itself; None: its shapes cannot be read.
+
+    Args:
+        urdf_xml: the robot description, with meshes that can be found.
+        joint_names: the joints commanded.
+    """
+    try:
+        return Collisions(urdf_xml, joint_names, (), MotionConfig().collision_margin)
+    except Refusal:
+        return None
+
+
+def _own_collisions(tested: Collisions | None, start: Array) -> tuple[str, str]:
+    """Return the parameter `collisions` for an arm, and the reason.
+
+    Args:
+        tested: of `_own_shapes`.
+        start: angles of the joints at the start (N,) [rad or m].
+    """
+    if tested is None:
+        return "off", "the shapes of the description cannot be read"
+    if not tested.pairs:
+        return "auto", "no parts of the arm can touch each other; stop with obstacles"
+    if touching := tested.first(start):
+        return "off", f"{touching} touch wherever it could start"
+    rng = np.random.default_rng(0)
+    share = np.mean([bool(tested.first(tested.drawn(rng))) for _ in range(_DRAWN)])
+    if share > _MOST:
+        return "off", f"parts of the arm touch in {share:.0%} of its poses"
+    return "stop", "before parts of the arm touch each other"

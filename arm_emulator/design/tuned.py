@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.analysis.sampled_loop import Margins, SampledPlant
+from arm_emulator.analysis.sampled_loop import Margins
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
 from arm_emulator.base.yaml_file import read_yaml
-from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_plant
+from arm_emulator.design.joint_gains import GearData, MotorData, design
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant
@@ -21,8 +21,6 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
-from arm_emulator.servo.servo_law import SERVO, servo_law
-from arm_emulator.servo.servo_numbers import servo_numbers
 
 Range = tuple[float, float]
 
@@ -338,60 +336,3 @@ def _quintic(s: float) -> tuple[float, float]:
     """Return how far along a smooth way from 0 to 1 is, and its rate."""
     s = min(max(s, 0.0), 1.0)
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s), 30.0 * s * s * (1.0 - s) ** 2
-
-
-def predicted_swing(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> list[float]:
-    """Return by how much each link swings at rest behind its encoder [rad or m]."""
-    known = {joint.name: joint for joint in servo.joints}
-    out = []
-    for joint, (_, most) in zip(scene.joints, inertias, strict=True):
-        motor, gear = data_of(joint)
-        plant = joint_plant(motor, gear, most, joint.friction.viscous, servo.period)
-        out.append(swing_at_rest(known[joint.name], plant, servo.supply_voltage))
-    return out
-
-
-_PLACES = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)  # of the target within its count
-_TIMES = 60.0  # of 1 / position_gain, the second half is evaluated
-_FEWEST, _MOST = 1000, 8000  # ticks
-
-
-def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float) -> float:
-    """Return the limit cycle of a link at rest, peak to peak [rad].
-
-    The actual servo, with limits and counts, holds one joint that nothing else moves, at several
-    positions of its target within a count; the worst result is returned. About one count remains
-    behind any encoder, which cannot resolve drift within one. More is a limit cycle: each count
-    changes the observed speed, and thus the current, by more than the joint can stand.
-
-    Args:
-        joint: data sheet, gains and limits.
-        plant: one joint, sampled.
-        supply_voltage: largest voltage [V].
-    """
-    period = plant.period
-    law, numbers = servo_law(), servo_numbers((joint,), period, supply_voltage)
-    ticks = round(_TIMES / joint.position_gain / period)
-    ticks = min(max(ticks, _FEWEST), _MOST)
-    count = 2.0 * math.pi / joint.counts_per_turn
-    # A servo controls the joint at each place; all places advance together.
-    states = SERVO.rows("servo_state", len(_PLACES))
-    data = SERVO.pointer("servo_joint", numbers)
-    servos = [
-        (data, SERVO.pointer("servo_state", states[k : k + 1]), (5.0 + place) * joint.count_angle)
-        for k, place in enumerate(_PLACES)
-    ]
-    seen = np.array([plant.current[0], plant.theta[0] / count])
-    x, V = np.zeros((len(plant.F), len(servos))), np.zeros(len(servos))
-    q = np.empty((ticks, len(servos)))
-    for k in range(ticks):
-        current, theta = seen @ x
-        current += plant.current_by_command[0] * V
-        counts = np.floor(theta).astype(int)
-        now = zip(servos, counts.tolist(), current.tolist(), V.tolist(), strict=True)
-        for j, ((data, state, target), at, one, given) in enumerate(now):
-            law.servo_joint_observe(data, state, at, one, given)
-            V[j] = law.servo_joint_control(data, state, target, 0.0, 0.0)
-        x = plant.F @ x + plant.G[:, :1] * V
-        q[k] = plant.q[0] @ x
-    return float(np.ptp(q[ticks // 2 :], axis=0).max())

@@ -22,7 +22,6 @@ from arm_emulator.design.tuned import (
     compute,
     examine,
     link_inertias,
-    predicted_swing,
     with_and_without,
 )
 from arm_emulator.machine.scene import Scene
@@ -61,10 +60,7 @@ def tune(
             "present": examine(machine, without, servo),
             "computed": examine(machine, without, computed),
         }
-        swings = {
-            label: predicted_swing(machine, one.servo, inertias) for label, one in pair.items()
-        }
-    _print(machine, inertias, pair, swings)
+    _print(machine, inertias, pair)
     picture = None
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -74,7 +70,7 @@ def tune(
     if write:
         write_gains(servo_file, computed)
         console.print(f"written: {servo_file}")
-    joints = _facts(machine, inertias, pair, swings)
+    joints = _facts(machine, inertias, pair)
     written = servo_file if write else None
     output.facts({"scene": machine.name, "joints": joints, "picture": picture, "written": written})
     return 0
@@ -84,7 +80,6 @@ def _facts(
     scene: Scene,
     inertias: list[Range],
     pair: Mapping[str, Tuned],
-    swings: Mapping[str, list[float]],
 ) -> dict[str, dict[str, object]]:
     """Return the values of the tables by joint, in SI units."""
     facts: dict[str, dict[str, object]] = {
@@ -104,7 +99,6 @@ def _facts(
                 "step": tuned.steps[j],
                 "off_on_the_way": tuned.run.worst[j],
                 "count": loop.count_angle,
-                "swing_predicted": swings[label][j],
                 "swing": tuned.run.swing[j],
             }
     return facts
@@ -121,7 +115,6 @@ def _print(
     scene: Scene,
     inertias: list[Range],
     pair: Mapping[str, Tuned],
-    swings: Mapping[str, list[float]],
 ) -> None:
     def gains(label: str, j: int) -> Iterator[str]:
         one = pair[label].loops.joints[j]
@@ -150,7 +143,6 @@ def _print(
     def rest(label: str, j: int) -> Iterator[str]:
         count = pair[label].loops.joints[j].count_angle
         yield f"{1e3 * count:.3g}"
-        yield f"{swings[label][j] / count:.2f}"
         yield f"{pair[label].run.swing[j] / count:.2f}"
 
     for cells, title, *columns in (
@@ -160,8 +152,7 @@ def _print(
          "without payload: gain", "phase, deg"),
         (motion, "step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
          "off on the way, mrad (mm)"),
-        (rest, "at rest", "a count, mrad (mm)", "swing predicted, counts",
-         "of the machine, counts"),
+        (rest, "at rest", "a count, mrad (mm)", "swing of the machine, counts"),
     ):  # fmt: skip
         rows = [
             (name if label == "present" else "", label, *cells(label, j))
