@@ -9,7 +9,7 @@ from dataclasses import fields
 from arm_emulator.base.number import numbers_of
 from arm_emulator.campaign import campaign_file
 from arm_emulator.campaign.distributions import KINDS
-from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.fault import known_faults
 from arm_emulator.campaign.scenario import AT, SECONDS
 from arm_emulator.campaign.search import METHODS
 from arm_emulator.campaign.varying_numbers import CORRELATION

@@ -12,8 +12,7 @@ import yaml
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
-from arm_emulator.campaign.fault import Fault, changes_of
-from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.fault import Fault, changes_of, known_faults
 from arm_emulator.campaign.varying_numbers import leaves
 from arm_emulator.machine.change import Change, NumberChange, WrenchChange
 from arm_emulator.machine.external_wrench import ExternalWrench

@@ -10,7 +10,7 @@ import pytest
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.base.registry import Registry
-from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.fault import known_faults
 from arm_emulator.campaign.faults.payload import Payload
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
@@ -23,7 +23,7 @@ HIJACK = """
 import importlib, pkgutil, sys
 from arm_emulator.machine import parts, schemes
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.campaign import faults
+from arm_emulator.campaign import fault, faults
 made = []
 for package in (parts, schemes, faults):
     for module in pkgutil.iter_modules(package.__path__):
@@ -31,14 +31,14 @@ for package in (parts, schemes, faults):
             continue  # they read the registry
         for kind in vars(importlib.import_module(f"{package.__name__}.{module.name}")).values():
             if isinstance(kind, type) and kind.__module__.startswith(package.__name__ + "."):
-                if issubclass(kind, (Part, schemes.scheme.Scheme, faults.Fault)):
+                if issubclass(kind, (Part, schemes.scheme.Scheme, fault.Fault)):
                     made.append(type("My" + kind.__name__, (kind,), {}))
 assert len(made) > 50, len(made)
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator import load_scene
-kinds = [*PARTS, *ANALOG, *KNOWN.values(), *faults.known_faults().values()]
+kinds = [*PARTS, *ANALOG, *KNOWN.values(), *fault.known_faults().values()]
 for joint in load_scene("ur5").joints:
     kinds += map(type, (*joint.parts, *joint.sensors.parts.values()))
 strangers = {kind.__name__ for kind in kinds if not kind.__module__.startswith("arm_emulator.")}

@@ -18,8 +18,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.base.text_file import read_bytes
 from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
-from arm_emulator.campaign.fault import Fault
-from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.fault import Fault, known_faults
 from arm_emulator.campaign.intervals import clopper_pearson
 from arm_emulator.campaign.scenario import Scenario, read_scenario
 from arm_emulator.campaign.search import read_method
@@ -209,10 +208,10 @@ def load_campaign(file: Path) -> Campaign:
     numbers = varying_numbers(root, patterns, scene, servo, data)
     pairs = correlated(root, [one.name for one in numbers])
     correlation = correlation_of(pairs, numbers, file.name)
-    levels = Variation(numbers, "random", bytes(32), 1).levels
+    levels = Variation(numbers, "random", bytes(32)).levels
     count = count or (levels if levels > 1 else ALL)
-    key = _key(data, used, root, count if sampling == "latin" else 0)
-    variation = Variation(numbers, sampling, key, count, correlation, file.name)
+    key = _key(data, used, root)
+    variation = Variation(numbers, sampling, key, correlation, file.name)
     stop = root.section("stop")
     campaign = Campaign(
         file=file,
@@ -294,10 +293,10 @@ def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
     return {name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()}
 
 
-def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int) -> bytes:
+def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section) -> bytes:
     """Return the hash of all that decides what a run with an index is."""
     deciding = {key: value for key, value in data.items() if key not in ("count", "stop")}
-    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} {count}\0".encode())
+    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} 0\0".encode())
     digest.update(json.dumps(deciding, sort_keys=True, default=str).encode())
     for name, content in sorted(used.items()):
         digest.update(f"\0{name} {len(content)}\0".encode())

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 from arm_emulator.base.number import Number, number, numbers_of
+from arm_emulator.base.registry import Registry
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.machine.change import Change, NumberChange
@@ -101,6 +102,15 @@ class Fault:
     def ends(self) -> Change:
         """Return what is set when it ends."""
         raise NotImplementedError
+
+
+_KINDS = Registry[Fault]("fault", "arm_emulator.campaign.faults", lambda kind: str(kind.kind))
+register_fault = _KINDS.register
+
+
+def known_faults() -> dict[str, type[Fault]]:
+    """Return all kinds by name."""
+    return dict(sorted(_KINDS.kinds().items()))
 
 
 def changes_of(

@@ -10,7 +10,7 @@ from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.distributions import parse_distribution
-from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.fault import known_faults
 from arm_emulator.campaign.variation import Varying
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig

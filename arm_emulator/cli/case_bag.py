@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.campaign.campaign_file import Campaign, used_files
 from arm_emulator.campaign.case import Case
-from arm_emulator.campaign.shrinking import scene_data
+from arm_emulator.campaign.shrinking import path_from
 from arm_emulator.campaign.simulator import Simulator
 from arm_emulator.machine.change import Change
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.overrides import override
 
 
 def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder: Path) -> None:
@@ -36,7 +40,7 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
     with RunBag(
         folder, simulator.session, {"campaign": f"run {case.index} of {campaign.file}"}
     ) as bag:
-        data = scene_data(campaign, campaign.overrides, folder)
+        data = _scene_data(campaign, campaign.overrides, folder)
         (folder / SCENE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
         try:
             for _ in pieces:
@@ -57,3 +61,22 @@ def check_new_bag(where: str, folder: Path) -> None:
         raise Refusal(where, "--bag", "find ROS 2", error) from None
     if folder.exists():
         raise Refusal(where, f"folder {folder}", "be new", "one that exists")
+
+
+def _scene_data(campaign: Campaign, overrides: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a campaign's scene as it stands in a file.
+
+    Args:
+        campaign: which one.
+        overrides: values in place of those of its scene's file, as `load_scene` takes them.
+        folder: where the file will be, from which others are named.
+    """
+    used = used_files(campaign.data, campaign.file)
+    data, file = read_yaml(used["scene"]), used["scene"]
+    for name, value in overrides.items():
+        if name == "payload.mass" and not isinstance(data.get("payload"), dict):
+            name = "payload"  # a scene's short form
+        override(data, name, value, file.name)
+    if (file.parent / data["urdf"]).is_file():
+        data["urdf"] = path_from(folder, file.parent / data["urdf"])
+    return data | {key: path_from(folder, used[key]) for key in ("servo", "motion")}

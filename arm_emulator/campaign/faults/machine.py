@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 from arm_emulator.base.number import number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.fault import Fault
-from arm_emulator.campaign.faults.registry import register_fault
+from arm_emulator.campaign.fault import Fault, register_fault
 from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.scene import Scene
 

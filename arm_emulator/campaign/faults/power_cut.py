@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from arm_emulator.campaign.fault import Fault
-from arm_emulator.campaign.faults.registry import register_fault
+from arm_emulator.campaign.fault import Fault, register_fault
 from arm_emulator.machine.change import Change, PowerChange
 from arm_emulator.machine.scene import Scene
 

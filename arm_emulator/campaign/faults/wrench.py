@@ -1,4 +1,4 @@
-"""Something pushes against a link."""
+"""Something acts on a link: it pushes, or hits."""
 
 from __future__ import annotations
 
@@ -7,34 +7,26 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from arm_emulator.base.bound import FORCE, MOMENT, POINT
-from arm_emulator.base.number import Number
+from arm_emulator.base.number import Number, number
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.fault import Fault
-from arm_emulator.campaign.faults.registry import register_fault
+from arm_emulator.campaign.fault import Fault, register_fault
+from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.machine.change import Change, WrenchChange
 from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene import Scene
 
 
-@register_fault
 @dataclass(frozen=True, kw_only=True)
-class Wrench(Fault):
-    """A force and a moment act on a link.
+class OnLink(Fault):
+    """Base of faults that act on a link.
 
     Attributes:
         link: of the URDF, one that moves.
-        force: [N].
-        moment: about the point [N m].
         point: in the link's frame [m].
         axes: those of the link's frame, or of the world.
     """
 
-    kind: ClassVar[str] = "wrench"
-    vectors: ClassVar[Mapping[str, Number]] = {"force": FORCE, "moment": MOMENT, "point": POINT}
-
     link: str
-    force: tuple[float, ...] = NONE
-    moment: tuple[float, ...] = NONE
     point: tuple[float, ...] = NONE
     axes: str = "world"
 
@@ -52,18 +44,63 @@ class Wrench(Fault):
         """Return that wrenches may act."""
         return {"external_wrench": True}
 
-    @property
-    def _wrench(self) -> ExternalWrench:
-        return ExternalWrench(self.force, self.moment, self.point, self.axes)
+    def wrench(self, period: float) -> ExternalWrench:
+        """Return what acts, by the servo period [s]."""
+        raise NotImplementedError
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse a link that does not move."""
-        on_moving_link(scene, where, self.link, self._wrench)
+        on_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
 
     def begins(self, scene: Scene) -> Change:
-        """Return force and moment."""
-        return WrenchChange(self.link, self._wrench)
+        """Return what acts."""
+        return WrenchChange(self.link, self.wrench(scene.servo_period))
 
     def ends(self) -> Change:
         """Return that nothing acts."""
         return WrenchChange(self.link, ExternalWrench())
+
+
+@register_fault
+@dataclass(frozen=True, kw_only=True)
+class Wrench(OnLink):
+    """A force and a moment act on a link.
+
+    Attributes:
+        force: [N].
+        moment: about the point [N m].
+    """
+
+    kind: ClassVar[str] = "wrench"
+    vectors: ClassVar[Mapping[str, Number]] = {"force": FORCE, "moment": MOMENT, "point": POINT}
+
+    force: tuple[float, ...] = NONE
+    moment: tuple[float, ...] = NONE
+
+    def wrench(self, period: float) -> ExternalWrench:
+        """Return force and moment."""
+        return ExternalWrench(self.force, self.moment, self.point, self.axes)
+
+
+@register_fault
+@dataclass(frozen=True, kw_only=True)
+class Impulse(OnLink):
+    """Something hits a link: a force acts for the time of contact, whole servo periods.
+
+    Attributes:
+        impulse: force times time [N s].
+    """
+
+    kind: ClassVar[str] = "impulse"
+    vectors: ClassVar[Mapping[str, Number]] = {
+        "impulse": Number("impulse", "N s", at_least=-1e4, at_most=1e4), "point": POINT
+    }  # fmt: skip
+
+    lasting: float = number("s", above=0.0, at_most=1.0, default=1e-9, text="contact")
+    impulse: tuple[float, ...]
+
+    def wrench(self, period: float) -> ExternalWrench:
+        """Return the force."""
+        contact = period * max(1, ticks_of(self.lasting, period))
+        force = tuple(one / contact for one in self.impulse)
+        return ExternalWrench(force, NONE, self.point, self.axes)

@@ -6,11 +6,10 @@ import dataclasses
 import itertools
 import math
 import os
-import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +25,6 @@ from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, case_with, drawn_case
 from arm_emulator.campaign.crew import Crew, Pool, Progress
 from arm_emulator.campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
-from arm_emulator.campaign.forking import forked_case
 from arm_emulator.campaign.judges import statements_about_the_start
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.outcome import Outcome
@@ -36,7 +34,6 @@ from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.shrinking import shrink, write_shrunk
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.campaign.splitter import Splitter, failed_forks
 from arm_emulator.campaign.summary import Summary, summary_of
 from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.command import command
@@ -55,8 +52,7 @@ BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shr
         "`count`, `per_run`, `estimate` (s of all runs), `bytes`; after the runs `shares`, "
         "`quantiles`, `confidence`, `digest`, `results`, `arithmetic`; with the option "
         "replay `index`, `values`, `robustness`, `measures`, `failed`, `missed`; with shrink "
-        "`index`, `requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`, "
-        "`scene`, `record`, `bag`"
+        "`index`, `requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`"
     ),
 )
 def campaign(
@@ -88,7 +84,7 @@ def campaign(
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
         replay: simulate one run again, for --record, --bag, --rerun and --page.
         shrink: find the fewest changes and the shortest time with which a run still fails, and
-            write them beside the results as campaign, scene, record and bag.
+            write them beside the results as a campaign.
         bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
     kept.check("campaign")
@@ -118,21 +114,21 @@ def campaign(
     if dry:
         return 0
     results = Results(into, one)
-    interrupted, findings = _simulate(one, results, dask, workers, seconds)
+    interrupted, found = _simulate(one, results, dask, workers, seconds)
     columns = results.columns()
     summary = summary_of(one, columns)
     if one.search is None:
         _print(summary, digest_of(columns), results.folder)
     else:
-        print_findings(findings, digest_of(columns), summary.count, results.folder)
-    if summary.count or findings:
-        output.line(f"report  {write_report(one, results, columns, summary, findings)}")
+        print_finding(found, digest_of(columns), summary.count, results.folder)
+    if summary.count:
+        output.line(f"report  {write_report(one, results, columns, summary, found)}")
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
         return 130
     fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
     missed = f"the only run fails {', '.join(fails)}" if fails and one.search is None else ""
-    if not summary.count and not findings:
+    if not summary.count:
         missed = "it has ended before the first run"
     return output.judge("campaign", missed)
 
@@ -168,7 +164,7 @@ def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
 
 def _simulate(
     one: Campaign, results: Results, dask: str | None, workers: int | None, seconds: float
-) -> tuple[bool, list[Finding]]:
+) -> tuple[bool, Finding | None]:
     """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
     # One that was killed may take its time to be there again.
     patience = itertools.chain([PATIENCE], itertools.repeat(60.0))
@@ -181,14 +177,12 @@ def _simulate(
     with _shown() as report:
         crew = Crew(pool, seconds, report)
         try:
-            if one.search is not None and one.search.forks:
-                return False, Splitter(one, results, crew).run()
             if one.search is not None:
                 return False, Searcher(one, results, crew).run()
             run_campaign(one, results, crew)
         except KeyboardInterrupt:
-            return True, []
-    return False, []
+            return True, None
+    return False, None
 
 
 @contextmanager
@@ -305,14 +299,7 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     if not (into / ABOUT).is_file():
         rule = "have the search's runs, from which one is taken"
         raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
-    results = Results(into, one)
-    if one.search.forks:
-        failures = failed_forks(results)
-        if index >= len(failures):
-            valid = f"0 to {len(failures) - 1}" if failures else None
-            raise Refusal("campaign", option, "be a failure of the search", index, valid)
-        return replace(forked_case(one, failures[index]), index=index)
-    columns = results.columns()
+    columns = Results(into, one).columns()
     places = np.flatnonzero(columns[INDEX] == index)
     if not len(places):
         count = len(columns[INDEX])
@@ -341,15 +328,14 @@ def record_case(simulator: Simulator, case: Case, kept: Kept, page: str | None =
             stay()
 
 
-def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:
-    """Print what a search found."""
-    for one in findings:
-        output.line(one.about)
-        if one.rows:
-            output.table(one.head, one.texts(), left=len(one.head))
+def print_finding(found: Finding | None, digest: str, count: int, folder: Path) -> None:
+    """Print what a search found; None: it was interrupted."""
+    if found is not None:
+        output.line(found.about)
+        output.table(found.head, found.texts(), left=len(found.head))
     output.line(f"digest  {digest}")
     output.facts({
-        "findings": [asdict(one) for one in findings], "count": count, "digest": digest,
+        "findings": [] if found is None else [asdict(found)], "count": count, "digest": digest,
         "results": str(folder),
     })  # fmt: skip
 
@@ -366,32 +352,15 @@ def print_shrunk(one: Campaign, case: Case, into: Path) -> int:
     if not found.changes and not found.faults:
         output.line("  it fails without any change")
     output.line(f"  {found.seconds:.6g} s, fails by {-found.margin:.6g}, {found.runs} runs tried")
-    files = write_shrunk(one, found, into / f"shrunk_{case.index}")
-    again = load_campaign(files.campaign)
-    simulator = Simulator(again)
-    margin = simulator.run(0).robustness[found.requirement]
+    file = write_shrunk(one, found, into / f"shrunk_{case.index}")
+    margin = Simulator(load_campaign(file)).run(0).robustness[found.requirement]
     if margin >= 0.0:
         rule = f"fail {found.requirement} when it is simulated again"
-        raise Refusal("campaign", str(files.campaign), rule, f"holds by {margin:g}")
-    record_case(simulator, drawn_case(again.variation, 0), Kept(record=files.record))
-    bag = _bag(again, simulator, files.campaign.parent / "bag")
-    for file in (files.campaign, files.scene, files.record, *filter(None, [bag])):
-        output.line(f"wrote   {file}")
+        raise Refusal("campaign", str(file), rule, f"holds by {margin:g}")
+    output.line(f"wrote   {file}")
     output.facts({
         "index": case.index, "requirement": found.requirement, "changes": found.changes,
         "faults": found.faults, "seconds": found.seconds, "margin": margin,
-        "runs": found.runs, "campaign": files.campaign, "scene": files.scene,
-        "record": files.record, "bag": bag,
+        "runs": found.runs, "campaign": file,
     })  # fmt: skip
     return 0
-
-
-def _bag(campaign: Campaign, simulator: Simulator, folder: Path) -> Path | None:
-    """Write a campaign's only run as a bag in the place of an earlier one; None without ROS 2."""
-    shutil.rmtree(folder, ignore_errors=True)
-    try:
-        check_new_bag("campaign", folder)
-    except Refusal:
-        return None
-    write_case_bag(campaign, simulator, drawn_case(campaign.variation, 0), folder)
-    return folder

@@ -37,15 +37,13 @@ NEEDED = (
 )  # fmt: skip
 # Modules that some commands need.
 EXTRAS = {
-    "SALib": "sensitivities of campaigns",
     "can": "`canopen`",
-    "cma": "`campaign` with the search cma_es",
+    "cma": "`campaign` with the search cma-es",
     "distributed": "`campaign --dask`",
     "elftools": "`firmware`",
     "lz4": "bags that are compressed so",
     "matplotlib": "pictures of `bode`, `tune`, `identify`, `campaign`",
     "mcap": "`--record` and bags",
-    "optuna": "`campaign` with the search optuna",
     "pyarrow": "campaigns, and records as .parquet",
     "rerun": "`--rerun`, `demo`",
     "rosbags": "bags",
