@@ -241,11 +241,10 @@ class Instructor:
                 can = np.ones(len(q), dtype=bool) if movable is None else movable
                 of_links = self._standing.instruct(q, v, can)
             instruction = laws.feedforward.complete(of_links)
-            _Q_TARGET.check("motion_controller", instruction.q.tolist())
-            if instruction.v is not None:
-                _V_TARGET.check("motion_controller", instruction.v.tolist())
-            if instruction.tau is not None:
-                _TAU.check("motion_controller", instruction.tau.tolist())
+            answer = instruction.q, instruction.v, instruction.tau
+            for bound, values in zip((_Q_TARGET, _V_TARGET, _TAU), answer, strict=True):
+                if values is not None:
+                    bound.check("motion_controller", values.tolist())
         except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
             # q is within its bound and orders were checked on arrival. The cause is this object's
             # state, or a robot description with impossible numbers.
@@ -309,8 +308,13 @@ class Instructor:
 
     def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
         """Start the orders whose time has come."""
-        if self._now_ns is None:  # orders from before the first joint states
-            self._refuse_long_waits(time_ns)
+        early = list(self._coming) if self._now_ns is None else []  # than the first joint states
+        for one in early:
+            try:
+                check_wait(one.order.kind, one.begins_ns, time_ns)
+            except Refusal as reason:
+                self._coming.remove(one)
+                one.report(self.reports, Progress(State.REFUSED, str(reason)))
         self._now_ns = time_ns
         while (taken := self._coming.due(time_ns)) is not None:
             reference, order = self._reference(laws, time_ns, q), taken.order
@@ -336,14 +340,6 @@ class Instructor:
         if motion is None or not is_near(laws.controller.kinematics, q, order):
             return order
         return StreamOrder(order, motion, self._stream.posture)
-
-    def _refuse_long_waits(self, now_ns: int) -> None:
-        for taken in self._coming:
-            try:
-                check_wait(taken.order.kind, taken.begins_ns, now_ns)
-            except Refusal as reason:
-                self._coming.remove(taken)
-                taken.report(self.reports, Progress(State.REFUSED, str(reason)))
 
     def _instruct(
         self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None
