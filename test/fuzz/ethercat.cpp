@@ -245,7 +245,6 @@ class Fuzzer {
                                                  0x21, 0x31, 0x60, 0x70, 0x00, 0x10,
                                                  0x01, 0x11, 0x80, 1,    3,    5};
     if (draw(8)) message[8] = kCommands[draw(std::size(kCommands))];
-    const auto& indices = objects.all();
     if (draw(8)) {
       const std::uint16_t index = indices[draw(indices.size())];
       const bool information = message[7] >> 4 == 8;
@@ -262,7 +261,7 @@ class Fuzzer {
   ethercat_segment* segment;
   Random random;
   int slaves;
-  const ethercat::Objects objects;
+  const std::vector<std::uint16_t> indices = ethercat::all_objects();
   std::uint8_t frame[1700];
   std::size_t size = 16;
   std::uint8_t* last = nullptr;

@@ -8,7 +8,6 @@ namespace fieldbus {
 namespace abort_code {
 inline constexpr std::uint32_t none = 0;
 inline constexpr std::uint32_t toggle = 0x05030000;
-inline constexpr std::uint32_t timeout = 0x05040000;
 inline constexpr std::uint32_t command = 0x05040001;
 inline constexpr std::uint32_t block_size = 0x05040002;
 inline constexpr std::uint32_t sequence = 0x05040003;
@@ -29,10 +28,8 @@ inline constexpr std::uint32_t no_sub = 0x06090011;
 inline constexpr std::uint32_t out_of_range = 0x06090030;
 inline constexpr std::uint32_t too_high = 0x06090031;
 inline constexpr std::uint32_t too_low = 0x06090032;
-inline constexpr std::uint32_t most_below_least = 0x06090036;
 inline constexpr std::uint32_t general = 0x08000000;
 inline constexpr std::uint32_t cannot_store = 0x08000020;
-inline constexpr std::uint32_t local_control = 0x08000021;
 inline constexpr std::uint32_t state = 0x08000022;
 }  // namespace abort_code
 

@@ -1,4 +1,4 @@
-// The SDO server of a drive on CANopen.
+// The dictionary of a drive behind an SDO server, and the server of one on CANopen.
 #pragma once
 
 #include "drive.hpp"
@@ -6,8 +6,8 @@
 
 namespace fieldbus {
 
-// One drive's dictionary as the server needs it.
-class DriveDictionary final : public SdoDictionary {
+// One drive's dictionary as a server needs it.
+class DriveDictionary : public SdoDictionary {
  public:
   explicit DriveDictionary(Drive& drive) : drive_(drive) {}
 
@@ -16,7 +16,7 @@ class DriveDictionary final : public SdoDictionary {
     std::size_t size = 0;
     const std::uint32_t abort = drive_.read(at.index, at.sub, value, size);
     const auto* const from = reinterpret_cast<const std::uint8_t*>(value);
-    if (!abort) out.assign(from, from + size);
+    if (!abort) out.insert(out.end(), from, from + size);
     return abort;
   }
   std::uint32_t write(const SdoObject& at, std::span<const std::uint8_t> in) override {
@@ -29,16 +29,20 @@ class DriveDictionary final : public SdoDictionary {
     return bits ? bits / 8 : 4;
   }
 
- private:
+ protected:
+  ~DriveDictionary() = default;
   Drive& drive_;
 };
 
 struct CanopenSdo {
+  struct Dictionary final : DriveDictionary {
+    using DriveDictionary::DriveDictionary;
+  };
   explicit CanopenSdo(Drive& drive) : dictionary(drive) {}
   CanopenSdo(const CanopenSdo&) = delete;
   CanopenSdo& operator=(const CanopenSdo&) = delete;
 
-  DriveDictionary dictionary;
+  Dictionary dictionary;
   SdoServer server{dictionary, SdoServer::Carrier::can};
 };
 

@@ -10,9 +10,10 @@
 
 #include "ethercat_complete_access.hpp"
 #include "ethercat_frame.hpp"
-#include "ethercat_objects.hpp"
 
 namespace ethercat {
+
+using fieldbus::Code, fieldbus::Drive, fieldbus::Pdo;
 
 // Details of a mailbox error, ETG.1000.4, table 30.
 enum class MailboxError : std::uint16_t {
@@ -25,8 +26,7 @@ enum class MailboxError : std::uint16_t {
 
 class Coe {
  public:
-  Coe(const Objects& objects, const Door& door)
-      : objects_(objects), door_(door), dictionary_(objects, door) {}
+  explicit Coe(Drive& drive) : dictionary_(drive) {}
 
   // Discard a transfer in progress.
   void begin() { server_.begin(); }
@@ -119,10 +119,11 @@ class Coe {
   // 1: all objects, 2 and 3: those that can be mapped to receive and to transmit, 4 and 5: none.
   Bytes objects_of(std::uint16_t kind) const {
     Bytes out;
-    for (const std::uint16_t index : objects_.all()) {
+    for (const std::uint16_t index : all_objects()) {
       bool there = kind == 1;
-      for (const drives_entry& entry : objects_.object(index))
-        there = there || (kind == 2 && entry.pdo & 1) || (kind == 3 && entry.pdo & 2);
+      for (const Entry& entry : object(index))
+        there = there || (kind == 2 && maps(entry.pdo, Pdo::rx)) ||
+                (kind == 3 && maps(entry.pdo, Pdo::tx));
       if (there) append16(out, index);
     }
     return out;
@@ -142,38 +143,36 @@ class Coe {
     return 0;
   }
   std::uint32_t describe(std::uint16_t index, std::size_t room, std::vector<Bytes>& out) const {
-    const auto object = objects_.object(index);
-    if (object.empty()) return abort_code::no_object;
-    const drives_entry& first = object[0];
+    const auto entries = object(index);
+    if (entries.empty()) return abort_code::no_object;
+    const Entry& first = entries[0];
     Bytes body;
     append16(body, index);
-    append16(body, first.code == 7 ? first.type : first.code == 8 ? object.back().type : 0);
+    append16(body,
+             first.code == Code::record ? 0 : static_cast<std::uint16_t>(entries.back().type));
     body.push_back(first.last_sub);
-    body.push_back(first.code);
+    body.push_back(static_cast<std::uint8_t>(first.code));
     append(body, first.object);
     send(4, body, room, out);
     return 0;
   }
   std::uint32_t describe_entry(std::uint16_t index, std::uint8_t sub, std::uint8_t wanted,
                                std::size_t room, std::vector<Bytes>& out) const {
-    const auto object = objects_.object(index);
-    if (object.empty()) return abort_code::no_object;
-    if (sub >= object.size()) return abort_code::no_sub;
-    const drives_entry& entry = object[sub];
+    const auto entries = object(index);
+    if (entries.empty()) return abort_code::no_object;
+    if (sub >= entries.size()) return abort_code::no_sub;
+    const Entry& entry = entries[sub];
     const std::size_t size = (entry.bits + 7u) / 8;
     // Default, minimum and maximum, as requested; units are in the name.
     const auto given = static_cast<std::uint8_t>(wanted & (size ? 0x77 : 0x07));
-    std::uint32_t length = 0;
-    if (size == 0) {
-      std::uint8_t value[512];
-      door_.read(index, sub, value, length);
-    }
+    Bytes text;
+    if (size == 0) dictionary_.read({index, sub}, text);
     Bytes body;
     append16(body, index);
     body.push_back(sub);
     body.push_back(given);
-    append16(body, entry.type);
-    append16(body, static_cast<std::uint16_t>(size ? entry.bits : 8 * length));
+    append16(body, static_cast<std::uint16_t>(entry.type));
+    append16(body, static_cast<std::uint16_t>(size ? entry.bits : 8 * text.size()));
     append16(body, rights(entry));
     const std::int64_t values[] = {entry.standard, entry.least, entry.most};
     for (int k = 0; k < 3; ++k)
@@ -186,18 +185,16 @@ class Coe {
     return 0;
   }
   // In PREOP, SAFEOP, OP: reading (bits 0 to 2), writing (3 to 5); mapping (6, 7).
-  static std::uint16_t rights(const drives_entry& entry) {
+  static std::uint16_t rights(const Entry& entry) {
     const bool mapping = (entry.index >= 0x1600 && entry.index < 0x1c00) || entry.index == 0x1c12 ||
                          entry.index == 0x1c13;
-    unsigned out = entry.access == 2 ? 0 : 0x07;
-    if (writable(entry)) out |= mapping ? 0x08 : 0x38;
-    if (entry.pdo & 1) out |= 0x40;
-    if (entry.pdo & 2) out |= 0x80;
+    unsigned out = entry.readable() ? 0x07 : 0;
+    if (entry.writable()) out |= mapping ? 0x08 : 0x38;
+    if (maps(entry.pdo, Pdo::rx)) out |= 0x40;
+    if (maps(entry.pdo, Pdo::tx)) out |= 0x80;
     return static_cast<std::uint16_t>(out);
   }
 
-  const Objects& objects_;
-  const Door& door_;
   Dictionary dictionary_;
   fieldbus::SdoServer server_{dictionary_, fieldbus::SdoServer::Carrier::mailbox};
 };

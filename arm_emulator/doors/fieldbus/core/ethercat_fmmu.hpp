@@ -8,7 +8,7 @@
 
 namespace ethercat {
 
-// Common part of a logical datagram and a slave's memory, in bytes or in bits.
+// Common part of a logical datagram and a slave's memory, in bits.
 struct Mapped {
   std::size_t in_datagram;
   std::size_t address;  // of the slave
@@ -29,21 +29,9 @@ class Fmmu {
 
   bool reads() const { return active_ && length_ > 0 && type_ & 1; }
   bool writes() const { return active_ && length_ > 0 && type_ & 2; }
-  bool whole_bytes() const { return first_bit_ == 0 && last_bit_ == 7 && physical_bit_ == 0; }
 
-  // The share of a datagram at `address` with `size` bytes, for whole bytes; size 0: no share.
+  // The share of a datagram at `address` with `size` bytes; size 0: no share.
   Mapped overlapping(std::uint32_t address, std::size_t size) const {
-    const std::uint64_t begin = std::max<std::uint64_t>(address, logical_);
-    const std::uint64_t end =
-        std::min(std::uint64_t{address} + size, std::uint64_t{logical_} + length_);
-    if (begin >= end) return {0, 0, 0};
-    return {static_cast<std::size_t>(begin - address),
-            physical_ + static_cast<std::size_t>(begin - logical_),
-            static_cast<std::size_t>(end - begin)};
-  }
-
-  // The same in bits.
-  Mapped overlapping_bits(std::uint32_t address, std::size_t size) const {
     const std::uint64_t first = std::uint64_t{logical_} * 8 + first_bit_;
     const std::uint64_t last = (std::uint64_t{logical_} + length_ - 1) * 8 + last_bit_;
     const std::uint64_t begin = std::max(first, std::uint64_t{address} * 8);
@@ -66,6 +54,10 @@ class Fmmu {
 
 inline void copy_bits(const std::uint8_t* from, std::size_t first, std::uint8_t* to, std::size_t at,
                       std::size_t count) {
+  if (first % 8 == 0 && at % 8 == 0 && count % 8 == 0) {
+    std::copy_n(from + first / 8, count / 8, to + at / 8);
+    return;
+  }
   for (std::size_t k = 0; k < count; ++k, ++first, ++at) {
     const unsigned bit = (from[first / 8] >> (first % 8)) & 1u;
     to[at / 8] = static_cast<std::uint8_t>((to[at / 8] & ~(1u << (at % 8))) | bit << (at % 8));

@@ -14,26 +14,10 @@ namespace ethercat {
 using fieldbus::get16, fieldbus::get32, fieldbus::get64;
 using fieldbus::put16, fieldbus::put32, fieldbus::put64;
 
-// Addressing of a datagram: by position (A), configured station (F), all (B), logically (L).
-enum class Command : std::uint8_t {
-  nop,
-  aprd,
-  apwr,
-  aprw,
-  fprd,
-  fpwr,
-  fprw,
-  brd,
-  bwr,
-  brw,
-  lrd,
-  lwr,
-  lrw,
-  armw,
-  frmw
-};  // clang-format off: as the standard numbers them
-// clang-format on
-constexpr std::uint8_t kCommands = 15;
+// Commands of a datagram: 0 NOP; 1 to 12 reading (RD), writing (WR) and both (RW), each by position
+// (A), configured station (F), of all (B), by logical address (L); ARMW and FRMW read one slave and
+// write to all others.
+constexpr std::uint8_t kArmw = 13, kFrmw = 14, kCommands = 15;
 
 // A view of one datagram within its frame.
 class Datagram {
@@ -43,7 +27,7 @@ class Datagram {
   explicit Datagram(std::uint8_t* first) : at_(first) {}
 
   bool known() const { return at_[0] < kCommands; }
-  Command command() const { return static_cast<Command>(at_[0]); }
+  std::uint8_t command() const { return at_[0]; }
   std::uint16_t position() const { return get16(at_ + 2); }
   void set_position(std::uint16_t value) { put16(at_ + 2, value); }
   std::uint16_t offset() const { return get16(at_ + 4); }

@@ -13,8 +13,7 @@ class Mailbox {
  public:
   static constexpr int kOut = 0, kIn = 1;  // sync managers, as the master sees them
 
-  Mailbox(SyncManagers& managers, const Objects& objects, const Door& door)
-      : managers_(managers), coe_(objects, door) {}
+  Mailbox(SyncManagers& managers, Drive& drive) : managers_(managers), coe_(drive) {}
 
   // Empty, as after INIT.
   void begin() {

@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "drives.hpp"
 #include "ethercat.h"
 #include "ethercat_slave.hpp"
 
@@ -12,8 +13,8 @@ namespace ethercat {
 class Segment {
  public:
   explicit Segment(const ethercat_options& options) : arm_(options) {
-    for (std::int32_t k = 0; k < drives_count(arm_.all); ++k)
-      slaves_.push_back(std::make_unique<Slave>(arm_.all, objects_, k, arm_.period));
+    for (int k = 0; k < arm_.all->count(); ++k)
+      slaves_.push_back(std::make_unique<Slave>(arm_.all->at(k), k, arm_.period));
   }
 
   // Passes a frame, in place, at the time `now` [ns]; returns its length on return, 0: lost. Clocks
@@ -137,79 +138,38 @@ class Segment {
   }
 
   static void visit(Slave& slave, Datagram& datagram) {
-    const auto data = datagram.data();
-    const std::uint16_t offset = datagram.offset();
-    const auto here = [&slave, &datagram] { return slave.has_address(datagram.position()); };
     datagram.add_interrupts(slave.events());
-    switch (datagram.command()) {
-      case Command::aprd:
-      case Command::apwr:
-      case Command::aprw:
-      case Command::armw: {
-        const bool ours = datagram.position() == 0;
-        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
-        if (datagram.command() == Command::aprd && ours) read(slave, datagram);
-        if (datagram.command() == Command::apwr && ours) write(slave, datagram);
-        if (datagram.command() == Command::aprw && ours) read_write(slave, datagram, false);
-        if (datagram.command() == Command::armw)
-          ours ? read(slave, datagram) : write(slave, datagram);
-        return;
-      }
-      case Command::fprd:
-        if (here()) read(slave, datagram);
-        return;
-      case Command::fpwr:
-        if (here()) write(slave, datagram);
-        return;
-      case Command::fprw:
-        if (here()) read_write(slave, datagram, false);
-        return;
-      case Command::frmw:
-        here() ? read(slave, datagram) : write(slave, datagram);
-        return;
-      case Command::brd:
-        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
-        datagram.count(slave.read(offset, data, true));
-        return;
-      case Command::bwr:
-        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
-        write(slave, datagram);
-        return;
-      case Command::brw:
-        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
-        read_write(slave, datagram, true);
-        return;
-      case Command::lrd:
-        datagram.count(slave.logical(datagram.logical(), data, true, false));
-        return;
-      case Command::lwr:
-        datagram.count(slave.logical(datagram.logical(), data, false, true));
-        return;
-      case Command::lrw:
-        datagram.count(slave.logical(datagram.logical(), data, true, true));
-        return;
-      case Command::nop:
-        return;
-    }
+    const int command = datagram.command();
+    if (command == 0 || !datagram.known()) return;
+    enum Address { kPosition, kStation, kAll, kLogical };
+    const bool one_of_all = command == kArmw || command == kFrmw;
+    const int address = one_of_all ? command - kArmw : (command - 1) / 3;
+    const bool reads = one_of_all || (command - 1) % 3 != 1;
+    const bool writes = one_of_all || (command - 1) % 3 != 0;
+    if (address == kLogical)
+      return datagram.count(slave.logical(datagram.logical(), datagram.data(), reads, writes));
+    const bool ours =
+        address == kAll ||
+        (address == kStation ? slave.has_address(datagram.position()) : datagram.position() == 0);
+    if (address != kStation)
+      datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
+    if (one_of_all)
+      access(slave, datagram, ours, !ours, false);
+    else if (ours)
+      access(slave, datagram, reads, writes, address == kAll);
   }
-  static void read(Slave& slave, Datagram& datagram) {
-    datagram.count(slave.read(datagram.offset(), datagram.data(), false));
-  }
-  static void write(Slave& slave, Datagram& datagram) {
-    datagram.count(slave.write(datagram.offset(), datagram.data()));
-  }
-  // Write the datagram's data, and return the data read before.
-  static void read_write(Slave& slave, Datagram& datagram, bool add) {
+  // Write the datagram's data, and return the data read before, added to them if `add`.
+  static void access(Slave& slave, Datagram& datagram, bool reads, bool writes, bool add) {
     std::array<std::uint8_t, 2048> in;
     const auto data = datagram.data();
     std::copy(data.begin(), data.end(), in.begin());
-    const bool was_read = slave.read(datagram.offset(), data, add);
-    const bool was_written = slave.write(datagram.offset(), std::span(in).first(data.size()));
-    datagram.count((was_read ? 1u : 0) + (was_written ? 2u : 0));
+    const bool was_read = reads && slave.read(datagram.offset(), data, add);
+    const bool was_written =
+        writes && slave.write(datagram.offset(), std::span(in).first(data.size()));
+    datagram.count((was_read ? 1u : 0) + (was_written ? (reads ? 2u : 1u) : 0));
   }
 
   const ethercat_options arm_;
-  const Objects objects_;
   std::vector<std::unique_ptr<Slave>> slaves_;
   ethercat_figures figures_ = {};
   std::int64_t logical_ = 0;  // ns

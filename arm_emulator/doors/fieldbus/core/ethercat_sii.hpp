@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "ethercat_registers.hpp"
+#include "values.hpp"
 
 namespace ethercat {
 
@@ -18,37 +19,15 @@ constexpr std::uint8_t kMailboxOutControl = 0x26, kMailboxInControl = 0x22, kOut
                        kInputsControl = 0x20;
 }  // namespace area
 
-// One entry of a process data object.
-struct PdoEntry {
-  std::uint16_t index;
-  std::uint8_t subindex;
-  std::uint8_t bits;
-  std::uint8_t type;  // number of the data type in the object dictionary
-  std::string name;
-};
-
-struct Pdo {
-  std::uint16_t index;
-  int sync_manager;
-  std::vector<PdoEntry> entries;
-  std::string name;
-};
-
-struct Identity {
-  std::uint32_t vendor, product, revision, serial;
-  std::string device, group;  // names
-};
-
-inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::vector<Pdo>& pdos,
-                                           std::uint16_t alias) {
+// What the EEPROM of a drive holds; its process data objects are those of its first mapping.
+inline std::vector<std::uint8_t> sii_image(const fieldbus::Values& of) {
   std::vector<std::uint8_t> out(0x80, 0);
   const auto put = [&out](std::size_t word, std::uint16_t value) { put16(&out[2 * word], value); };
   put(0x00, 0x0005);  // a process data interface of a microcontroller, as at register 0x0140
-  put(0x04, alias);
-  put32(&out[2 * 0x08], identity.vendor);
-  put32(&out[2 * 0x0a], identity.product);
-  put32(&out[2 * 0x0c], identity.revision);
-  put32(&out[2 * 0x0e], identity.serial);
+  put32(&out[2 * 0x08], of.number(0x1018, 1));
+  put32(&out[2 * 0x0a], of.number(0x1018, 2));
+  put32(&out[2 * 0x0c], of.number(0x1018, 3));
+  put32(&out[2 * 0x0e], of.number(0x1018, 4));
   put(0x18, area::kMailboxOut);
   put(0x19, area::kMailbox);
   put(0x1a, area::kMailboxIn);
@@ -76,8 +55,9 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
   };
 
   std::vector<std::uint8_t> general(32, 0);
-  const std::uint8_t device = word_of(identity.device);  // first, where some masters look for it
-  general[0] = word_of(identity.group);
+  const std::uint8_t device =
+      word_of("arm_emulator drive");  // first, where some masters look for it
+  general[0] = word_of("Servo drives");
   general[2] = general[3] = device;  // masters show the order code or the name
   general[5] =
       0x2f;        // CoE: SDO, SDO information, PDO assignment and configuration, complete access
@@ -96,36 +76,50 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
     one[7] = use;
     managers.insert(managers.end(), one, one + 8);
   };
-  std::size_t bits[kSyncManagers] = {};
-  for (const Pdo& pdo : pdos)
-    if (pdo.sync_manager >= 0)
-      for (const PdoEntry& entry : pdo.entries) bits[pdo.sync_manager] += entry.bits;
+  const auto bytes = [&of](std::uint16_t assignment) {
+    fieldbus::Mapped items[fieldbus::Values::kMostMapped];
+    std::size_t bits = 0;
+    for (int k = of.process_data(assignment, items); k > 0; --k) bits += items[k - 1].bits;
+    return bits / 8;
+  };
   manager(area::kMailboxOut, area::kMailbox, area::kMailboxOutControl, 1, 1);
   manager(area::kMailboxIn, area::kMailbox, area::kMailboxInControl, 1, 2);
-  manager(area::kOutputs, (bits[2] + 7) / 8, area::kOutputsControl, 1, 3);
-  manager(area::kInputs, (bits[3] + 7) / 8, area::kInputsControl, 1, 4);
+  manager(area::kOutputs, bytes(0x1c12), area::kOutputsControl, 1, 3);
+  manager(area::kInputs, bytes(0x1c13), area::kInputsControl, 1, 4);
   category(41, managers);
-  for (const std::uint16_t kind : {50, 51}) {  // transmitted, received
+  for (const bool inputs : {true, false}) {  // transmitted, received
+    const std::uint16_t from = inputs ? 0x1a00 : 0x1600, assignment = inputs ? 0x1c13 : 0x1c12;
     std::vector<std::uint8_t> body;
-    for (const Pdo& pdo : pdos) {
-      if ((pdo.index >= 0x1a00) != (kind == 50)) continue;
+    for (int k = 0; k < fieldbus::dictionary::kMappings; ++k) {
+      const auto index = static_cast<std::uint16_t>(from + k);
+      const std::size_t count = of.number(index, 0);
+      if (count == 0) continue;
+      bool assigned = false;
+      for (std::size_t one = of.number(assignment, 0); one > 0; --one)
+        assigned = assigned || of.number(assignment, one) == index;
       std::uint8_t head[8] = {};
-      put16(head, pdo.index);
-      head[2] = static_cast<std::uint8_t>(pdo.entries.size());
-      head[3] = static_cast<std::uint8_t>(pdo.sync_manager < 0 ? 0xff : pdo.sync_manager);
-      head[5] = word_of(pdo.name);
+      put16(head, index);
+      head[2] = static_cast<std::uint8_t>(count);
+      head[3] = !assigned ? 0xff : inputs ? 3 : 2;
+      head[5] = word_of(fieldbus::Values::entry(of.find(index, 0)).object);
       body.insert(body.end(), head, head + 8);
-      for (const PdoEntry& entry : pdo.entries) {
+      for (std::size_t sub = 1; sub <= count; ++sub) {
+        const std::uint32_t mapped = of.number(index, sub);
+        const auto at = static_cast<std::uint16_t>(mapped >> 16);
+        const int slot = of.find(at, static_cast<std::uint8_t>(mapped >> 8));
         std::uint8_t one[8] = {};
-        put16(one, entry.index);
-        one[2] = entry.subindex;
-        one[3] = word_of(entry.name);
-        one[4] = entry.type;
-        one[5] = entry.bits;
+        put16(one, at);
+        one[2] = static_cast<std::uint8_t>(mapped >> 8);
+        if (slot >= 0) {
+          const fieldbus::Entry& entry = fieldbus::Values::entry(slot);
+          one[3] = word_of(entry.name);
+          one[4] = static_cast<std::uint8_t>(entry.type);
+        }
+        one[5] = static_cast<std::uint8_t>(mapped);
         body.insert(body.end(), one, one + 8);
       }
     }
-    if (!body.empty()) category(kind, body);
+    if (!body.empty()) category(inputs ? 50 : 51, body);
   }
   std::vector<std::uint8_t> clocks(48, 0);  // free run, and SYNC0
   clocks[0x12] = word_of("FreeRun");

@@ -26,18 +26,18 @@ class Slave {
   static constexpr std::uint16_t kWatchdogError = 0x821b, kLeftOpError = 0x8100;  // 0x603F
 
   // `period`: of the servo [ns].
-  Slave(drives* all, const Objects& objects, std::int32_t drive, std::int64_t period)
-      : all_(all),
-        drive_(drive),
+  // `place`: how many slaves are before this one.
+  Slave(Drive& drive, int place, std::int64_t period)
+      : drive_(drive),
+        place_(place),
         period_(period),
-        door_(all, drive),
         managers_(memory_),
-        outputs_(objects, door_, ProcessData::Way::outputs),
-        inputs_(objects, door_, ProcessData::Way::inputs),
-        sii_(memory_, image()),
+        outputs_(drive, ProcessData::Way::outputs),
+        inputs_(drive, ProcessData::Way::inputs),
+        sii_(memory_, sii_image(drive.values())),
         clock_(memory_, ahead()),
         watchdog_(memory_),
-        mailbox_(managers_, objects, door_),
+        mailbox_(managers_, drive),
         al_(memory_) {
     describe_controller();
     serve_areas();
@@ -135,7 +135,7 @@ class Slave {
     if (al_.state() == State::op && managers_.triggers_watchdog(kOutputs) &&
         watchdog_.expires(time)) {
       fall(State::safeop, AlCode::watchdog);
-      drives_lost(all_, drive_, kWatchdogError);
+      drive_.lost(kWatchdogError);
       ++expired_;
     }
     if (al_.state() == State::op && written_) outputs_.to_drive(managers_.area(kOutputs));
@@ -149,7 +149,7 @@ class Slave {
     const std::uint16_t error = error_code();
     if (error == errors_reported_) return;
     errors_reported_ = error;
-    mailbox_.emergency(error, static_cast<std::uint8_t>(door_.number(0x1001, 0)));
+    mailbox_.emergency(error, static_cast<std::uint8_t>(drive_.values().number(0x1001, 0)));
   }
 
   // A frame was thrown away.
@@ -161,17 +161,8 @@ class Slave {
   const Memory& contents() const { return memory_; }
 
  private:
-  std::vector<std::uint8_t> image() const {
-    const Identity identity = {door_.number(0x1018, 1), door_.number(0x1018, 2),
-                               door_.number(0x1018, 3), door_.number(0x1018, 4),
-                               "arm_emulator drive",    "Servo drives"};
-    std::vector<Pdo> pdos = outputs_.all();
-    for (Pdo& pdo : inputs_.all()) pdos.push_back(std::move(pdo));
-    return sii_image(identity, pdos, 0);
-  }
-
   // Slaves are switched on one after the other [ns].
-  std::int64_t ahead() const { return 1'000'000'007LL * (drive_ + 1); }
+  std::int64_t ahead() const { return 1'000'000'007LL * (place_ + 1); }
 
   void describe_controller() {
     memory_.put8(reg::kType, 0x11);
@@ -186,33 +177,35 @@ class Slave {
 
   Fmmu fmmu(int k) const { return Fmmu(memory_.at(reg::kFmmu + 16 * static_cast<std::size_t>(k))); }
 
-  // Outputs: bytes of a datagram go to the memory. Other bits of a byte are kept.
+  // Outputs: bits of a datagram go to the memory. Other bits of a byte are kept.
   bool take(const Fmmu& unit, std::uint32_t address, std::span<const std::uint8_t> data) {
-    if (unit.whole_bytes()) {
-      const Mapped one = unit.overlapping(address, data.size());
-      return one.size > 0 && write(one.address, data.subspan(one.in_datagram, one.size));
-    }
-    const Mapped bits = unit.overlapping_bits(address, data.size());
-    const std::size_t first = bits.address / 8, last = (bits.address + bits.size - 1) / 8;
-    if (bits.size == 0 || last >= kMemory) return false;
-    std::array<std::uint8_t, 2049> bytes;
-    std::copy(memory_.at(first), memory_.at(last) + 1, bytes.begin());
-    copy_bits(data.data(), bits.in_datagram, bytes.data(), bits.address - 8 * first, bits.size);
-    return write(first, std::span(bytes).first(last + 1 - first));
+    Shared share;
+    if (!shared(unit.overlapping(address, data.size()), share)) return false;
+    std::copy_n(memory_.at(share.first), share.size, share.bytes.begin());
+    copy_bits(data.data(), share.bits.in_datagram, share.bytes.data(), share.bit, share.bits.size);
+    return write(share.first, std::span(share.bytes).first(share.size));
   }
   // Inputs: the other way round.
   bool give(const Fmmu& unit, std::uint32_t address, std::span<std::uint8_t> data) {
-    if (unit.whole_bytes()) {
-      const Mapped one = unit.overlapping(address, data.size());
-      return one.size > 0 && read(one.address, data.subspan(one.in_datagram, one.size), false);
-    }
-    const Mapped bits = unit.overlapping_bits(address, data.size());
-    const std::size_t first = bits.address / 8, last = (bits.address + bits.size - 1) / 8;
-    if (bits.size == 0 || last >= kMemory) return false;
-    std::array<std::uint8_t, 2049> bytes;
-    if (!read(first, std::span(bytes).first(last + 1 - first), false)) return false;
-    copy_bits(bytes.data(), bits.address - 8 * first, data.data(), bits.in_datagram, bits.size);
+    Shared share;
+    if (!shared(unit.overlapping(address, data.size()), share)) return false;
+    if (!read(share.first, std::span(share.bytes).first(share.size), false)) return false;
+    copy_bits(share.bytes.data(), share.bit, data.data(), share.bits.in_datagram, share.bits.size);
     return true;
+  }
+  // The bytes of the memory, `size` from `first` on, in which the share of a unit in a datagram
+  // begins with bit `bit`.
+  struct Shared {
+    Mapped bits;
+    std::size_t first, size, bit;
+    std::array<std::uint8_t, 2049> bytes;
+  };
+  static bool shared(const Mapped& bits, Shared& out) {
+    out.bits = bits;
+    out.first = bits.address / 8;
+    out.bit = bits.address % 8;
+    out.size = (out.bit + bits.size + 7) / 8;
+    return bits.size > 0 && out.first + out.size <= kMemory;
   }
 
   void before_read(std::size_t address, std::size_t size) {
@@ -309,16 +302,16 @@ class Slave {
     if (!fits(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return AlCode::inputs;
     if (!pulses_fit()) return AlCode::syn_c0_cycle;
     report_pulses();
-    drives_lock_mapping(all_, drive_, 1);
+    drive_.lock_mapping(true);
     written_ = read_ = false;
     if (inputs_.size() > 0) inputs_.from_drive(managers_.area(kInputs));
     return AlCode::none;
   }
   // One or more steps down.
   void leave(State from, State to) {
-    if (from == State::op) drives_lost(all_, drive_, kLeftOpError);
+    if (from == State::op) drive_.lost(kLeftOpError);
     if (to == State::safeop) return;
-    if (from == State::safeop || from == State::op) drives_lock_mapping(all_, drive_, 0);
+    if (from == State::safeop || from == State::op) drive_.lock_mapping(false);
   }
   // An error takes it down.
   void fall(State to, AlCode why) {
@@ -390,11 +383,11 @@ class Slave {
     const std::int64_t cycle = on ? clock_.sync0_cycle() : 0;
     for (const std::uint16_t index : {kOutputParameters, kInputParameters}) {
       const std::int64_t by_data = index == kOutputParameters ? kWithOutputs : kWithData;
-      drives_set(all_, drive_, index, kSyncType, on ? kWithSync0 : by_data);
-      drives_set(all_, drive_, index, kCycleTime, cycle);
-      drives_set(all_, drive_, index, kSync0CycleTime, cycle);
+      drive_.set(index, kSyncType, on ? kWithSync0 : by_data);
+      drive_.set(index, kCycleTime, cycle);
+      drive_.set(index, kSync0CycleTime, cycle);
     }
-    drives_set_cycle(all_, drive_, cycle);
+    drive_.set_cycle(cycle);
   }
 
   // "R", "E", "S" one after the other reset the controller.
@@ -412,12 +405,13 @@ class Slave {
     fall(State::init, AlCode::none);
   }
 
-  std::uint16_t error_code() const { return static_cast<std::uint16_t>(door_.number(0x603f, 0)); }
+  std::uint16_t error_code() const {
+    return static_cast<std::uint16_t>(drive_.values().number(0x603f, 0));
+  }
 
-  drives* const all_;
-  const std::int32_t drive_;
+  Drive& drive_;
+  const int place_;
   const std::int64_t period_;
-  const Door door_;
   Memory memory_;
   SyncManagers managers_;
   ProcessData outputs_, inputs_;

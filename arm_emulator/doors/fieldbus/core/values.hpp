@@ -19,7 +19,7 @@ struct Mapped {
 };
 
 inline constexpr int kLongestPdo = 64;  // bytes on EtherCAT; CANopen: 8
-inline constexpr int kLongestText = 256;
+inline constexpr int kLongestText = 512;
 
 class Values {
  public:
@@ -44,6 +44,11 @@ class Values {
   }
 
   std::int64_t at(int slot) const { return value_[slot]; }
+  // A number by its place in the dictionary; 0 where there is none.
+  std::uint32_t number(std::uint16_t index, std::size_t sub) const {
+    const int slot = find(index, static_cast<std::uint8_t>(sub));
+    return slot < 0 ? 0 : static_cast<std::uint32_t>(value_[slot]);
+  }
   template <std::uint16_t index, std::uint8_t sub = 0>
   std::int64_t get() const {
     return value_[kSlot<index, sub>];
