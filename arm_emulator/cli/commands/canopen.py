@@ -28,7 +28,7 @@ from arm_emulator.doors.fieldbus.eds import eds as data_sheet
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.page.desk import watched
-from arm_emulator.runs.gains import check_servo, load_gains
+from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.recorder import Recorder
 
 
@@ -44,7 +44,6 @@ def load_segment(
     file = find_scene(scene_name)
     scene, servo = load_scene(file), load_gains(file).servo
     warn(*scene.warnings)
-    check_servo(scene, servo)
     drives = Drives(Plant(scene), servo, CANOPEN)
     return Segment(drives, first, lockstep=lockstep, sync_period=sync_period)
 

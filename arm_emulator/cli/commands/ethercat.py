@@ -23,7 +23,7 @@ from arm_emulator.doors.fieldbus.esi import esi as description_of
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.page.desk import watched
-from arm_emulator.runs.gains import check_servo, load_gains
+from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.recorder import Recorder
 
 FIGURES = ("frames", "exchanges", "periods", "lost_cycles", "late_periods", "malformed", "foreign",
@@ -111,7 +111,6 @@ def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     scene = load_scene(path)
     warn(*scene.warnings)
     servo = load_gains(path).servo
-    check_servo(scene, servo)
     return scene, Segment(scene, servo, lockstep)
 
 

@@ -24,6 +24,7 @@ from arm_emulator.machine.inputs import further_inputs, modes_of
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import Rows
 from arm_emulator.servo.servo_numbers import servo_numbers
@@ -74,6 +75,7 @@ class Drives:
         self.plant = plant
         self.calls = calls or drives_library()
         scene = plant.scene
+        check_servo(scene, servo)
         self._joints = _joints_of(scene, servo)
         self.withheld = withheld_modes(scene, servo, modes())
         for one in self.withheld:
@@ -270,24 +272,12 @@ def _text(words: str) -> CData:
 def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
     """Return rows of ``drives_joint`` in the scene's order of joints; names are left out."""
     known = {joint.name: joint for joint in servo.joints}
-    if sorted(known) != sorted(scene.joint_names):
-        rule = "name every moving joint of the scene once"
-        got, valid = ", ".join(known), ", ".join(scene.joint_names)
-        raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
-    if round(servo.period * 1e9) != round(scene.servo_period * 1e9):
-        rule = f"be the scene's servo_period, {scene.servo_period:g} s"
-        raise Refusal(scene.where, "servo.period", rule, f"{servo.period:g} s")
     reported = tuple(known[name] for name in scene.joint_names)
     rows = DRIVES.rows("drives_joint", len(reported))
     rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
     limits = shaft_limits(scene.urdf, scene.joint_names)
     for row, joint, takes in zip(rows, scene.joints, modes_of(scene), strict=True):
-        if joint.motor is not None and joint.servo_data is None:
-            where = f"joints.{joint.name}.motor.kind"
-            raise Refusal(scene.where, where, "be one that our servo drives", joint.motor.kind)
-        own = known[joint.name]
-        own.check_command(scene.where, joint.unit)
-        if not math.isfinite(own.largest_command(servo.supply_voltage)):
+        if not math.isfinite(known[joint.name].largest_command(servo.supply_voltage)):
             where = f"servo.joints.{joint.name}.current_limit"
             rule = "be given: the rated torque of its drive (0x6076) follows from it"
             raise Refusal(scene.where, where, rule, "nothing")
