@@ -47,10 +47,8 @@ from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.doors.fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator.doors.fmu.export import export
-from arm_emulator.doors.json_lines import JsonLinesServer
-from arm_emulator.doors.tcp import TcpServer
+from arm_emulator.doors.json_lines import JsonLinesServer, TcpServer, UnixSocketServer
 from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
-from arm_emulator.doors.unix_socket import UnixSocketServer
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.firmware import Firmware
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint

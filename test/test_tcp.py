@@ -14,8 +14,7 @@ import pytest
 from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
-from arm_emulator.doors.json_lines import LONGEST
-from arm_emulator.doors.tcp import TcpServer
+from arm_emulator.doors.json_lines import LONGEST, TcpServer
 from arm_emulator.machine.real_time import real_time_session
 
 SCENE = load_scene("three_axis")

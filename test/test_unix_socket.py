@@ -12,7 +12,7 @@ import pytest
 from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
-from arm_emulator.doors.unix_socket import UnixSocketServer
+from arm_emulator.doors.json_lines import UnixSocketServer
 
 SCENE = load_scene("three_axis")
 PATIENCE = 30.0  # s

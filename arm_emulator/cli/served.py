@@ -1,12 +1,14 @@
-"""A machine that a command serves to a client: its clock, what is kept of it, its page."""
+"""A machine that a command serves to clients: its clock, what is kept of it, its page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from arm_emulator.base.kept import Kept
 from arm_emulator.base.warning import warn
+from arm_emulator.cli.output import output
 from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
@@ -32,3 +34,33 @@ def served_session(scene: Scene, clock: str, kept: Kept, page: str | None) -> It
         session = real_time_session(scene, "first_answer")
     with session, Recorder(session.plant, kept, waits), watched(session, page):
         yield session
+
+
+def serve_clients(
+    door: str,
+    scene: Scene,
+    clock: str,
+    kept: Kept,
+    page: str | None,
+    server_of: Callable[[Session], Any],
+    **facts: object,
+) -> int:
+    """Report where a machine is served, and serve it; return the exit code.
+
+    Args:
+        door: name of the command.
+        scene: of the machine.
+        clock: see `served_session`.
+        kept: records of it.
+        page: address of its page in the browser, if any.
+        server_of: makes the server of a session, with `address` and `serve`.
+        facts: further ones to report.
+    """
+    with served_session(scene, clock, kept, page) as session:
+        server = server_of(session)
+        address = server.address
+        output.facts({"scene": scene.name, "address": address, "clock": clock, **facts})
+        at = "{}:{}".format(*address) if isinstance(address, tuple) else address
+        print(f"{door}: scene {scene.name}, {at}, clock {clock}", flush=True)
+        server.serve()
+    return 0

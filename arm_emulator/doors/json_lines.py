@@ -1,17 +1,21 @@
-"""The machine behind a socket of streams: lines of JSON, a command in, a measurement out.
+"""The machine behind TCP or a Unix socket: lines of JSON, a command in, a measurement out.
 
 For control software in languages and tools that have sockets and JSON, and no structs of bytes.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import select
 import socket
+import stat
 import threading
+from pathlib import Path
 from typing import Any
 
+from arm_emulator.base.address import not_free
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answered_tick import answer_tick
 from arm_emulator.machine.answers import Needless
@@ -19,6 +23,7 @@ from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.session import Session
 
+PORT = 50780
 LONGEST = 2**16  # bytes of a line
 LOOK = 0.05  # s, between two looks whether to end
 PATIENCE = 5.0  # s, with a client that does not read
@@ -168,3 +173,81 @@ def _line(of: dict[str, Any]) -> bytes:
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     return json.dumps({key: finite(value) for key, value in of.items()}).encode() + b"\n"
+
+
+class TcpServer(JsonLinesServer):
+    """Answers clients that connect by TCP.
+
+    Attributes:
+        address: host and port where it listens.
+
+    Args:
+        session: the machine.
+        host: of the interface that it listens on.
+        port: 0: any that is free.
+
+    Raises:
+        Refusal: it cannot listen there.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = PORT) -> None:
+        try:
+            listening = socket.create_server((host, port), backlog=1)
+        except (OSError, OverflowError) as error:
+            raise not_free("tcp", host, port, error) from None
+        super().__init__("tcp", session, listening)
+        self.address: tuple[str, int] = listening.getsockname()
+
+    def accept(self) -> socket.socket:
+        """Return the next client, whose lines are not held back for longer ones."""
+        client = super().accept()
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return client
+
+
+class UnixSocketServer(JsonLinesServer):
+    """Answers clients that connect to a file, which the user alone may open.
+
+    Attributes:
+        address: the file; it goes when serving ends.
+
+    Args:
+        session: the machine.
+        path: a name that is free, or a socket that a server has left.
+
+    Raises:
+        Refusal: it cannot listen there.
+    """
+
+    def __init__(self, session: Session, path: str | Path) -> None:
+        self.address = Path(path)
+        listening = socket.socket(socket.AF_UNIX)
+        try:
+            if _is_left(self.address):
+                self.address.unlink()
+            listening.bind(str(self.address))
+            self.address.chmod(stat.S_IRUSR | stat.S_IWUSR)
+            listening.listen(1)
+        except (OSError, ValueError) as error:
+            listening.close()
+            why = getattr(error, "strerror", None) or error
+            raise Refusal("unix-socket", "path", "be free", f"{path}: {why}") from None
+        super().__init__("unix-socket", session, listening)
+
+    def serve(self) -> None:
+        """Serve until `close`."""
+        try:
+            super().serve()
+        finally:
+            self.address.unlink(missing_ok=True)
+
+
+def _is_left(path: Path) -> bool:
+    """Return whether a file is a socket on which nobody listens."""
+    with contextlib.suppress(FileNotFoundError), socket.socket(socket.AF_UNIX) as client:
+        if stat.S_ISSOCK(path.lstat().st_mode):
+            try:
+                client.connect(str(path))
+            except ConnectionRefusedError:
+                return True
+    return False

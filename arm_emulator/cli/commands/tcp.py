@@ -10,9 +10,8 @@ from arm_emulator.base.address import host_and_port
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
-from arm_emulator.cli.output import output
-from arm_emulator.cli.served import served_session
-from arm_emulator.doors.tcp import TcpServer
+from arm_emulator.cli.served import serve_clients
+from arm_emulator.doors.json_lines import TcpServer
 from arm_emulator.machine.scene import load_scene
 
 
@@ -33,11 +32,6 @@ def tcp(
     """
     kept.check("tcp")
     host, port = host_and_port("tcp", "--listen", listen)
-    machine = load_scene(scene)
-    with served_session(machine, clock, kept, page) as session:
-        server = TcpServer(session, host, port)
-        output.facts({"scene": machine.name, "address": server.address, "clock": clock})
-        at = "{}:{}".format(*server.address)
-        print(f"tcp: scene {machine.name}, {at}, clock {clock}", flush=True)
-        server.serve()
-    return 0
+    return serve_clients(
+        "tcp", load_scene(scene), clock, kept, page, lambda one: TcpServer(one, host, port)
+    )

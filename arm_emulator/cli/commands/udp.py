@@ -11,7 +11,7 @@ from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.cli.served import served_session
+from arm_emulator.cli.served import serve_clients
 from arm_emulator.doors.udp import Datagrams, UdpServer
 from arm_emulator.machine.scene import load_scene
 
@@ -42,20 +42,13 @@ def udp(
     kept.check("udp")
     host, port = host_and_port("udp", "--listen", listen)
     machine = load_scene(scene)
+    layout = Datagrams(machine)
     if header:
-        text = Datagrams(machine).header()
+        text = layout.header()
         output.line(text.removesuffix("\n"))
         output.facts({"header": text})
         return 0
-    with served_session(machine, clock, kept, page) as session:
-        server = UdpServer(session, host, port)
-        layout = server.datagrams
-        output.facts({
-            "scene": machine.name, "address": server.address, "clock": clock,
-            "layout": layout.layout, "command": layout.command.descr,
-            "measurement": layout.measurement.descr,
-        })  # fmt: skip
-        at = "{}:{}".format(*server.address)
-        print(f"udp: scene {machine.name}, {at}, clock {clock}", flush=True)
-        server.serve()
-    return 0
+    return serve_clients(
+        "udp", machine, clock, kept, page, lambda one: UdpServer(one, host, port),
+        layout=layout.layout, command=layout.command.descr, measurement=layout.measurement.descr,
+    )  # fmt: skip

@@ -10,9 +10,8 @@ from cyclopts import Parameter
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
-from arm_emulator.cli.output import output
-from arm_emulator.cli.served import served_session
-from arm_emulator.doors.unix_socket import UnixSocketServer
+from arm_emulator.cli.served import serve_clients
+from arm_emulator.doors.json_lines import UnixSocketServer
 from arm_emulator.machine.scene import load_scene
 
 
@@ -32,10 +31,7 @@ def unix_socket(
         listen: file that clients connect to.
     """
     kept.check("unix-socket")
-    machine = load_scene(scene)
-    with served_session(machine, clock, kept, page) as session:
-        server = UnixSocketServer(session, listen)
-        output.facts({"scene": machine.name, "address": server.path, "clock": clock})
-        print(f"unix-socket: scene {machine.name}, {server.path}, clock {clock}", flush=True)
-        server.serve()
-    return 0
+    return serve_clients(
+        "unix-socket", load_scene(scene), clock, kept, page,
+        lambda one: UnixSocketServer(one, listen),
+    )  # fmt: skip
