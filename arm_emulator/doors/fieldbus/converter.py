@@ -6,6 +6,7 @@ Modbus it uses only the codes of refusals.
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Callable, Sequence
@@ -15,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.doors.fieldbus.fault_registers import PER_FAULT, FaultRegisters
 from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
 from arm_emulator.machine.answers import Needless
 from arm_emulator.machine.core_calls import ARM
@@ -31,6 +31,8 @@ MAP_VERSION = 2
 MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS = 0, 1000, 2000, 3000, 4000, 10000
 FAULT_NAMES = 20000
 PER_JOINT = 48  # registers of a joint's description
+PER_FAULT = 40  # registers of a fault's name
+PER_MAGNITUDE = 4  # registers of a fault's magnitude, a float64
 
 # Bits of the status.
 POWERED, WATCHDOG, FAULT, RUNNING = 1, 2, 4, 8
@@ -188,24 +190,24 @@ class Converter:
             raise Refusal(scene.where, "faults", f"be at most {largest}", len(scene.faults))
         self._outputs = measured_outputs(scene)
         self.session = session
-        self._faults = FaultRegisters(session)
+        self._faults = [one.varied for one in scene.faults]
         self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
         self._N = N
         self._fixed = {
             MACHINE: [MAP_VERSION, N, *_words(">I", session.period_ns)],
             JOINTS: [word for joint in range(N) for word in self._description(joint)],
-            FAULT_NAMES: self._faults.names(),
+            FAULT_NAMES: [
+                word
+                for one in self._faults
+                for word in _words(f">{2 * PER_FAULT}s", one.name.encode()[: 2 * PER_FAULT])
+            ],
         }
-        self._sizes = {
-            MACHINE: 4,
-            MEASURED: measured,
-            COMMANDED: 1 + inputs,
-            SETTINGS: 1,
-            FAULTS: 1 + 4 * len(scene.faults),
-            JOINTS: PER_JOINT * N,
-            FAULT_NAMES: PER_FAULT * len(scene.faults),
-        }
+        starts = (MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS, FAULT_NAMES)
+        self._sizes: dict[int, int] = {}  # of the blocks, by their first addresses
+        for one in blocks(scene):
+            start = max(base for base in starts if base <= one.address)
+            self._sizes[start] = one.address + one.count - start
         self.on_commands: Callable[[], object] = lambda: None
         self._watchdog = watchdog
         self._forget()
@@ -254,7 +256,9 @@ class Converter:
         elif base == SETTINGS:
             words = [self._watchdog]
         elif base == FAULTS:
-            words = [len(self.session.scene.faults), *self._faults.magnitudes()]
+            present = self.session.plant.parameters
+            magnitudes = (_words(">d", present[one.name]) for one in self._faults)
+            words = [len(self._faults), *itertools.chain.from_iterable(magnitudes)]
         else:
             words = self._fixed[base]
         return words[at : at + count]
@@ -292,7 +296,7 @@ class Converter:
             self._watchdog = words[0]
             return
         if base == FAULTS and at:
-            self._faults.take(at - 1, words)
+            self._take_magnitudes(at - 1, words)
             return
         if base != COMMANDED:
             raise ModbusException(Code.ADDRESS)
@@ -312,6 +316,25 @@ class Converter:
             self.wanted = np.reshape(self._command, self.wanted.shape) * self._per_word
             self._written_tick = self.session.tick
             self.on_commands()
+
+    def _take_magnitudes(self, at: int, words: Sequence[int]) -> None:
+        """Set magnitudes of faults from now on, all of them or none.
+
+        Raises:
+            ModbusException: a part of a magnitude, or one out of its range; nothing has changed.
+        """
+        if at % PER_MAGNITUDE or len(words) % PER_MAGNITUDE:
+            raise ModbusException(Code.VALUE)
+        raw = struct.pack(f">{len(words)}H", *words)
+        values = struct.unpack(f">{len(words) // PER_MAGNITUDE}d", raw)
+        chosen = self._faults[at // PER_MAGNITUDE :][: len(values)]
+        try:
+            for one, value in zip(chosen, values, strict=True):
+                one.number.take("modbus", value)
+        except Refusal:
+            raise ModbusException(Code.VALUE) from None
+        for one, value in zip(chosen, values, strict=True):
+            self.session.set_varied(one.name, value)
 
     def _take_control(self, control: int) -> None:
         session = self.session

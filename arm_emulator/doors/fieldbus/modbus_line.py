@@ -6,8 +6,6 @@ from arm_emulator.doors.fieldbus.converter import Converter
 from arm_emulator.doors.fieldbus.modbus_rtu import Receiver, Station
 from arm_emulator.doors.fieldbus.serial_line import BITS_PER_BYTE, LineErrors, silence_time
 
-CLOCKS = ("lockstep", "line", "realtime")
-
 
 class ModbusLine:
     """A master's end of the line: it sends and receives bytes.
