@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import importlib.util
 from pathlib import Path
 from typing import Any
@@ -127,12 +126,14 @@ def changed(path: tuple[str, ...], value: object) -> dict[str, Any]:
 
 def test_the_example_and_a_board_with_every_key_are_read(tmp_path: Path) -> None:
     board = load_board(EXAMPLE, JOINTS)
-    assert [one.joint for one in board.encoders] == JOINTS, "joints with an encoder"
-    assert (board.clock, board.interrupts, board.vectors) == (168e6, 82, 0x08000000)
+    joints = [one["joint"] for one in board.rows["encoder"]]
+    assert joints == list(range(len(JOINTS))), "joints with an encoder"
+    fields = [board.fields[name] for name in ("clock", "interrupts", "vectors")]
+    assert fields == [168e6, 82, 0x08000000]
     full = load(FULL, tmp_path)
-    for field in dataclasses.fields(full):
-        assert getattr(full, field.name), f"{field.name} is read"
-    assert full.adcs[0].channels[0].counts_per_ampere == -40.0, "a sensor that counts down"
+    for name, read in (full.rows | full.fields).items():
+        assert read, f"{name} is read"
+    assert full.rows["channel"][0]["counts_per_ampere"] == -40.0, "a sensor that counts down"
 
 
 def test_every_key_is_documented() -> None:

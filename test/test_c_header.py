@@ -21,7 +21,7 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus.drives_unit import DRIVES, DRIVES_CORE
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT
 from arm_emulator.doors.microcontroller import FOLDER as MICROCONTROLLER
-from arm_emulator.doors.microcontroller.board_struct import RUNNER
+from arm_emulator.doors.microcontroller.board import RUNNER
 from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.core_calls import ARM, FIRMWARE, FLEET
 from arm_emulator.runs.servo_step import HERE, STEP

@@ -20,7 +20,7 @@ from arm_emulator.base import bound
 from arm_emulator.base.number import LARGEST, SMALLEST, Number, numbers_of
 from arm_emulator.base.parameters import checked, parameters_of
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.doors.microcontroller.board import Board, Channel, Encoder, Uart, load_board
+from arm_emulator.doors.microcontroller.board import BOARD, CHANNEL, ENCODER, UART, load_board
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import ServoConfig
 from emulator_node.node import EmulatorParameters
@@ -186,9 +186,10 @@ def board_numbers(folder: Path) -> Iterator[tuple[Number, str, Read]]:
         file.write_text(yaml.dump(board))
         return load_board(file, ["a"])
 
-    for path, kind in (("", Board), ("encoders.a", Encoder), ("uart.line", Uart),
-                       ("adc.ADC.channels.a", Channel)):  # fmt: skip
-        for key, one in numbers_of(kind).items():
+    for path, numbers in (("", BOARD), ("encoders.a", ENCODER), ("uart.line", UART),
+                          ("adc.ADC.channels.a", CHANNEL)):  # fmt: skip
+        for one in numbers:
+            key = one.name
             if key == "offset":
                 one = dataclasses.replace(one, at_most=2.0**12 - 1.0)
             yield one, f"{path}.{key}".lstrip("."), partial(read, path, key)

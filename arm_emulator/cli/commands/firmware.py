@@ -145,7 +145,7 @@ def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
 @contextlib.contextmanager
 def _lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
     """Yield file descriptors to write to and read from for serial lines, by their names."""
-    names = [uart.name for uart in board.uarts]
+    names = board.uarts
     wanted = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
     for text in reported:
         name, _, where = text.partition("=")

@@ -1,18 +1,26 @@
-"""Board files: which registers of a microcontroller are wired to which part of a machine."""
+"""Board files: which registers of a microcontroller are wired to which part of a machine.
+
+docs/how_to/microcontroller.md has their keys. What is read are rows of the structs of runner.h.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
+from arm_emulator.base.number import REQUIRED, Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.build.c_header import CData, Header
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.microcontroller import FOLDER
+from arm_emulator.machine.parts.input import VOLTAGE
+from arm_emulator.machine.scene import Scene
 
 PAGE = 1024  # bytes that regions are multiples of
 PRIVATE = 0xE0000000  # where the processor's own registers begin
@@ -20,12 +28,40 @@ MOST_INTERRUPTS = 240
 MOST = 64  # entries of a section
 LARGEST = 1 << 28  # bytes of a region
 
+RUNNER = Header(FOLDER / "runner.h", (BOUNDARY,))
+
+# Numbers of a board file, by their keys, in sections of these kinds.
+BOARD = (
+    Number("clock", "Hz", at_least=1e4, at_most=1e10),
+    Number("cycles_per_instruction", "cycles", at_least=0.0, at_most=1000.0, default=1.0),
+    Number("cycles_per_branch", "cycles", at_least=0.0, at_most=1000.0, default=1.0),
+    Number("boot", "s", at_least=0.0, at_most=100.0, default=0.0),
+    Number("interrupts", at_least=1, at_most=MOST_INTERRUPTS, whole=True),
+    Number("priority_bits", at_least=1, at_most=8, whole=True, default=4),
+)
+ENCODER = (Number("bits", at_least=8, at_most=32, whole=True),)
+CHANNEL = (
+    Number("bits", at_least=1, at_most=31, whole=True),
+    Number("counts_per_ampere", "1/A", at_least=1e-9, at_most=1e9, in_size=True),
+    Number("offset", "counts", at_least=0.0),
+)
+UART = (Number("baud", "1/s", at_least=1.0, at_most=1e8, default=115200.0),)
+
 _WORD = Number("", at_least=0, at_most=2**32 - 1, whole=True)
 _BIT = Number("bit", at_least=0, at_most=31, whole=True)
 _INTERRUPT = Number("interrupt", at_least=0, whole=True, default=-1)
 _FULL_SCALE = Number("full_scale", "V, A or N m", at_least=1e-9, at_most=1e9)
 
 _Entry = TypeVar("_Entry")
+_KINDS = {
+    word: RUNNER.constant(kind)
+    for word, kind in {
+        "flash": "MCU_FLASH", "ram": "MCU_RAM", "registers": "MCU_REGISTERS",
+        "code_ram": "MCU_CODE_RAM", "float": "MCU_VOLTS", "bipolar": "MCU_BIPOLAR",
+        "unipolar": "MCU_UNIPOLAR", "pair": "MCU_PAIR", "enable": "MCU_ENABLE",
+        "brake": "MCU_BRAKE", "fault": "MCU_FAULT", "powered": "MCU_POWERED",
+    }.items()
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,135 +78,26 @@ class Region:
     kind: str
 
 
-@dataclass(frozen=True)
-class Word:
-    """Initial value of a register; bits that are `fixed` always read so."""
-
-    at: int
-    value: int
-    fixed: int
+Row = dict[str, Any]  # fields of a struct
 
 
 @dataclass(frozen=True)
-class Encoder:
-    """A timer's counter of so many bits."""
-
-    joint: str
-    at: int
-    bits: int = number(ends=(8, 32), whole=True)
-
-
-@dataclass(frozen=True)
-class Channel:
-    """A data register of a converter; `bits` 0: it holds amperes as a float."""
-
-    joint: str
-    at: int
-    bits: int = number(ends=(1, 31), whole=True)
-    counts_per_ampere: float = number("1/A", ends=(1e-9, 1e9), in_size=True)
-    offset: float = number("counts", at_least=0.0)
-
-
-@dataclass(frozen=True)
-class Adc:
-    """A converter: registers and bits of its end of conversion, 0: none; `interrupt` -1: none."""
-
-    name: str
-    status: int
-    flag: int
-    control: int
-    enable: int
-    interrupt: int
-    clear: str
-    channels: tuple[Channel, ...]
-
-
-@dataclass(frozen=True)
-class Pwm:
-    """Registers that state what voltage a motor gets, or its drive is commanded; 0: none."""
-
-    joint: str
-    kind: str
-    compare: int
-    reload: int
-    aligned: str
-    minus: int
-    direction: int
-    direction_bit: int
-    full_scale: float | None
-    """At a duty of 1, in the unit of the motor's command; None: the supply [V]."""
-
-
-@dataclass(frozen=True)
-class Pin:
-    """A bit of a register that is wired to the drives; `joint` empty: to all."""
-
-    name: str
-    is_: str
-    at: int
-    bit: int
-    active: str
-    joint: str
-
-
-@dataclass(frozen=True)
-class Port:
-    """Registers that set and clear bits of an output register; 0: none."""
-
-    output: int
-    set_reset: int
-    set: int
-    clear: int
-
-
-@dataclass(frozen=True)
-class Uart:
-    """A serial line; `interrupt` -1: none; `targets`: joint targets come here."""
-
-    name: str
-    status: int
-    data: int
-    control: int
-    interrupt: int
-    targets: bool
-    baud: float = number("1/s", ends=(1.0, 1e8), default=115200.0)
-
-
-@dataclass(frozen=True)
-class Mailbox:
-    """Registers where joint targets are read; `count` counts them, `interrupt` -1: none."""
-
-    count: int
-    interrupt: int
-    at: dict[str, int]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Board:
-    """A microcontroller and its wiring, see docs/how_to/microcontroller.md for each key.
+    """A microcontroller and its wiring.
 
     Attributes:
         where: the file's name.
+        regions: pieces of its address space.
+        uarts: names of its serial lines.
+        rows: of the structs of runner.h, by what follows ``mcu_`` in their names.
+        fields: of ``mcu_board`` itself; "mailbox" of ``mcu_mailbox``, if there is one.
     """
 
     where: str
-    vectors: int
-    preload: bool
     regions: tuple[Region, ...]
-    words: tuple[Word, ...]
-    encoders: tuple[Encoder, ...]
-    adcs: tuple[Adc, ...]
-    pwms: tuple[Pwm, ...]
-    pins: tuple[Pin, ...]
-    ports: tuple[Port, ...]
-    uarts: tuple[Uart, ...]
-    mailbox: Mailbox | None
-    clock: float = number("Hz", ends=(1e4, 1e10))
-    cycles_per_instruction: float = number("cycles", ends=(0.0, 1000.0), default=1.0)
-    cycles_per_branch: float = number("cycles", ends=(0.0, 1000.0), default=1.0)
-    boot: float = number("s", ends=(0.0, 100.0), default=0.0)
-    interrupts: int = number(ends=(1, MOST_INTERRUPTS), whole=True)
-    priority_bits: int = number(ends=(1, 8), whole=True, default=4)
+    uarts: tuple[str, ...]
+    rows: dict[str, tuple[Row, ...]] = field(repr=False)
+    fields: Row = field(repr=False)
 
 
 def load_board(file: Path, joint_names: Sequence[str]) -> Board:
@@ -193,6 +120,8 @@ class _Reader:
         self._joints = tuple(joint_names)
         self._blocks: tuple[Region, ...] = ()
         self._used: dict[int, str] = {}
+        self._channels: list[Row] = []
+        self._adcs = 0
 
     def board(self) -> Board:
         top = self._top
@@ -203,32 +132,35 @@ class _Reader:
         flash = [region.at for region in memory if region.kind == "flash"]
         if not flash:
             raise Refusal(top.where, "memory", "have a region of kind flash", "none")
-        numbers = top.numbers(Board)
-        self._interrupts = numbers["interrupts"]
-        board = Board(
-            where=top.where,
-            vectors=self._vectors(memory, flash[0]),
-            preload=top.flag("preload"),
-            regions=regions,
-            words=self._entries("values", self._word),
-            encoders=self._of_joints("encoders", self._encoder),
-            adcs=self._entries("adc", self._adc),
-            ports=self._entries("ports", self._port),
-            pwms=self._of_joints("pwm", self._pwm),
-            pins=self._entries("pins", self._pin),
-            uarts=self._entries("uart", self._uart),
-            mailbox=self._mailbox(),
-            **numbers,
-        )
+        fields = _numbers(top, BOARD)
+        self._interrupts = fields["interrupts"]
+        fields["vectors"] = self._vectors(memory, flash[0])
+        fields["preload"] = top.flag("preload")
+        rows = {
+            "region": tuple(
+                {"at": one.at, "size": one.size, "kind": _KINDS[one.kind]} for one in regions
+            ),
+            "word": self._entries("values", self._word),
+            "encoder": self._of_joints("encoders", self._encoder),
+            "adc": self._entries("adc", self._adc),
+            "port": self._entries("ports", self._port),
+            "pwm": self._of_joints("pwm", self._pwm),
+            "pin": self._entries("pins", self._pin),
+            "uart": self._entries("uart", self._uart),
+            "channel": tuple(self._channels),
+        }
+        if (mailbox := self._mailbox()) is not None:
+            fields["mailbox"] = mailbox
+        names = [name for name, _ in self._sections(top, "uart")]
         top.finish()
-        if sum(uart.targets for uart in board.uarts) > 1:
+        if sum(uart["targets"] for uart in rows["uart"]) > 1:
             raise Refusal(top.where, "uart", "bring targets on one line at most", "several")
-        joints = [channel.joint for adc in board.adcs for channel in adc.channels]
+        joints = [channel["joint"] for channel in self._channels]
         for joint in joints:
             if joints.count(joint) > 1:
                 rule = "have a channel of one converter at most"
-                raise Refusal(top.where, "adc", rule, f"several for {joint}")
-        return board
+                raise Refusal(top.where, "adc", rule, f"several for {self._joints[joint]}")
+        return Board(top.where, regions, tuple(names), rows, fields)
 
     def _vectors(self, memory: tuple[Region, ...], default: int) -> int:
         at = _word(self._top, "vectors", default)
@@ -262,66 +194,72 @@ class _Reader:
             raise section.refusal("at", "be > 0", hex(at))
         return Region(name, at, size, kind)
 
-    def _word(self, _name: str, section: Section) -> Word:
+    def _word(self, _name: str, section: Section) -> Row:
         at = self._register(section, "at")
-        return Word(at, _word(section, "value"), _word(section, "fixed", 0))
+        return {"at": at, "value": _word(section, "value"), "fixed": _word(section, "fixed", 0)}
 
-    def _encoder(self, joint: str, section: Section) -> Encoder:
-        numbers = section.numbers(Encoder)
-        return Encoder(joint, self._own(section, "at"), **numbers)
+    def _encoder(self, joint: str, section: Section) -> Row:
+        numbers = _numbers(section, ENCODER)
+        return {"joint": self._joints.index(joint), "at": self._own(section, "at"), **numbers}
 
-    def _adc(self, name: str, section: Section) -> Adc:
-        channels = tuple(
-            self._channel(joint, one) for joint, one in self._sections(section, "channels")
-        )
-        for channel in channels:
-            self._check_joint(section, "channels", channel.joint)
+    def _adc(self, _name: str, section: Section) -> Row:
+        sections = self._sections(section, "channels")
+        channels = [self._channel(one) for _, one in sections]
+        for (joint, _), channel in zip(sections, channels, strict=True):
+            self._check_joint(section, "channels", joint)
+            channel |= {"joint": self._joints.index(joint), "adc": self._adcs}
+        self._channels += channels
+        self._adcs += 1
         status = self._own(section, "status") if section.has("status") else 0
         control = self._own(section, "control") if section.has("control") else 0
         for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
             if section.has(key) and not needs:
                 what = "control" if key == "enable" else "status"
                 raise section.refusal(key, f"stand beside `{what}`, a register", "none")
-        return Adc(
-            name,
-            status,
-            section.integer(_BIT.named("flag")) if status else 0,
-            control,
-            section.integer(_BIT.named("enable")) if control else 0,
-            self._interrupt(section),
-            section.choice("clear", ("zero", "one"), "zero"),
-            channels,
-        )
+        return {
+            "status": status,
+            "flag": section.integer(_BIT.named("flag")) if status else 0,
+            "control": control,
+            "enable": section.integer(_BIT.named("enable")) if control else 0,
+            "interrupt": self._interrupt(section),
+            "clear_by_one": section.choice("clear", ("zero", "one"), "zero") == "one",
+        }
 
-    def _channel(self, joint: str, section: Section) -> Channel:
+    def _channel(self, section: Section) -> Row:
         at = self._own(section, "at")
         if section.choice("holds", ("counts", "float"), "counts") == "float":
-            return Channel(joint, at, 0, 0.0, 0.0)
-        numbers = section.numbers(Channel)
-        largest = 2 ** numbers["bits"] - 1
-        section.number(replace(numbers_of(Channel)["offset"], at_most=largest))
-        return Channel(joint, at, **numbers)
+            return {"at": at, "bits": 0}
+        numbers = _numbers(section, CHANNEL)
+        section.number(replace(CHANNEL[-1], at_most=2 ** numbers["bits"] - 1))
+        return {"at": at, **numbers}
 
-    def _pwm(self, joint: str, section: Section) -> Pwm:
+    def _pwm(self, joint: str, section: Section) -> Row:
         kinds = ("bipolar", "unipolar", "pair", "float")
         kind = section.choice("kind", kinds, "")
         if not kind:
             raise section.refusal("kind", "be there", "nothing", ", ".join(kinds))
         counted = kind != "float"
         unipolar = kind == "unipolar"
-        return Pwm(
-            joint,
-            kind,
-            self._register(section, "compare"),
-            self._register(section, "reload") if counted else 0,
-            section.choice("aligned", ("edge", "center"), "edge") if counted else "edge",
-            self._register(section, "minus") if kind == "pair" else 0,
-            self._register(section, "direction") if unipolar else 0,
-            section.integer(_BIT.named("direction_bit")) if unipolar else 0,
-            section.number(_FULL_SCALE) if counted and section.has("full_scale") else None,
-        )
+        row = {
+            "joint": self._joints.index(joint),
+            "kind": _KINDS[kind],
+            "compare": self._register(section, "compare"),
+            "reload": self._register(section, "reload") if counted else 0,
+        }
+        aligned = section.choice("aligned", ("edge", "center"), "edge") if counted else ""
+        row |= {
+            "counts_more": aligned == "edge",
+            "minus": self._register(section, "minus") if kind == "pair" else 0,
+            "direction": self._register(section, "direction") if unipolar else 0,
+            "direction_bit": section.integer(_BIT.named("direction_bit")) if unipolar else 0,
+        }
+        if not counted:
+            row["full_scale"] = 0.0
+        elif section.has("full_scale"):
+            row["full_scale"] = section.number(_FULL_SCALE)
+        return row
 
-    def _pin(self, name: str, section: Section) -> Pin:
+    def _pin(self, _name: str, section: Section) -> Row:
         kinds = ("enable", "brake", "fault", "powered")
         is_ = section.choice("is", kinds, "")
         if not is_:
@@ -329,28 +267,26 @@ class _Reader:
         joint = section.text("joint") if section.has("joint") else ""
         if joint:
             self._check_joint(section, "joint", joint)
-        bit = section.integer(_BIT)
-        active = section.choice("active", ("high", "low"), "high")
-        return Pin(name, is_, self._register(section, "at"), bit, active, joint)
+        return {
+            "joint": self._joints.index(joint) if joint else -1,
+            "kind": _KINDS[is_],
+            "bit": section.integer(_BIT),
+            "low": section.choice("active", ("high", "low"), "high") == "low",
+            "at": self._register(section, "at"),
+        }
 
-    def _port(self, _name: str, section: Section) -> Port:
-        output = self._register(section, "output")
-        return Port(
-            output, *(self._optional(section, key) for key in ("set_reset", "set", "clear"))
-        )
+    def _port(self, _name: str, section: Section) -> Row:
+        row = {"output": self._register(section, "output")}
+        for key in ("set_reset", "set", "clear"):
+            row[key] = self._own(section, key) if section.has(key) else 0
+        return row
 
-    def _uart(self, name: str, section: Section) -> Uart:
-        return Uart(
-            name,
-            self._own(section, "status"),
-            self._own(section, "data"),
-            self._own(section, "control"),
-            self._interrupt(section),
-            section.flag("targets"),
-            **section.numbers(Uart),
-        )
+    def _uart(self, _name: str, section: Section) -> Row:
+        row = {key: self._own(section, key) for key in ("status", "data", "control")}
+        row |= {"interrupt": self._interrupt(section), "targets": section.flag("targets")}
+        return {**row, **_numbers(section, UART)}
 
-    def _mailbox(self) -> Mailbox | None:
+    def _mailbox(self) -> Row | None:
         section = self._top.section("targets")
         if section is None:
             return None
@@ -359,7 +295,11 @@ class _Reader:
         for joint in names:
             self._check_joint(section, "joints", joint)
         at = {joint: self._own(joints, joint) for joint in names}
-        return Mailbox(self._own(section, "count"), self._interrupt(section), at)
+        return {
+            "at": [at.get(joint, 0) for joint in self._joints],
+            "count": self._own(section, "count"),
+            "interrupt": self._interrupt(section),
+        }
 
     def _interrupt(self, section: Section) -> int:
         return section.integer(replace(_INTERRUPT, at_most=self._interrupts - 1))
@@ -386,9 +326,6 @@ class _Reader:
             raise above.refusal(key, f"have at most {MOST} entries", len(names))
         return [(name, section.required_section(name)) for name in names] if section else []
 
-    def _optional(self, section: Section, key: str) -> int:
-        return self._own(section, key) if section.has(key) else 0
-
     def _own(self, section: Section, key: str) -> int:
         """Return the address of a register that nothing else uses."""
         at = self._register(section, key)
@@ -407,6 +344,10 @@ class _Reader:
         return at
 
 
+def _numbers(section: Section, declared: Sequence[Number]) -> Row:
+    return {one.name: section.number(one) for one in declared}
+
+
 def _word(section: Section, key: str, default: int | None = None) -> int:
     """Return a whole number of 32 bits, written as 0x40000000 or in decimal."""
     value = section.value(key)
@@ -423,3 +364,50 @@ def _check_regions(where: str, regions: tuple[Region, ...]) -> None:
         if one.at + one.size > other.at:
             rule = f"end before {other.name} begins, at {other.at:#x}"
             raise Refusal(where, f"region {one.name}", rule, hex(one.at + one.size))
+
+
+def board_struct(
+    board: Board, scene: Scene, uarts: dict[str, tuple[int, int]]
+) -> tuple[CData, dict[str, CData]]:
+    """Return a board as in runner.h, and the objects that must outlive it.
+
+    Args:
+        board: wiring of registers.
+        scene: the machine.
+        uarts: file descriptors to write to and to read from, of each serial line that has some.
+
+    Raises:
+        Refusal: a bridge makes no command of the kind that a joint takes.
+    """
+    rows = dict(board.rows)
+    rows["pwm"] = tuple({"full_scale": _full_scale(one, scene), **one} for one in rows["pwm"])
+    rows["uart"] = tuple(
+        {**one, **dict(zip(("out", "in"), uarts.get(name, (-1, -1)), strict=True))}
+        for name, one in zip(board.uarts, rows["uart"], strict=True)
+    )
+    fields = dict(board.fields)
+    kept: dict[str, CData] = {}  # the struct points to them
+    for name, some in rows.items():
+        fields[name] = kept[name] = RUNNER.ffi.new(f"mcu_{name}[]", some)
+        fields[f"{name}s"] = len(some)
+    if "mailbox" in fields:
+        at = kept["at"] = RUNNER.ffi.new("uint32_t[]", fields["mailbox"]["at"])
+        mailbox = RUNNER.new("mcu_mailbox", **{**fields["mailbox"], "at": at})
+        fields["mailbox"] = kept["mailbox"] = mailbox
+    period = round(scene.servo_period * 1e9)
+    return RUNNER.new("mcu_board", joints=len(scene.joints), period=period, **fields), kept
+
+
+def _full_scale(pwm: Row, scene: Scene) -> float:
+    """Return the command at a duty of 1 [V, A or N m] where none is given: of a bridge the supply.
+
+    Raises:
+        Refusal: no bridge makes such a command.
+    """
+    joint = scene.joints[pwm["joint"]]
+    command = joint.inputs[0]
+    if command != VOLTAGE and "full_scale" not in pwm:
+        takes = f"{command.about} [{command.unit}]"
+        rule = f"be given: the joint's command is {takes}, and no bridge makes that of a duty"
+        raise Refusal("board", f"pwm.{joint.name}.full_scale", rule, "nothing")
+    return scene.supply_voltage

@@ -12,8 +12,7 @@ from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.microcontroller import FOLDER
-from arm_emulator.doors.microcontroller.board import Board
-from arm_emulator.doors.microcontroller.board_struct import RUNNER, board_struct
+from arm_emulator.doors.microcontroller.board import RUNNER, Board, board_struct
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
 from arm_emulator.doors.microcontroller.unicorn_library import (
     load_unicorn,
