@@ -19,9 +19,8 @@ from random_scenes import draw
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.cli.commands.fmu import fmu as write_fmu
 from arm_emulator.doors.fmu.export import export
-from arm_emulator.doors.fmu.model_description import model_description
-from arm_emulator.doors.fmu.model_description_2 import model_description_2
-from arm_emulator.doors.fmu.units import unit_of
+from arm_emulator.doors.fmu.model_description import model_description, model_description_2
+from arm_emulator.doors.fmu.units import powers_of
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.parts.known import PARTS
 
@@ -89,9 +88,9 @@ def test_units_are_powers_of_base_units() -> None:
     for part in PARTS:
         for key, one in part.numbers().items():
             if one.varied and not one.whole:
-                assert unit_of(one.unit).powers is not None, (part.__name__, key, one.unit)
-    assert unit_of("V s/rad").powers == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
-    assert unit_of("N m/rad3").powers == {"kg": 1, "m": 2, "s": -2, "rad": -3}
+                assert powers_of(one.unit) is not None, (part.__name__, key, one.unit)
+    assert powers_of("V s/rad") == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
+    assert powers_of("N m/rad3") == {"kg": 1, "m": 2, "s": -2, "rad": -3}
 
 
 def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -> None:

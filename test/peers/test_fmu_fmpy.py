@@ -36,8 +36,7 @@ from machines import DC, GANTRY, gantry_urdf, write_scene
 from test_fmu_file import scenes
 
 from arm_emulator.doors.fmu.export import export
-from arm_emulator.doors.fmu.model_description import model_description
-from arm_emulator.doors.fmu.model_description_2 import model_description_2
+from arm_emulator.doors.fmu.model_description import model_description, model_description_2
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.scene import Scene, load_scene
 

@@ -15,8 +15,11 @@ from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.unit import compiled_bytes, fingerprint
 from arm_emulator.core import CORE
-from arm_emulator.doors.fmu.model_description import build_description, model_description
-from arm_emulator.doors.fmu.model_description_2 import model_description_2
+from arm_emulator.doors.fmu.model_description import (
+    build_description,
+    model_description,
+    model_description_2,
+)
 from arm_emulator.doors.fmu.names import identifier
 from arm_emulator.doors.fmu.page import page
 from arm_emulator.doors.fmu.unit import FOLDER, unit_of

@@ -201,9 +201,47 @@ class Instance {
     return true;
   }
 
+  // Values of variables, in a row; see `match`.
+  template <class Value>
+  Status get(const char* call, const unsigned* references, std::size_t count, Type type, Type other,
+             Value* values, std::size_t size) {
+    if (!match(call, references, count, type, other, values, size)) return kError;
+    look(references, count);
+    for (std::size_t r = 0; r < count; ++r) {
+      const Variable& one = kVariables[references[r]];
+      for (int k = 0; k < one.count; ++k)
+        *values++ = type == Type::boolean ? Value(value_at<bool>(data_, one.place, k))
+                                          : value_at<Value>(data_, one.place, k);
+    }
+    return kOk;
+  }
+  // Whether values may be set; all of them is done for integers, which are outputs.
+  Status take(const char* call, const unsigned* references, std::size_t count, Type type,
+              const void* values, std::size_t size) {
+    return match(call, references, count, type, type, values, size) &&
+                   settable(call, references, count)
+               ? kOk
+               : kError;
+  }
+  // `Flag`: in which 0 is false.
+  template <class Flag>
+  Status set_flags(const char* call, const unsigned* references, std::size_t count,
+                   const Flag* values, std::size_t size) {
+    if (take(call, references, count, Type::boolean, values, size) != kOk) return kError;
+    for (std::size_t r = 0; r < count; ++r)
+      for (int k = 0; k < kVariables[references[r]].count; ++k)
+        *place_in(data_, kVariables[references[r]].place, k) = *values++ != 0;
+    if (count && values_.mode & kBeforeStart) values_.moved = true;
+    return kOk;
+  }
+  // Calls of a type that no variable has.
+  Status none(const char* call, std::size_t count) {
+    return count ? report(kError, "%s: no variable is of this type", call) : kOk;
+  }
   // All values or none are taken.
   Status set_numbers(const char* call, const unsigned* references, std::size_t count,
-                     const double* values) {
+                     const double* values, std::size_t size) {
+    if (take(call, references, count, Type::float64, values, size) != kOk) return kError;
     const double* value = values;
     for (std::size_t r = 0; r < count; ++r)
       for (int k = 0; k < kVariables[references[r]].count; ++k)
@@ -229,12 +267,6 @@ class Instance {
     }
     return kOk;
   }
-  void set_flag(unsigned reference, int k, bool on) {
-    const Variable& one = kVariables[reference];
-    *place_in(data_, one.place, k) = on;
-    if (values_.mode & kBeforeStart) values_.moved = true;
-  }
-
   // Update the data that these variables report.
   void look(const unsigned* references, std::size_t count) {
     put_at_start();
@@ -245,11 +277,6 @@ class Instance {
     if (truth && !truth_reported_) machine_.measure_truth();
     truth_reported_ = truth_reported_ || truth;
     data_.shown.time = time();
-  }
-  // Value `k` of a variable.
-  template <class To>
-  To value(const Variable& one, int k) const {
-    return value_at<To>(data_, one.place, k);
   }
 
   // ------------------------------------------------------------------------------ whole states
@@ -279,13 +306,13 @@ class Instance {
     if (!state || !*state || states_.forget(state)) return kOk;
     return unknown_state();
   }
-  Status write_state(void* state, unsigned char* bytes, std::size_t size) {
+  Status write_state(void* state, void* bytes, std::size_t size) {
     if (!states_.knows(state)) return unknown_state();
     if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
     std::memcpy(bytes, states_.bytes_of(state), size);
     return kOk;
   }
-  Status read_state(const unsigned char* bytes, std::size_t size, void** state) {
+  Status read_state(const void* bytes, std::size_t size, void** state) {
     if (!state || (*state && !states_.knows(*state))) return unknown_state();
     if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
     if (const char* rule = states_.why_not(bytes, machine_.fingerprint()))

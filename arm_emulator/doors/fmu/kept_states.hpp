@@ -57,7 +57,8 @@ class KeptStates {
     std::memcpy(bytes + size_ - 8, &sum, 8);
   }
   // The rule that bytes of a serialized state break; null if they are sound.
-  const char* why_not(const unsigned char* bytes, std::uint64_t fingerprint) const {
+  const char* why_not(const void* serialized, std::uint64_t fingerprint) const {
+    const auto* const bytes = static_cast<const unsigned char*>(serialized);
     std::uint64_t magic, of, sum;
     std::memcpy(&magic, bytes, 8);
     std::memcpy(&of, bytes + 8, 8);

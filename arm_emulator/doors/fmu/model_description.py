@@ -1,4 +1,8 @@
-"""modelDescription.xml of FMI 3.0, and the file that describes how to compile the sources."""
+"""modelDescription.xml of FMI 3.0 and 2.0, and the file that describes how to compile the sources.
+
+That of FMI 2.0 does not list the sources: importers take those for C, or for C++ of another year.
+They are there for people.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from collections.abc import Sequence
 
 from arm_emulator.base.escape import xml_text
 from arm_emulator.doors.fmu.names import convention, identifier, written
-from arm_emulator.doors.fmu.units import BASE, displayed_in, unit_of
+from arm_emulator.doors.fmu.units import BASE, DISPLAYED, OFFSETS, powers_of
 from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.scene import Scene
 
@@ -19,10 +23,13 @@ LOG_CATEGORIES = {
     "logStatusError": "calls that end the simulation, among them a machine that diverged",
 }
 _CAUSALITY = {"fixed": "parameter", "tunable": "parameter"}
+# FMI 2 has no integers of 64 bits, and some attributes beside the type.
+_TYPES_2 = {"Float64": "Real", "Int64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+_TYPED_2 = ("unit", "displayUnit", "min", "max", "start")
 
 
 def model_description(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
-    """Return modelDescription.xml.
+    """Return modelDescription.xml of FMI 3.0.
 
     Args:
         scene: the machine.
@@ -42,10 +49,10 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         providesIntermediateUpdate="true",
         fixedInternalStepSize=repr(scene.servo_period),
     )
-    header(root, scene, variables)
+    _header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
     for reference, one in enumerate(variables):
-        element = ET.SubElement(listed, one.type, attributes_of(one, reference, naming))
+        element = ET.SubElement(listed, one.type, _attributes(one, reference, naming))
         if one.role == "output":
             element.set("intermediateUpdate", "true")
         for size in one.shape:
@@ -57,10 +64,48 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         ET.SubElement(structure, "Output", valueReference=k, dependencies="")
     for k in outputs:
         ET.SubElement(structure, "InitialUnknown", valueReference=k, dependencies=begin)
-    return as_bytes(root)
+    return _as_bytes(root)
 
 
-def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
+def model_description_2(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
+    """Return modelDescription.xml of FMI 2.0.
+
+    Args:
+        scene: the machine.
+        variables: of it, single numbers, in the order of their value references.
+        token: that the binary expects.
+    """
+    naming = convention(one.name for one in variables)
+    root = ET.Element("fmiModelDescription", fmiVersion="2.0", guid=token)
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier(scene.name),
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    _header(root, scene, variables)
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, one in enumerate(variables):
+        attributes = _attributes(one, reference, naming)
+        own = {name: attributes.pop(name) for name in _TYPED_2 if name in attributes}
+        element = ET.SubElement(listed, "ScalarVariable", attributes)
+        ET.SubElement(element, _TYPES_2[one.type], own)
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [k for k, one in enumerate(variables, 1) if one.role == "output"]
+    begin = [k for k, one in enumerate(variables, 1) if one.decides_on_start]
+    for name, dependencies in (
+        ("Outputs", ""),
+        ("InitialUnknowns", " ".join(map(str, begin))),
+    ):
+        group = ET.SubElement(structure, name)
+        for k in outputs:
+            ET.SubElement(group, "Unknown", index=str(k), dependencies=dependencies)
+    return _as_bytes(root)
+
+
+def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
     """Add the parts that all versions share: origin, units, categories."""
     joints = xml_text(", ".join(scene.joint_names))
     root.attrib.update(
@@ -77,7 +122,7 @@ def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> Non
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=period)
 
 
-def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
+def _attributes(one: Variable, reference: int, naming: str) -> dict[str, str]:
     """Return the attributes of a variable."""
     continuous = one.type == "Float64"
     attributes = {
@@ -91,9 +136,8 @@ def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
         attributes["variability"] = one.role
     if one.unit and continuous:
         attributes["unit"] = one.unit
-        displayed = displayed_in(one.unit)
-        if displayed:
-            attributes["displayUnit"] = displayed
+        if one.unit in DISPLAYED:
+            attributes["displayUnit"] = DISPLAYED[one.unit][0]
     if one.bounds is not None:
         attributes["min"], attributes["max"] = (repr(float(bound)) for bound in one.bounds)
     if one.start is not None:
@@ -125,10 +169,10 @@ def build_description(scene: Scene, sources: Sequence[str], options: str, defini
     ET.SubElement(files, "PreprocessorDefinition", name=name, value=value)
     ET.SubElement(files, "IncludeDirectory", name=".")
     ET.SubElement(configuration, "Library", name="pthread", external="true")
-    return as_bytes(root)
+    return _as_bytes(root)
 
 
-def as_bytes(root: ET.Element) -> bytes:
+def _as_bytes(root: ET.Element) -> bytes:
     """Return an XML file."""
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
@@ -138,15 +182,14 @@ def as_bytes(root: ET.Element) -> bytes:
 def _units(variables: Sequence[Variable]) -> ET.Element:
     root = ET.Element("UnitDefinitions")
     for name in dict.fromkeys(one.unit for one in variables if one.unit):
-        unit = unit_of(name)
         element = ET.SubElement(root, "Unit", name=name)
-        if unit.powers is not None:
-            base = {base: str(unit.powers[base]) for base in BASE if base in unit.powers}
-            if unit.offset:
-                base["offset"] = repr(unit.offset)
+        powers = powers_of(name)
+        if powers is not None:
+            base = {base: str(powers[base]) for base in BASE if base in powers}
+            if name in OFFSETS:
+                base["offset"] = repr(OFFSETS[name])
             ET.SubElement(element, "BaseUnit", base)
-        for displayed in unit.displayed:
-            ET.SubElement(
-                element, "DisplayUnit", name=displayed.name, factor=repr(displayed.factor)
-            )
+        if name in DISPLAYED:
+            shown, factor = DISPLAYED[name]
+            ET.SubElement(element, "DisplayUnit", name=shown, factor=repr(factor))
     return root

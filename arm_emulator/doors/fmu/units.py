@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -18,49 +17,24 @@ _DERIVED = {
     "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
     "Hz": {"s": -1},
     "1": {},
+    "degC": {"K": 1},
 }
 
-
-@dataclass(frozen=True)
-class DisplayUnit:
-    """A unit for display: so many of it make one of the unit."""
-
-    name: str
-    factor: float
-
-
-_DISPLAYED = {
-    "rad": DisplayUnit("deg", 180.0 / math.pi),
-    "rad/s": DisplayUnit("deg/s", 180.0 / math.pi),
-    "m": DisplayUnit("mm", 1e3),
-    "m/s": DisplayUnit("mm/s", 1e3),
+# Units that values are shown in: so many of them make one of the unit.
+DISPLAYED = {
+    "rad": ("deg", 180.0 / math.pi),
+    "rad/s": ("deg/s", 180.0 / math.pi),
+    "m": ("mm", 1e3),
+    "m/s": ("mm/s", 1e3),
 }
+OFFSETS = {"degC": 273.15}  # of their zeros, in base units
 
 
-@dataclass(frozen=True)
-class Unit:
-    """A unit; `powers` of base units is None where it is not of SI, such as counts."""
+def powers_of(name: str) -> dict[str, int] | None:
+    """Return the powers of base units of a unit, such as ``N m s/rad``.
 
-    name: str
-    powers: dict[str, int] | None
-    offset: float = 0.0  # in base units, of its zero
-    displayed: tuple[DisplayUnit, ...] = field(default=())
-
-
-def unit_of(name: str) -> Unit:
-    """Return the unit that is written so, such as ``N m s/rad``."""
-    displayed = (_DISPLAYED[name],) if name in _DISPLAYED else ()
-    if name == "degC":
-        return Unit(name, {"K": 1}, 273.15)
-    return Unit(name, _powers(name), displayed=displayed)
-
-
-def displayed_in(name: str | None) -> str | None:
-    """Return the name of the unit that values are shown in, if it is another one."""
-    return _DISPLAYED[name].name if name in _DISPLAYED else None
-
-
-def _powers(name: str) -> dict[str, int] | None:
+    None of one that is not of SI, such as counts.
+    """
     total = dict.fromkeys(BASE, 0)  # a name without a unit is a ratio
     above, *below = name.split("/")
     terms = [(text, 1) for text in above.split()]
