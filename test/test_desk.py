@@ -39,14 +39,14 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
     hands = MachineHands(plant, steps=True)
 
     def ask(there: _PipedHands) -> None:
-        answers.append(there.pause(True))
-        answers.append(there.step(7))
+        answers.append(there.do("pause", True))
+        answers.append(there.do("step", 7))
         while hands.due:  # until they have passed
             time.sleep(1e-3)
         with pytest.raises(Refusal, match="joint"):
-            there.set_varied("joints.elbow.motor.resistance", 2.0)
-        answers.append(there.power(False))
-        answers.append(there.pause(False))
+            there.do("set_varied", "joints.elbow.motor.resistance", 2.0)
+        answers.append(there.do("power", False))
+        answers.append(there.do("pause", False))
         assert [text for _, text in there.news().events] == ["power off"]
 
     seen = []
@@ -77,11 +77,11 @@ def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
     hands, over = MachineHands(session), threading.Event()
 
     def ask(there: _PipedHands) -> None:
-        there.power(False)
-        there.pause(True)
+        there.do("power", False)
+        there.do("pause", True)
         before = session.tick
         assert there.can() == hands.can() and session.tick == before, "it stands"
-        there.pause(False)
+        there.do("pause", False)
         over.set()
 
     with asked(hands, ask) as desk:
@@ -131,7 +131,7 @@ def test_a_desk_answers_anything_that_a_browser_sends() -> None:
         ):  # fmt: skip
             with pytest.raises(Refusal):
                 there.ask(what, *given)
-        assert there.power(False) == "power off"
+        assert there.do("power", False) == "power off"
 
     with asked(hands, ask) as desk:
         while plant.powered:

@@ -207,26 +207,13 @@ class _PipedHands(Hands):
             raise answer
         return answer
 
-    def pause(self, on: bool) -> str:
-        answer = str(self.ask("pause", on))
-        self._paused = on
+    def do(self, what: str, *given: Any) -> str:
+        answer = str(self.ask(what, *given))
+        if what == "pause":
+            self._paused = given[0]
+        elif what != "step":
+            self._events.append((self._tick, answer))
         return answer
-
-    def step(self, ticks: int) -> str:
-        return str(self.ask("step", ticks))
-
-    def power(self, on: bool) -> str:
-        return self._noted(self.ask("power", on))
-
-    def set_varied(self, name: str, value: float) -> str:
-        return self._noted(self.ask("set_varied", name, value))
-
-    def push(self, link: str, force: Vector, moment: Vector) -> str:
-        return self._noted(self.ask("push", link, force, moment))
-
-    def _noted(self, answer: Any) -> str:
-        self._events.append((self._tick, str(answer)))
-        return str(answer)
 
 
 def nothing() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 Vector = tuple[float, float, float]
 
@@ -24,10 +25,27 @@ class News:
     events: list[tuple[int, str]] = field(default_factory=list)
 
 
-class Hands:
-    """Base of all actions. A page shows the controls of the methods that a subclass overrides.
+# Actions, and what they are given. Each returns its answer in words, `gains` numbers by their
+# names, and raises a `Refusal` if it is refused.
+ACTIONS = {
+    "pause": "on: let time stand still, or go on",
+    "step": "ticks: let so many servo periods pass while time stands still",
+    "rate": "factor: let logical time pass so fast, 1 being real time; 0: as fast as possible",
+    "reset": "return to tick 0",
+    "power": "on: switch the drives' power",
+    "set_varied": "name, value: set a number that the scene lists as varied",
+    "push": "link, force [N], moment [N m]: let them act from now on, along the world's axes",
+    "aim": "p_WT [m], wxyz: send the tool to a place and an orientation in the world",
+    "save": "name: keep the whole machine under a name",
+    "restore": "name: go on from a machine that was kept",
+    "gains": "return the numbers of the servo that can be changed",
+    "set_gain": "name, value: change one of them",
+    "break_when": "condition: let time stand still as soon as it holds; empty: never",
+}
 
-    Each returns its answer in words, and raises a `Refusal` if it is refused.
+
+class Hands:
+    """Base of all actions. A page shows the controls of those that a subclass has as methods.
 
     Attributes:
         factor: that of `rate` at the start.
@@ -36,65 +54,16 @@ class Hands:
     factor = 0.0
 
     def can(self) -> frozenset[str]:
-        """Return the names of the methods that are overridden."""
-        own = (name for name, one in vars(Hands).items() if name[0] != "_" and callable(one))
-        return frozenset(one for one in own if getattr(type(self), one) is not getattr(Hands, one))
+        """Return the names of the actions that are there."""
+        return frozenset(one for one in ACTIONS if hasattr(self, one))
+
+    def do(self, what: str, *given: Any) -> Any:
+        """Do an action, and return its answer."""
+        return getattr(self, what)(*given)
 
     def news(self) -> News:
         """Return what has happened since the last call."""
         return News()
-
-    def pause(self, on: bool) -> str:
-        """Let time stand still, or go on."""
-        raise NotImplementedError
-
-    def step(self, ticks: int) -> str:
-        """Let so many servo periods pass while time stands still."""
-        raise NotImplementedError
-
-    def rate(self, factor: float) -> str:
-        """Let logical time pass so fast, 1 being real time; 0: as fast as possible."""
-        raise NotImplementedError
-
-    def reset(self) -> str:
-        """Return to tick 0."""
-        raise NotImplementedError
-
-    def power(self, on: bool) -> str:
-        """Switch the drives' power."""
-        raise NotImplementedError
-
-    def set_varied(self, name: str, value: float) -> str:
-        """Set a number that the scene lists as varied."""
-        raise NotImplementedError
-
-    def push(self, link: str, force: Vector, moment: Vector) -> str:
-        """Let a force [N] and a moment [N m] act on a link from now on, along the world's axes."""
-        raise NotImplementedError
-
-    def aim(self, p_WT: Vector, wxyz: tuple[float, float, float, float]) -> str:
-        """Send the tool to a place [m] and an orientation (quaternion) in the world."""
-        raise NotImplementedError
-
-    def save(self, name: str) -> str:
-        """Keep the whole machine under a name."""
-        raise NotImplementedError
-
-    def restore(self, name: str) -> str:
-        """Go on from a machine that was kept."""
-        raise NotImplementedError
-
-    def gains(self) -> dict[str, float]:
-        """Return the numbers of the servo that can be changed."""
-        raise NotImplementedError
-
-    def set_gain(self, name: str, value: float) -> str:
-        """Change one of them."""
-        raise NotImplementedError
-
-    def break_when(self, condition: str) -> str:
-        """Let time stand still as soon as a condition holds; empty: never."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Release all resources."""

@@ -242,7 +242,7 @@ class LivePage:
     def ask(self, what: str, *given: Any) -> str:
         """Do an action by its name, and show its answer; return "" if it was refused."""
         try:
-            answer: str = getattr(self._hands, what)(*given)
+            answer: str = self._hands.do(what, *given)
         except Refusal as reason:
             self._refused(str(reason))
             return ""

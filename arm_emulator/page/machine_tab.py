@@ -64,7 +64,7 @@ def _add_gains(page: Any, gui: Any) -> None:
 
         def fill() -> None:
             try:
-                known.update(page.hands.gains())
+                known.update(page.hands.do("gains"))
             except Refusal as reason:
                 page.answer.content = markdown_text(str(reason))
                 return

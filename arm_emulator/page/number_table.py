@@ -65,20 +65,14 @@ class EventList:
         self._more = gui.add_markdown("No event yet.")
         self._folder = gui.add_folder("Events, the newest first")
         self._shown: list[tuple[Event, Any]] = []
-        self._before, self._order = 0, 0.0
+        self._order = 0.0
 
     def show(self, events: Sequence[Event]) -> None:
         """Show other events: those that are listed already stay, and newer ones come above them."""
         known = [event for event, _ in self._shown]
         newest = list(events[-MOST:])
-        if known != newest[: len(known)]:
-            kept = 0
-            while kept < len(known) and newest[:1] and known[kept] != newest[0]:
-                kept += 1
-            if known[kept:] == newest[: len(known) - kept] and kept < len(known):
-                self._drop(kept)
-            else:
-                self._drop(len(known))
+        gone = range(len(known) + 1)  # of those that are listed, the oldest
+        self._drop(next(k for k in gone if known[k:] == newest[: len(known) - k]))
         for event in newest[len(self._shown) :]:
             self._add(event)
         left = len(events) - len(newest)

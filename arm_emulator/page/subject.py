@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.column import Column
 from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.page.signal_plot import grouped
 from arm_emulator.runs.timeline import Timeline
 
 
@@ -67,10 +67,7 @@ class SignalHistory:
             ticks.append(line.tick)
         self.ticks = np.array(ticks)
         self._rows = np.concatenate(rows)
-        self.groups: dict[str, list[Column]] = {}
-        for column in columns_of(line.run.session.scene):
-            if len(column.path) > 1:
-                self.groups.setdefault(".".join(column.path[:-1]), []).append(column)
+        self.groups = grouped(columns_of(line.run.session.scene))
 
     def values(self, group: str) -> NDArray[np.float64]:
         """Return a quantity at all samples (K, columns)."""
