@@ -240,7 +240,7 @@ class _Reader:
             raise section.refusal("kind", "be there", "nothing", ", ".join(kinds))
         counted = kind != "float"
         unipolar = kind == "unipolar"
-        row = {
+        row: Row = {
             "joint": self._joints.index(joint),
             "kind": _KINDS[kind],
             "compare": self._register(section, "compare"),

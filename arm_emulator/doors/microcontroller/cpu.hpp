@@ -154,19 +154,18 @@ class Cpu {
     return stop;
   }
 
-  // Between blocks, before the first reset or after it.
-  void remembered(Writer& list) {
-    list(now, instructions, awake_until, masked_wait, pc, fault, asks_, at_, until_, deadline_);
-    list(waited_, stop_, inside_until_, exact_.size());
-    for (const auto& [at, one] : exact_) list(at, one.size);
-    uc_context_save(uc_, saved());
-    list.bytes(saved_, uc_context_size(uc_));
-  }
-  void remembered(Reader& list, bool other_code) {
+  // Between blocks, before the first reset or after it. `other_code`: memory has another than
+  // before.
+  void remembered(Checkpoint& list, bool other_code) {
     list(now, instructions, awake_until, masked_wait, pc, fault, asks_, at_, until_, deadline_);
     list(waited_, stop_, inside_until_);
-    watch_these(list);
+    std::map<uint32_t, uint32_t> watched;  // sizes of blocks
+    for (const auto& [at, one] : exact_) watched[at] = one.size;
+    list(watched);
+    if (!list.reads()) uc_context_save(uc_, saved());
     list.bytes(saved(), uc_context_size(uc_));
+    if (!list.reads()) return;
+    watch_these(std::move(watched));
     uc_context_restore(uc_, saved_);
     refresh();
     block_ = nullptr;
@@ -312,14 +311,7 @@ class Cpu {
   }
   // Watch the blocks that were watched then, and no others: the first time a block asks for the
   // time it is looked for.
-  void watch_these(Reader& list) {
-    size_t left = 0;
-    std::map<uint32_t, uint32_t> then;
-    for (list(left); left; --left) {
-      uint32_t at = 0, size = 0;
-      list(at, size);
-      then[at] = size;
-    }
+  void watch_these(std::map<uint32_t, uint32_t> then) {
     for (auto one = exact_.begin(); one != exact_.end();) {
       const auto [at, watched] = *one++;
       if (const auto found = then.find(at); found != then.end() && found->second == watched.size) {

@@ -118,8 +118,7 @@ class Devices {
                        [](const Uart& one) { return one.is_wired(); });
   }
 
-  template <class List>
-  void remembered(List& list) {
+  void remembered(Checkpoint& list) {
     registers.remembered(list);
     for (TimerEncoder& encoder : encoders_) encoder.remembered(list);
     for (Uart& uart : uarts_) uart.remembered(list);

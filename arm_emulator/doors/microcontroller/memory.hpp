@@ -51,19 +51,15 @@ class Memory {
     return to;
   }
 
-  // Flash is not among it: nothing but a debugger writes there.
-  void remembered(Writer& list) {
-    for (Region& region : regions_)
-      if (region.writable) list.bytes(region.bytes.get(), region.size);
-  }
-  // Return whether code is another than before.
-  bool remembered(Reader& list) {
+  // Flash is not among it: nothing but a debugger writes there. Return whether code is another than
+  // before.
+  bool remembered(Checkpoint& list) {
     bool other_code = false;
     for (Region& region : regions_) {
       if (!region.writable) continue;
-      const uint8_t* bytes = list.next(region.size);
-      if (region.code) other_code |= std::memcmp(region.bytes.get(), bytes, region.size) != 0;
-      std::memcpy(region.bytes.get(), bytes, region.size);
+      if (region.code && list.reads())
+        other_code |= std::memcmp(region.bytes.get(), list.next(), region.size) != 0;
+      list.bytes(region.bytes.get(), region.size);
     }
     return other_code;
   }

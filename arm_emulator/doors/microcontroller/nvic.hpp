@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <utility>
 
+#include "remembered.hpp"
+
 namespace mcu {
 
 // The processor's mask registers.
@@ -33,7 +35,9 @@ class Nvic {
   Nvic(int interrupts, int priority_bits)
       : exceptions_(EXTERNAL + interrupts), kept_bits_(0xff << (8 - priority_bits) & 0xff) {
     for (int n = 0; n < EXTERNAL; ++n) enabled_[n] = true;
-    reset_priorities();
+    priority_[1] = -3;
+    priority_[NMI] = -2;
+    priority_[HARD_FAULT] = -1;
   }
 
   int exceptions() const { return exceptions_; }
@@ -82,8 +86,7 @@ class Nvic {
   // Whether a change may let an exception enter; reading clears it.
   bool changed() { return std::exchange(changed_, false); }
 
-  template <class List>
-  void remembered(List& list) {
+  void remembered(Checkpoint& list) {
     list(group_mask_, changed_, enabled_, pending_, active_, line_, priority_);
   }
 
@@ -117,11 +120,6 @@ class Nvic {
   }
 
  private:
-  void reset_priorities() {
-    priority_[1] = -3;
-    priority_[NMI] = -2;
-    priority_[HARD_FAULT] = -1;
-  }
   int group(int n) const { return priority_[n] < 0 ? priority_[n] : priority_[n] & group_mask_; }
   int order(int n) const { return priority_[n] * MOST + n; }
   int under(int now, uint32_t basepri) const {

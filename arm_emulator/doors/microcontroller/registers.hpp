@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "remembered.hpp"
+
 namespace mcu {
 
 class Registers {
@@ -70,8 +72,7 @@ class Registers {
     place.word() = value;
   }
 
-  template <class List>
-  void remembered(List& list) {
+  void remembered(Checkpoint& list) {
     list(special_);
     for (Block& block : blocks_) list(block.words);
   }

@@ -1,5 +1,5 @@
 // Memory of a chip in checkpoints: each of its pieces lists it once, for writing and for reading
-// alike: `template <class List> void remembered(List& list) { list(one, two); }`.
+// alike: `void remembered(Checkpoint& list) { list(one, two); }`.
 #pragma once
 
 #include <cstdint>
@@ -7,80 +7,35 @@
 #include <deque>
 #include <map>
 #include <type_traits>
-#include <utility>
 #include <vector>
 
 namespace mcu {
 
-// Appends what it is given.
-class Writer {
+class Checkpoint {
  public:
-  explicit Writer(std::vector<uint8_t>& into) : into_(into) {}
-
-  template <class... T>
-  void operator()(const T&... each) {
-    (put(each), ...);
-  }
-  void bytes(const void* from, size_t size) {
-    const auto* const at = static_cast<const uint8_t*>(from);
-    into_.insert(into_.end(), at, at + size);
-  }
-
- private:
-  template <class T>
-  void put(const T& one) {
-    static_assert(std::is_trivially_copyable_v<T>);
-    bytes(&one, sizeof one);
-  }
-  template <class T>
-  void put(const std::vector<T>& list) {
-    put_all(list);
-  }
-  template <class T>
-  void put(const std::deque<T>& list) {
-    put_all(list);
-  }
-  template <class List>
-  void put_all(const List& list) {
-    put(list.size());
-    for (const auto& one : list) put(one);
-  }
-  template <class K, class V>
-  void put(const std::map<K, V>& map) {
-    put(map.size());
-    for (const auto& [key, value] : map) put(key), put(value);
-  }
-
-  std::vector<uint8_t>& into_;
-};
-
-// Reads what `Writer` has written by the same lists.
-class Reader {
- public:
-  explicit Reader(const uint8_t* from) : from_(from) {}
+  // What is listed is appended, or is set to what another one has appended by the same lists.
+  explicit Checkpoint(std::vector<uint8_t>& into) : into_(&into) {}
+  explicit Checkpoint(const uint8_t* from) : from_(from) {}
+  bool reads() const { return from_; }
+  // The bytes that are read next.
+  const uint8_t* next() const { return from_; }
 
   template <class... T>
   void operator()(T&... each) {
     (take(each), ...);
   }
-  void bytes(void* to, size_t size) {
-    std::memcpy(to, from_, size);
+  void bytes(void* at, size_t size) {
+    auto* const there = static_cast<uint8_t*>(at);
+    if (!reads()) return void(into_->insert(into_->end(), there, there + size));
+    std::memcpy(there, from_, size);
     from_ += size;
   }
-  // The next bytes, which are passed over.
-  const uint8_t* next(size_t size) { return std::exchange(from_, from_ + size); }
 
  private:
   template <class T>
   void take(T& one) {
     static_assert(std::is_trivially_copyable_v<T>);
     bytes(&one, sizeof one);
-  }
-  template <class T>
-  T taken() {
-    T one{};
-    take(one);
-    return one;
   }
   template <class T>
   void take(std::vector<T>& list) {
@@ -92,19 +47,24 @@ class Reader {
   }
   template <class List>
   void take_all(List& list) {
-    list.resize(taken<size_t>());
+    size_t count = list.size();
+    take(count);
+    list.resize(count);
     for (auto& one : list) take(one);
   }
   template <class K, class V>
   void take(std::map<K, V>& map) {
+    std::vector<K> keys;
+    std::vector<V> values;
+    for (const auto& [key, value] : map) keys.push_back(key), values.push_back(value);
+    take_all(keys);
+    take_all(values);
     map.clear();
-    for (size_t left = taken<size_t>(); left; --left) {
-      const K key = taken<K>();
-      map[key] = taken<V>();
-    }
+    for (size_t k = 0; k < keys.size(); ++k) map[keys[k]] = values[k];
   }
 
-  const uint8_t* from_;
+  std::vector<uint8_t>* into_ = nullptr;
+  const uint8_t* from_ = nullptr;
 };
 
 }  // namespace mcu

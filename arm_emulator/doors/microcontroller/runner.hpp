@@ -97,17 +97,10 @@ class Runner : public Bus, public Debugged {
   // Return all that decides how it goes on, for `restore` of this runner; valid up to the next one.
   const std::vector<uint8_t>& save() {
     saved_.clear();
-    Writer list(saved_);
-    memory_.remembered(list);
-    cpu_.remembered(list);
-    remembered(list);
+    remembered(Checkpoint(saved_));
     return saved_;
   }
-  void restore(const uint8_t* saved) {
-    Reader list(saved);
-    cpu_.remembered(list, memory_.remembered(list));
-    remembered(list);
-  }
+  void restore(const uint8_t* saved) { remembered(Checkpoint(saved)); }
 
   // Registers as read and written by a debugger.
   uint32_t get_register(int number) override {
@@ -170,8 +163,8 @@ class Runner : public Bus, public Debugged {
     return SYSTEM[number - 49];
   }
 
-  template <class List>
-  void remembered(List& list) {
+  void remembered(Checkpoint list) {
+    cpu_.remembered(list, memory_.remembered(list));
     nvic_.remembered(list);
     systick_.remembered(list);
     system_.remembered(list);

@@ -57,8 +57,7 @@ class SystemControl {
     words_ = {{FPCCR, 0xc0000000}};
   }
 
-  template <class List>
-  void remembered(List& list) {
+  void remembered(Checkpoint& list) {
     list(vectors, sleep_on_exit, reset_asked, active, prigroup_, sleep_control_, cycles_from_);
     list(words_);
   }

@@ -47,10 +47,7 @@ class SysTick {
     zero_ = now + period();
   }
 
-  template <class List>
-  void remembered(List& list) {
-    list(control_, load_, left_, zero_, counted_);
-  }
+  void remembered(Checkpoint& list) { list(control_, load_, left_, zero_, counted_); }
 
  private:
   bool enabled() const { return (control_ & 1) && load_; }

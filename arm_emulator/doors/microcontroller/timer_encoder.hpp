@@ -26,10 +26,7 @@ class TimerEncoder {
     registers_.word(description_.at) = (counts_ + offset_) & mask_;
   }
 
-  template <class List>
-  void remembered(List& list) {
-    list(counts_, offset_);
-  }
+  void remembered(Checkpoint& list) { list(counts_, offset_); }
 
  private:
   mcu_encoder description_;

@@ -64,10 +64,7 @@ class Uart {
   // Whether bytes go out to, or come from, somewhere that no checkpoint takes back.
   bool is_wired() const { return description_.out >= 0 || description_.in >= 0; }
 
-  template <class List>
-  void remembered(List& list) {
-    list(arrives_, next_in_, sent_);
-  }
+  void remembered(Checkpoint& list) { list(arrives_, next_in_, sent_); }
 
   // Read typed input.
   void listen() {
