@@ -45,8 +45,7 @@ inline constexpr std::uint16_t ready = 1 << 0, switched_on = 1 << 1, operation_e
 // Error codes, 0x603F.
 namespace error_code {
 inline constexpr std::uint16_t undervoltage = 0x3220, too_hot = 0x4310, software = 0x6100,
-                               communication = 0x8100, heartbeat = 0x8130,
-                               sync_manager_watchdog = 0x821B, following_error = 0x8611;
+                               following_error = 0x8611;
 }  // namespace error_code
 
 // Commands in bits 0 to 3 of a controlword.
@@ -80,8 +79,6 @@ struct StopOptions {
 class StateMachine {
  public:
   State state() const { return state_; }
-  // The transition taken last.
-  int transition() const { return transition_; }
   // Present kind of stop.
   Stop stop() const { return stop_; }
   std::uint16_t error() const { return error_; }
@@ -195,33 +192,23 @@ class StateMachine {
   // Bits 0 to 3, 5 and 6 of the statusword.
   std::uint16_t status() const {
     using namespace fieldbus::status;
-    switch (state_) {
-      case State::not_ready:
-        return 0;
-      case State::switch_on_disabled:
-        return fieldbus::status::switch_on_disabled;
-      case State::ready:
-        return fieldbus::status::ready | no_quick_stop;
-      case State::switched_on:
-        return fieldbus::status::ready | fieldbus::status::switched_on | no_quick_stop;
-      case State::operation_enabled:
-        return fieldbus::status::ready | fieldbus::status::switched_on |
-               fieldbus::status::operation_enabled | no_quick_stop;
-      case State::quick_stop:
-        return fieldbus::status::ready | fieldbus::status::switched_on |
-               fieldbus::status::operation_enabled;
-      case State::fault_reaction:
-        return fieldbus::status::ready | fieldbus::status::switched_on |
-               fieldbus::status::operation_enabled | fieldbus::status::fault;
-      case State::fault:
-        return fieldbus::status::fault;
-    }
-    return 0;
+    constexpr std::uint16_t on = fieldbus::status::ready | switched_on;
+    constexpr std::uint16_t operates = on | operation_enabled;
+    // In the order of the states.
+    static constexpr std::uint16_t kBits[] = {0,
+                                              fieldbus::status::switch_on_disabled,
+                                              fieldbus::status::ready | no_quick_stop,
+                                              on | no_quick_stop,
+                                              operates | no_quick_stop,
+                                              operates,
+                                              operates | fieldbus::status::fault,
+                                              fieldbus::status::fault};
+    return kBits[static_cast<int>(state_)];
   }
 
  private:
-  void go(int transition, State state) {
-    transition_ = transition;
+  // The number of the transition is for the reader.
+  void go(int /*transition*/, State state) {
     state_ = state;
     stop_ = Stop::none;
     leaving_ = 0;
@@ -265,7 +252,6 @@ class StateMachine {
   State state_ = State::not_ready;
   Stop stop_ = Stop::none;
   std::uint16_t word_ = 0, error_ = 0;
-  int transition_ = 0;
   bool opening_ = false;
   int leaving_ = 0;  // transition that follows when the motor stands; 0: none
 };

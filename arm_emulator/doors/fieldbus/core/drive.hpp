@@ -35,7 +35,6 @@ class Drive {
   }
 
   const Values& values() const { return axis_.values; }
-  const StateMachine& machine() const { return machine_; }
   int periods_per_target() const { return axis_.periods_per_target(); }
 
   // ------------------------------------------------------------------------------------ dictionary

@@ -103,16 +103,14 @@ constexpr Table make_table() {
   constexpr const char* error_names[kErrors] = {"Error 1", "Error 2", "Error 3", "Error 4",
                                                 "Error 5", "Error 6", "Error 7", "Error 8"};
   constexpr const char* pdo_names[kMappings] = {"PDO 1", "PDO 2", "PDO 3", "PDO 4"};
-  constexpr const char* rx_mapping[kMappings] = {"RPDO 1 mapping", "RPDO 2 mapping",
-                                                 "RPDO 3 mapping", "RPDO 4 mapping"};
-  constexpr const char* tx_mapping[kMappings] = {"TPDO 1 mapping", "TPDO 2 mapping",
-                                                 "TPDO 3 mapping", "TPDO 4 mapping"};
-  constexpr const char* rx_communication[kMappings] = {
-      "RPDO 1 communication", "RPDO 2 communication", "RPDO 3 communication",
-      "RPDO 4 communication"};
-  constexpr const char* tx_communication[kMappings] = {
-      "TPDO 1 communication", "TPDO 2 communication", "TPDO 3 communication",
-      "TPDO 4 communication"};
+  constexpr const char* mapping[2][kMappings] = {
+      {"RPDO 1 mapping", "RPDO 2 mapping", "RPDO 3 mapping", "RPDO 4 mapping"},
+      {"TPDO 1 mapping", "TPDO 2 mapping", "TPDO 3 mapping", "TPDO 4 mapping"}};
+  constexpr const char* communication[2][kMappings] = {
+      {"RPDO 1 communication", "RPDO 2 communication", "RPDO 3 communication",
+       "RPDO 4 communication"},
+      {"TPDO 1 communication", "TPDO 2 communication", "TPDO 3 communication",
+       "TPDO 4 communication"}};
   Table t;
 
   // ------------------------------------------------------------------ communication, CiA 301
@@ -150,35 +148,23 @@ constexpr Table make_table() {
   t.begin(0x1200, Code::record, "SDO server parameter", 2, c, kCanopen);
   t.sub("COB-ID client to server", unsigned32, ro, no, "", 0x600);
   t.sub("COB-ID server to client", unsigned32, ro, no, "", 0x580);
-  for (int k = 0; k < kMappings; ++k) {
-    const auto index = static_cast<std::uint16_t>(0x1400 + k);
-    t.begin(index, Code::record, rx_communication[k], 5, c, kCanopen);
-    t.sub("COB-ID", unsigned32, rw, no, "", 0x200 + 0x100 * k);
-    t.sub("Transmission type", unsigned8, rw, no, "", 255);
-    t.sub("Inhibit time", unsigned16, rw, no, "100 us");
-    t.sub("Reserved", unsigned8, rw);
-    t.sub("Event timer", unsigned16, rw, no, "ms");
-  }
-  for (int k = 0; k < kMappings; ++k) {
-    const auto index = static_cast<std::uint16_t>(0x1600 + k);
-    t.begin(index, Code::record, rx_mapping[k], kMappedObjects, rw);
-    t.last().standard = 0;
-    for (const char* name : object_names) t.sub(name, unsigned32, rw);
-  }
-  for (int k = 0; k < kMappings; ++k) {
-    const auto index = static_cast<std::uint16_t>(0x1800 + k);
-    t.begin(index, Code::record, tx_communication[k], 5, c, kCanopen);
-    t.sub("COB-ID", unsigned32, rw, no, "", 0x180 + 0x100 * k);
-    t.sub("Transmission type", unsigned8, rw, no, "", 255);
-    t.sub("Inhibit time", unsigned16, rw, no, "100 us");
-    t.sub("Reserved", unsigned8, rw);
-    t.sub("Event timer", unsigned16, rw, no, "ms");
-  }
-  for (int k = 0; k < kMappings; ++k) {
-    const auto index = static_cast<std::uint16_t>(0x1A00 + k);
-    t.begin(index, Code::record, tx_mapping[k], kMappedObjects, rw);
-    t.last().standard = 0;
-    for (const char* name : object_names) t.sub(name, unsigned32, rw);
+  for (const bool sends : {false, true}) {
+    const int first = sends ? 0x1800 : 0x1400, identifier = sends ? 0x180 : 0x200;
+    for (int k = 0; k < kMappings; ++k) {
+      t.begin(static_cast<std::uint16_t>(first + k), Code::record, communication[sends][k], 5, c,
+              kCanopen);
+      t.sub("COB-ID", unsigned32, rw, no, "", identifier + 0x100 * k);
+      t.sub("Transmission type", unsigned8, rw, no, "", 255);
+      t.sub("Inhibit time", unsigned16, rw, no, "100 us");
+      t.sub("Reserved", unsigned8, rw);
+      t.sub("Event timer", unsigned16, rw, no, "ms");
+    }
+    for (int k = 0; k < kMappings; ++k) {
+      t.begin(static_cast<std::uint16_t>(first + 0x200 + k), Code::record, mapping[sends][k],
+              kMappedObjects, rw);
+      t.last().standard = 0;
+      for (const char* name : object_names) t.sub(name, unsigned32, rw);
+    }
   }
   t.begin(0x1C00, Code::array, "Sync manager communication type", 4, c, kEthercat);
   t.sub("Mailbox out", unsigned8, c, no, "", 1);
