@@ -33,17 +33,14 @@ def esi(drives: Drives) -> str:
     objects = _objects(drives)
     root = ET.Element("EtherCATInfo", Version="1.6")
     vendor = _add(root, "Vendor")
-    _add(vendor, "Id", _hex(drives.read(0, 0x1018, 1), 8))
-    _add(vendor, "Name", VENDOR)
+    _texts(vendor, Id=_hex(drives.read(0, 0x1018, 1), 8), Name=VENDOR)
     descriptions = _add(root, "Descriptions")
     group = _add(_add(descriptions, "Groups"), "Group")
-    _add(group, "Type", "Drives")
-    _add(group, "Name", "Servo drives")
+    _texts(group, Type="Drives", Name="Servo drives")
     device = _add(_add(descriptions, "Devices"), "Device", Physics="YY")
     product, revision = (drives.read(0, 0x1018, sub) for sub in (2, 3))
     _add(device, "Type", DEVICE, ProductCode=_hex(product, 8), RevisionNo=_hex(revision, 8))
-    _add(device, "Name", DEVICE)
-    _add(device, "GroupType", "Drives")
+    _texts(device, Name=DEVICE, GroupType="Drives")
     _profile(device, drives, objects)
     for use in ("Outputs", "Inputs", "MBoxState"):
         _add(device, "Fmmu", use)
@@ -57,13 +54,10 @@ def esi(drives: Drives) -> str:
     clocks = _add(device, "Dc")
     for name, activate in (("FreeRun", 0), ("DC", 0x300)):
         mode = _add(clocks, "OpMode")
-        _add(mode, "Name", name)
-        _add(mode, "AssignActivate", _hex(activate, 4))
+        _texts(mode, Name=name, AssignActivate=_hex(activate, 4))
         if activate:
             _add(mode, "CycleTimeSync0", "0", Factor="1")
-    eeprom = _add(device, "Eeprom")
-    _add(eeprom, "ByteSize", "2048")
-    _add(eeprom, "ConfigData", "0500000000000000")
+    _texts(_add(device, "Eeprom"), ByteSize="2048", ConfigData="0500000000000000")
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
 
@@ -87,24 +81,16 @@ def _profile(device: ET.Element, drives: Drives, objects: Objects) -> None:
     plain: dict[str, int] = {}
     for index, entries in objects.items():
         row = _add(rows, "Object")
-        _add(row, "Index", _hex(index, 4))
-        _add(row, "Name", entries[0].object)
         if len(entries) == 1:
             name, bits = _type(drives, entries[0])
             plain[name] = bits
-            _add(row, "Type", name)
-            _add(row, "BitSize", str(bits))
-            _info(row, entries)
         else:
-            bits = _record(types, drives, index, entries, plain)
-            _add(row, "Type", f"DT{index:04X}")
-            _add(row, "BitSize", str(bits))
-            _info(row, entries)
+            name, bits = f"DT{index:04X}", _record(types, drives, index, entries, plain)
+        _texts(row, Index=_hex(index, 4), Name=entries[0].object, Type=name, BitSize=str(bits))
+        _info(row, entries)
         _add_flags(row, entries[0])
     for name, bits in plain.items():
-        one = _add(types, "DataType")
-        _add(one, "Name", name)
-        _add(one, "BitSize", str(bits))
+        _texts(_add(types, "DataType"), Name=name, BitSize=str(bits))
 
 
 def _record(
@@ -122,11 +108,8 @@ def _record(
     _add(one, "BitSize", str(at))
     for entry, name, bits, place in subs:
         sub = _add(one, "SubItem")
-        _add(sub, "SubIdx", str(entry.sub))
-        _add(sub, "Name", entry.name)
-        _add(sub, "Type", name)
-        _add(sub, "BitSize", str(bits))
-        _add(sub, "BitOffs", str(place))
+        _texts(sub, SubIdx=str(entry.sub), Name=entry.name, Type=name)
+        _texts(sub, BitSize=str(bits), BitOffs=str(place))
         _add_flags(sub, entry)
     return at
 
@@ -142,8 +125,7 @@ def _info(row: ET.Element, entries: list[Entry]) -> None:
             _add(item, "Name", entry.name)
             where = _add(item, "Info")
         elif entry.type not in REALS:
-            _add(where, "MinValue", str(entry.least))
-            _add(where, "MaxValue", str(entry.most))
+            _texts(where, MinValue=str(entry.least), MaxValue=str(entry.most))
         _add(where, "DefaultValue", str(entry.standard))
 
 
@@ -191,20 +173,17 @@ def _pdo(
         return
     guard = {"Sm": "2" if tag == "RxPdo" else "3"} if index in assigned else {}
     pdo = _add(device, tag, **guard)
-    _add(pdo, "Index", _hex(index, 4))
-    _add(pdo, "Name", objects[index][0].object)
+    _texts(pdo, Index=_hex(index, 4), Name=objects[index][0].object)
     for k in range(count):
         mapped = drives.read(0, index, k + 1)
         at, sub, bits = mapped >> 16, mapped >> 8 & 0xFF, mapped & 0xFF
         row = _add(pdo, "Entry")
-        _add(row, "Index", _hex(at, 4))
-        if at:
-            _add(row, "SubIndex", str(sub))
-        _add(row, "BitLen", str(bits))
-        if at:
-            entry = objects[at][sub]
-            _add(row, "Name", entry.name)
-            _add(row, "DataType", _TYPES[entry.type])
+        if not at:
+            _texts(row, Index=_hex(at, 4), BitLen=str(bits))
+            continue
+        entry = objects[at][sub]
+        _texts(row, Index=_hex(at, 4), SubIndex=str(sub), BitLen=str(bits))
+        _texts(row, Name=entry.name, DataType=_TYPES[entry.type])
 
 
 def _add(parent: ET.Element, tag: str, text: str = "", **attributes: str) -> ET.Element:
@@ -212,6 +191,11 @@ def _add(parent: ET.Element, tag: str, text: str = "", **attributes: str) -> ET.
     if text:
         one.text = text
     return one
+
+
+def _texts(parent: ET.Element, **texts: str) -> None:
+    for tag, text in texts.items():
+        _add(parent, tag, text)
 
 
 def _hex(number: int, digits: int) -> str:
