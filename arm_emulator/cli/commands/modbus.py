@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,9 +16,9 @@ from arm_emulator.cli.output import output
 from arm_emulator.cli.served import served_session
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
-from arm_emulator.doors.fieldbus.modbus_pty import RealTimeService, serial_port, serve
+from arm_emulator.doors.fieldbus.modbus_pty import RealTimeService, SerialPort, serve
 from arm_emulator.doors.fieldbus.modbus_rtu import LARGEST_STATION
-from arm_emulator.doors.fieldbus.serial_line import LineErrors, check_baud
+from arm_emulator.doors.fieldbus.serial_line import LARGEST_BAUD, LineErrors
 from arm_emulator.machine.scene import load_scene
 
 
@@ -58,14 +59,15 @@ def modbus(
     kept.check("modbus")
     if registers:
         return _registers(scene)
-    check_baud("modbus", baud)
+    if not 50 <= baud <= LARGEST_BAUD:
+        raise Refusal("modbus", "baud", f"be 50 to {LARGEST_BAUD} bit/s", baud)
     if not 1 <= station <= LARGEST_STATION:
         raise Refusal("modbus", "station", f"be 1 to {LARGEST_STATION}", station)
     errors = LineErrors(error_rate, seed)
     machine = load_scene(scene)
     with (
         served_session(machine, clock, kept, page) as session,
-        serial_port(baud, link) as port,
+        contextlib.closing(SerialPort(baud, link)) as port,
     ):
         converter = Converter(session, watchdog)
         at = f"{port.path}{f' ({link})' if link else ''}"

@@ -9,7 +9,6 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
@@ -103,16 +102,6 @@ class SerialPort:
                 f"the master has set {theirs} baud, this end has {self._baud}: nothing gets through"
             )
         return False
-
-
-@contextlib.contextmanager
-def serial_port(baud: int, link: Path | None) -> Iterator[SerialPort]:
-    """Open a port for a block, see `SerialPort`."""
-    port = SerialPort(baud, link)
-    try:
-        yield port
-    finally:
-        port.close()
 
 
 def serve(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -> None:

@@ -12,16 +12,6 @@ LARGEST_BAUD = 100_000_000
 SMALLEST_RATE = 1e-12  # of damaged bytes, other than none
 
 
-def check_baud(where: str, baud: int) -> None:
-    """Refuse a baud rate that no line has.
-
-    Raises:
-        Refusal: see above.
-    """
-    if not 50 <= baud <= LARGEST_BAUD:
-        raise Refusal(where, "baud", f"be 50 to {LARGEST_BAUD} bit/s", baud)
-
-
 def bytes_time(count: int, baud: int) -> int:
     """Return the time of transmission of bytes [ns]."""
     return -(-count * BITS_PER_BYTE * 10**9 // baud)
