@@ -6,16 +6,7 @@ using FmiStatus = fmi2Status;
 using FmiInstance = fmi2Component;
 #include "calls.hpp"
 
-namespace {
-
 using fmu::Instance;
-
-void log_to(const fmu::Log& log, fmu::Status status, const char* category, const char* text) {
-  reinterpret_cast<fmi2CallbackLogger>(log.function)(log.environment, log.name, fmu::as_fmi(status),
-                                                     category, "%s", text);
-}
-
-}  // namespace
 
 const char* fmi2GetTypesPlatform(void) { return "default"; }
 const char* fmi2GetVersion(void) { return "2.0"; }
@@ -34,8 +25,11 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
   if (!guid || std::strcmp(guid, fmu::kToken) != 0)
     reason = "guid must be that of modelDescription.xml";
   if (!reason) {
-    const fmu::Log log = {log_to, reinterpret_cast<void (*)()>(given.logger),
-                          given.componentEnvironment, ""};
+    const auto log = [to = given.logger, environment = given.componentEnvironment](
+                         const char* one, fmu::Status status, const char* category,
+                         const char* text) {
+      if (to) to(environment, one, fmu::as_fmi(status), category, "%s", text);
+    };
     if (Instance* one = fmu::make_instance(name, logging, log)) return one;
     reason = "the machine cannot be made";
   }

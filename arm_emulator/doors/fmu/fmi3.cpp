@@ -9,23 +9,6 @@ namespace {
 
 using fmu::Instance;
 
-void log_to(const fmu::Log& log, fmu::Status status, const char* category, const char* text) {
-  reinterpret_cast<fmi3LogMessageCallback>(log.function)(log.environment, fmu::as_fmi(status),
-                                                         category, text);
-}
-
-fmu::Log log_of(fmi3LogMessageCallback function, fmi3InstanceEnvironment environment) {
-  return {log_to, reinterpret_cast<void (*)()>(function), environment, ""};
-}
-
-// At a tick: the importer may read variables, and request an early return.
-bool watch_at(const fmu::Watch& watch, double time, double* until) {
-  bool requested = false;
-  reinterpret_cast<fmi3IntermediateUpdateCallback>(watch.function)(
-      watch.environment, time, false, true, true, watch.may_return_early, &requested, until);
-  return requested && watch.may_return_early;
-}
-
 bool are_outputs(const fmi3ValueReference* references, std::size_t count) {
   for (std::size_t k = 0; k < count; ++k)
     if (!references || references[k] >= static_cast<unsigned>(fmu::kVariableCount) ||
@@ -62,10 +45,16 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
   if (event_mode) return refuse(log, environment, "event mode is not supported");
   if (!are_outputs(intermediate, intermediates))
     return refuse(log, environment, "intermediate variables must be outputs");
-  const fmu::Watch watch = {watch_at, reinterpret_cast<void (*)()>(update), environment,
-                            early_return};
-  if (Instance* one = fmu::make_instance(name, logging, log_of(log, environment), watch))
-    return one;
+  const auto send = [=](const char*, fmu::Status status, const char* category, const char* text) {
+    if (log) log(environment, fmu::as_fmi(status), category, text);
+  };
+  // At a tick: the importer may read variables, and request an early return.
+  const auto watch = [=](double time, double* until) {
+    bool requested = false;
+    if (update) update(environment, time, false, true, true, early_return, &requested, until);
+    return requested && early_return;
+  };
+  if (Instance* one = fmu::make_instance(name, logging, send, watch)) return one;
   return refuse(log, environment, "the machine cannot be made");
 }
 fmi3Instance fmi3InstantiateModelExchange(fmi3String, fmi3String, fmi3String, fmi3Boolean,

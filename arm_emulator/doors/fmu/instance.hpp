@@ -35,19 +35,13 @@ constexpr int kVariableCount = sizeof kVariables / sizeof *kVariables;
 constexpr double kLargestTicks = 1e15;   // of one step
 constexpr double kDue = 1e-6 * kPeriod;  // s, by which sums of steps may miss a tick by rounding
 
-// Callback of an importer at each tick within a step, called by `call`, which returns whether the
-// step shall end at `*until` [s].
-struct Watch {
-  bool (*call)(const Watch& watch, double time, double* until);
-  void (*function)();
-  void* environment;
-  bool may_return_early;
-};
+// Callback of an importer at each tick within a step: whether it shall end at `*until` [s].
+using Watch = std::function<bool(double time, double* until)>;
 
 class Instance {
  public:
-  Instance(const char* name, bool logging, const Log& log, const Watch& watch = {})
-      : logger_(name, logging, log), watch_(watch) {}
+  Instance(const char* name, bool logging, Log log, Watch watch = {})
+      : logger_(name, logging, std::move(log)), watch_(std::move(watch)) {}
   Instance(const Instance&) = delete;
   Instance& operator=(const Instance&) = delete;
 
@@ -366,7 +360,7 @@ class Instance {
         return report(kDiscard, "the step ended at %.17g s, as it was asked to", time());
       }
       double until = time();
-      if (watch_.function && watch_.call(watch_, time(), &until) && until < time() + left) {
+      if (watch_ && watch_(time(), &until) && until < time() + left) {
         early_ = true;
         left = until > time() ? until - time() : 0.0;
         goal = done * kPeriod + left;

@@ -5,48 +5,33 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <new>
+#include <memory>
+#include <vector>
 
 namespace fmu {
 
 class KeptStates {
  public:
   explicit KeptStates(std::size_t content) : size_(kHead + content + sizeof(std::uint64_t)) {}
-  ~KeptStates() {
-    while (Kept* first = first_) {
-      first_ = first->next;
-      operator delete(first);
-    }
-  }
-  KeptStates(const KeptStates&) = delete;
-  KeptStates& operator=(const KeptStates&) = delete;
 
   std::size_t size() const { return size_; }  // of each, in bytes
   void* make() {
-    first_ = new (operator new(sizeof(Kept) + size_)) Kept{first_};
-    return first_;
+    states_.push_back(std::make_unique<unsigned char[]>(size_));
+    return states_.back().get();
   }
   bool knows(const void* state) const {
-    for (const Kept* one = first_; one; one = one->next)
-      if (one == state) return true;
+    for (const auto& one : states_)
+      if (one.get() == state) return true;
     return false;
   }
   // False if there is no such state.
   bool forget(void** state) {
-    for (Kept** at = &first_; *at; at = &(*at)->next)
-      if (*at == *state) {
-        Kept* one = *at;
-        *at = one->next;
-        operator delete(one);
-        *state = nullptr;
-        return true;
-      }
-    return false;
+    if (!std::erase_if(states_, [&](const auto& one) { return one.get() == *state; })) return false;
+    *state = nullptr;
+    return true;
   }
 
-  static unsigned char* bytes_of(void* state) {
-    return reinterpret_cast<unsigned char*>(static_cast<Kept*>(state) + 1);
-  }
+  static unsigned char* bytes_of(void* state) { return static_cast<unsigned char*>(state); }
   static unsigned char* content_of(void* state) { return bytes_of(state) + kHead; }
   // Complete a state whose content is there.
   void seal(void* state, std::uint64_t fingerprint) const {
@@ -71,11 +56,6 @@ class KeptStates {
   static constexpr std::uint64_t kMagic = 0x32554d464d5241;  // "ARMFMU2"
   static constexpr std::size_t kHead = 2 * sizeof(std::uint64_t);
 
-  // The bytes of a state stand behind it.
-  struct Kept {
-    Kept* next;
-  };
-
   std::uint64_t sum_of(const unsigned char* bytes) const {
     std::uint64_t sum = 0xcbf29ce484222325;
     for (std::size_t k = 0; k + 8 < size_; k += 8) {
@@ -88,7 +68,7 @@ class KeptStates {
   }
 
   std::size_t size_;
-  Kept* first_ = nullptr;
+  std::vector<std::unique_ptr<unsigned char[]>> states_;
 };
 
 }  // namespace fmu

@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <cstdio>
 #include <cstring>
+#include <functional>
+#include <utility>
 
 namespace fmu {
 
@@ -16,19 +18,14 @@ enum Category { kEvents, kStatusDiscard, kStatusError, kCategories };
 constexpr const char* kCategoryNames[kCategories] = {"logEvents", "logStatusDiscard",
                                                      "logStatusError"};
 
-// Destination of messages: a function of the importer, called by `call`.
-struct Log {
-  void (*call)(const Log& log, Status status, const char* category, const char* text);
-  void (*function)();
-  void* environment;
-  const char* name;  // of the instance
-};
+// Destination of messages; `name`: of the instance.
+using Log =
+    std::function<void(const char* name, Status status, const char* category, const char* text)>;
 
 class Logger {
  public:
-  Logger(const char* name, bool logging, const Log& log) : log_(log) {
+  Logger(const char* name, bool logging, Log log) : log_(std::move(log)) {
     std::snprintf(name_, sizeof name_, "%s", name);
-    log_.name = name_;
     for (bool& on : on_) on = logging;
   }
   Logger(const Logger&) = delete;
@@ -39,7 +36,7 @@ class Logger {
                               : status == kDiscard ? kStatusDiscard
                                                    : kEvents;
     // The standard requires errors to be reported, whatever categories are on.
-    if (!log_.function || (status != kError && !on_[category])) return;
+    if (status != kError && !on_[category]) return;
     char text[1024], escaped[2 * sizeof text];
     std::vsnprintf(text, sizeof text, format, arguments);
     char* to = escaped;
@@ -48,7 +45,7 @@ class Logger {
       *to++ = *from;
     }
     *to = 0;
-    log_.call(log_, status, kCategoryNames[category], escaped);
+    log_(name_, status, kCategoryNames[category], escaped);
   }
 
   // Switch categories on or off; all of them if `count` is 0. Returns one that is not known, null
