@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,7 +24,7 @@ def asked(hands: MachineHands, ask: Callable[[_PipedHands], None]) -> Iterator[D
 
     def work() -> None:
         try:
-            ask(_PipedHands(far, hands.can()))
+            ask(_PipedHands(os.dup(far.fileno()), hands.can()))
         except BaseException as error:
             failed.append(error)
 
@@ -141,7 +142,7 @@ def test_a_desk_answers_anything_that_a_browser_sends() -> None:
 def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("arm_emulator.page.desk.PATIENCE", 0.05)
     near, far = Pipe()
-    there = _PipedHands(far, frozenset())
+    there = _PipedHands(os.dup(far.fileno()), frozenset())
     with pytest.raises(Refusal, match="answer within"):
         there.ask("pause", True)
     first, *_ = near.recv()

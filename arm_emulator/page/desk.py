@@ -6,7 +6,7 @@ import contextlib
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
@@ -134,7 +134,7 @@ def watched(
     plant = machine.plant if isinstance(machine, Session) else machine
     with contextlib.closing(near):
         with contextlib.closing(far):
-            there = _FarHands(far.fileno(), hands.can())
+            there = partial(_PipedHands, far.fileno(), hands.can())
             page = Watched(plant, at, there, (far.fileno(),), waits)
         desk = Desk(hands, near)
         hands.changed = page.take
@@ -152,27 +152,16 @@ def watched(
                     thread.join()
 
 
-@dataclass(frozen=True)
-class _FarHands:
-    """Makes the page's end of the pipe in its process.
+class _PipedHands(Hands):
+    """Actions that are requests to a desk; see `Hands`.
 
-    Attributes:
-        descriptor: of the pipe there.
+    Args:
+        descriptor: of the pipe in this process, the page's.
         able: names of the actions that the desk takes.
     """
 
-    descriptor: int
-    able: frozenset[str]
-
-    def __call__(self) -> Hands:
-        return _PipedHands(Connection(self.descriptor), self.able)
-
-
-class _PipedHands(Hands):
-    """Actions that are requests to a desk; see `Hands`."""
-
-    def __init__(self, pipe: Connection, able: frozenset[str]) -> None:
-        self._pipe, self._able, self._turn = pipe, able, threading.Lock()
+    def __init__(self, descriptor: int, able: frozenset[str]) -> None:
+        self._pipe, self._able, self._turn = Connection(descriptor), able, threading.Lock()
         self._events: list[tuple[int, str]] = []
         self._paused: bool | None = None
         self._tick, self._number = 0, 0
@@ -216,10 +205,6 @@ class _PipedHands(Hands):
         return answer
 
 
-def nothing() -> None:
-    """Do nothing."""
-
-
 class MachineHands(Hands):
     """Changes a plant or a session; its owner calls it between two ticks.
 
@@ -236,7 +221,7 @@ class MachineHands(Hands):
     def __init__(self, machine: Plant | Session, steps: bool = False) -> None:
         self._machine, self._steps = machine, steps
         self.paused, self.due = False, 0
-        self.changed: Callable[[], None] = nothing
+        self.changed: Callable[[], None] = lambda: None
 
     def can(self) -> frozenset[str]:
         """Return the actions that this scene and this owner permit."""
