@@ -1,15 +1,17 @@
 // A compiled scene and the inner loops of its drives, advanced in whole servo periods. No ROS.
 #pragma once
 
+#include <dlfcn.h>
+
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "arm.h"
 #include "servo_data.h"
-#include "shared_library.hpp"
 #include "tick.h"
 
 namespace arm_emulator_hardware {
@@ -41,6 +43,31 @@ struct JointReading {
 
 // Bounds as text.
 std::string within(double least, double most);
+
+// A shared library and its functions by name.
+class SharedLibrary {
+ public:
+  // Null functions, and a reason, where the file is no library.
+  explicit SharedLibrary(const std::string& file)
+      : handle_(dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL)) {
+    if (!handle_) why_ = dlerror();
+  }
+  const std::string& why() const { return why_; }
+
+  // Set `function` to that of the name; false if there is none.
+  template <class Function>
+  bool find(const char* name, Function*& function) const {
+    function = handle_ ? reinterpret_cast<Function*>(dlsym(handle_.get(), name)) : nullptr;
+    return function != nullptr;
+  }
+
+ private:
+  struct Close {
+    void operator()(void* handle) const { dlclose(handle); }
+  };
+  std::unique_ptr<void, Close> handle_;
+  std::string why_;
+};
 
 class DrivenMachine {
  public:

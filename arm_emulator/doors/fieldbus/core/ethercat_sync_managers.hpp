@@ -33,10 +33,6 @@ class SyncManagers {
   std::size_t start(int k) const { return memory_.get16(at(k)); }
   std::size_t length(int k) const { return memory_.get16(at(k) + 2); }
   std::uint8_t* area(int k) { return memory_.at(start(k)); }
-  // Whether the area lies in the RAM: nothing else may be guarded.
-  bool placed(int k) const {
-    return length(k) > 0 && start(k) >= kRamBegin && start(k) + length(k) <= kMemory;
-  }
 
   bool full(int k) const { return memory_.get8(at(k) + 5) & 0x08; }
   void set_full(int k, bool full) {
