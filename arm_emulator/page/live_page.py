@@ -39,6 +39,9 @@ class LivePage:
 
     Attributes:
         url: address with the token.
+        server: of viser.
+        arm: that is shown.
+        hands: actions on the machine.
         exclusive: lock of all that changes the page.
         varied: numbers that can be set, as they were at first.
         answer: line for the answers of the machine.
@@ -65,9 +68,10 @@ class LivePage:
         varied: Mapping[str, float] | None = None,
     ) -> None:
         self.varied = dict(varied or {})
-        self._scene, self._hands = scene, hands
+        self._scene, self.hands = scene, hands
         self._served = served = PageServer(at)
-        self.url, gui = served.url, served.server.gui
+        self.url, self.server = served.url, served.server
+        gui = self.server.gui
         self.exclusive = threading.RLock()
         self._history = LiveHistory(kind)
         self._events: list[tuple[int, str]] = []
@@ -76,8 +80,8 @@ class LivePage:
         self._shown = -1  # rows that had come
         self._plotted_at, self._mark, self._factor = 0.0, (time.monotonic(), 0.0), 0.0
         self._state, self._dropped, self._over = "", 0, ""
-        self._arm = ArmScene(served.server, scene)
-        served.look_from(self._arm.size)
+        self.arm = ArmScene(served.server, scene)
+        served.look_from(self.arm.size)
         can = hands.can()
         gui.add_markdown(f"**{markdown_text(scene.name)}**")
         self._moment = gui.add_markdown("no tick yet")
@@ -96,11 +100,11 @@ class LivePage:
             self._plots = SignalPlot(gui, columns, self._plot)
         if "aim" in can:
             with tabs.add_tab("Target"):
-                self._target = TargetTab(self, served.server, self._arm)
+                self._target = TargetTab(self, served.server, self.arm)
         if "push" in can:
             with tabs.add_tab("Push"):
                 push = partial(self.ask, "push")
-                PushTab(self.exclusive, push, served.server, self._arm, scene)
+                PushTab(self.exclusive, push, served.server, self.arm, scene)
         with tabs.add_tab("Machine"):
             machine_tab(self, gui, scene)
         with tabs.add_tab("Events"):
@@ -108,23 +112,8 @@ class LivePage:
                 self._condition = gui.add_text("Stop when", "")
                 gui.add_button("Set the breakpoint").on_click(lambda _: self._break())
             self._list = EventList(gui, self.go)
-        if self._arm.missing:
-            gui.add_markdown(f"The arm's shapes are not shown. {markdown_text(self._arm.missing)}")
-
-    @property
-    def server(self) -> Any:
-        """The server of viser."""
-        return self._served.server
-
-    @property
-    def arm(self) -> ArmScene:
-        """The arm that is shown."""
-        return self._arm
-
-    @property
-    def hands(self) -> Hands:
-        """Actions on the machine."""
-        return self._hands
+        if self.arm.missing:
+            gui.add_markdown(f"The arm's shapes are not shown. {markdown_text(self.arm.missing)}")
 
     @property
     def browsers(self) -> int:
@@ -158,16 +147,16 @@ class LivePage:
             now = time.monotonic()
             fresh = self._shown != self._history.count
             if fresh and self._at is None:
-                self._arm.show(self._history.newest["q"][0])
+                self.arm.show(self._history.newest["q"][0])
             if (fresh or self._shown < 0) and now - self._plotted_at >= PLOTTED:
                 self._shown, self._plotted_at = self._history.count, now
                 self._show()
 
     def _look_at_news(self) -> None:
-        news = self._hands.news()
+        news = self.hands.news()
         if news.state:
             self._state, self._shown = news.state, -1
-        if news.paused is not None and "pause" in self._hands.can():
+        if news.paused is not None and "pause" in self.hands.can():
             self._pause_button.label = "Play" if news.paused else "Pause"
         if news.events:
             self._events += news.events
@@ -196,7 +185,7 @@ class LivePage:
         if self._dropped:
             words.append(f"{self._dropped} ticks not shown: the page is too slow for them")
         if self._at is not None:
-            self._arm.show(row["q"][0])
+            self.arm.show(row["q"][0])
         self._numbers.content = machine_table(
             scene.joint_names,
             q=row["q"][0],
@@ -242,7 +231,7 @@ class LivePage:
     def ask(self, what: str, *given: Any) -> str:
         """Do an action by its name, and show its answer; return "" if it was refused."""
         try:
-            answer: str = self._hands.do(what, *given)
+            answer: str = self.hands.do(what, *given)
         except Refusal as reason:
             self._refused(str(reason))
             return ""
@@ -270,7 +259,7 @@ class LivePage:
                 one = gui.add_command(label, hotkey=key)
                 one.on_trigger(lambda _, ticks=ticks: self.ask("step", ticks))
         if "rate" in can:
-            known = (label for label, factor in RATES.items() if factor == self._hands.factor)
+            known = (label for label, factor in RATES.items() if factor == self.hands.factor)
             now = next(known, None)
             rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
             rate.on_update(lambda _: self.ask("rate", RATES[chosen(rate, RATES)]))

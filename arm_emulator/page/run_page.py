@@ -33,7 +33,9 @@ class RunPage:
 
     Attributes:
         url: address with the token, without which nothing is served.
+        server: of viser, for what is added to the picture.
         gui: of the server, for further controls.
+        arm: that is shown.
         exclusive: lock of all that moves the run or changes the page.
         changing: whether the page itself changes its controls.
 
@@ -64,15 +66,16 @@ class RunPage:
         self.changing = False
         scene = self._session.scene
         self._served = PageServer(at)
-        self._server = server = self._served.server
+        self.server: Any = self._served.server
+        server = self.server
         self.url = self._served.url
-        self._arm = ArmScene(server, scene)
-        self._served.look_from(self._arm.size)
-        self._arm.show_way(subject.history.values("q"))
+        self.arm = ArmScene(server, scene)
+        self._served.look_from(self.arm.size)
+        self.arm.show_way(subject.history.values("q"))
         self.gui: Any = server.gui
         self._build(server, scene.name)
-        if self._arm.missing:
-            missing = markdown_text(self._arm.missing)
+        if self.arm.missing:
+            missing = markdown_text(self.arm.missing)
             server.gui.add_markdown(f"The arm's shapes are not shown. {missing}")
         self.lay_over(over)
         self._thread = threading.Thread(target=self._play, name="page", daemon=True)
@@ -99,16 +102,6 @@ class RunPage:
         data: tuple[Any, ...] = self._chart.data
         return data
 
-    @property
-    def server(self) -> Any:
-        """The server of viser, for what is added to the picture."""
-        return self._server
-
-    @property
-    def arm(self) -> ArmScene:
-        """The arm that is shown."""
-        return self._arm
-
     def new_tab(self, name: str) -> Any:
         """Return a new tab as a context for its controls."""
         return self._tabs.add_tab(name)
@@ -118,7 +111,7 @@ class RunPage:
         with self.exclusive:
             self._subject = subject
             subject.line.go_to(tick)
-            self._arm.show_way(subject.history.values("q"))
+            self.arm.show_way(subject.history.values("q"))
             self._list.show(subject.events)
             self.changing = True
             try:
@@ -144,7 +137,7 @@ class RunPage:
             self._over = subject
             if subject is not None:
                 scene = subject.line.run.session.scene
-                self._arm_over = ArmScene(self._server, scene, "/over", over=True)
+                self._arm_over = ArmScene(self.server, scene, "/over", over=True)
                 self._arm_over.show_way(subject.history.values("q"))
             self._choose_plots()
             self._plot()
@@ -296,9 +289,9 @@ class RunPage:
             self.line.go_to(tick)  # forks take turns in one machine
         session = self._session
         state, names = session.state, session.scene.joint_names
-        self._arm.show(state.q)
+        self.arm.show(state.q)
         if self._arm_over is not None:
-            away = 1e3 * float(np.linalg.norm(self._arm.p_WT - self._arm_over.p_WT))
+            away = 1e3 * float(np.linalg.norm(self.arm.p_WT - self._arm_over.p_WT))
             apart = f", tools {away:.4g} mm apart"
         self.changing = True
         try:

@@ -71,6 +71,8 @@ class Node:
 
     Attributes:
         number: its node-ID.
+        sync_period: time between SYNCs (0x1006) [ns]; 0: unknown.
+        beat: time between heartbeats [ns]; 0: none.
 
     Args:
         drives: all drives of the machine.
@@ -156,10 +158,10 @@ class Node:
         self._sync_id = self._number(0x1005, 0) & 0x7FF
         emergency = self._number(0x1014, 0)
         self._emergency_id = None if emergency & INVALID else emergency & 0x7FF
-        self._beat = self._number(0x1017, 0) * MS
+        self.beat = self._number(0x1017, 0) * MS
         self._life = self._number(0x100C, 0) * self._number(0x100D, 0) * MS
-        self._sync_period, self._window = (self._number(one, 0) * US for one in (0x1006, 0x1007))
-        self._drives.set_cycle(self._drive, self._sync_period)
+        self.sync_period, self._window = (self._number(one, 0) * US for one in (0x1006, 0x1007))
+        self._drives.set_cycle(self._drive, self.sync_period)
         watched = self._number(0x1016, 1)
         before = self._watched
         self._watched = (watched >> 16 & 0x7F, (watched & 0xFFFF) * MS)
@@ -257,23 +259,13 @@ class Node:
 
     def heartbeat(self, now: int) -> list[Frame]:
         """Return the heartbeat if it is due at a time [ns] of the bus's clock."""
-        if not self._beat or self.state is State.BOOT:
+        if not self.beat or self.state is State.BOOT:
             return []
-        if self._beat_at is not None and now - self._beat_at < self._beat:
+        if self._beat_at is not None and now - self._beat_at < self.beat:
             return []
-        late = self._beat_at is not None and now - self._beat_at < 2 * self._beat
-        self._beat_at = (self._beat_at or 0) + self._beat if late else now
+        late = self._beat_at is not None and now - self._beat_at < 2 * self.beat
+        self._beat_at = (self._beat_at or 0) + self.beat if late else now
         return [Frame(0x700 + self.number, bytes((self.state,)))]
-
-    @property
-    def sync_period(self) -> int:
-        """Time between SYNCs (0x1006) [ns]; 0: unknown."""
-        return self._sync_period
-
-    @property
-    def beat(self) -> int:
-        """Time between heartbeats [ns]; 0: none."""
-        return self._beat
 
     # --------------------------------------------------------------------------------- details
 
@@ -329,7 +321,7 @@ class Node:
 
     def _requested(self, id_: int, now: int) -> list[Frame]:
         """Remote frames: node guarding, and PDOs."""
-        if id_ == 0x700 + self.number and not self._beat and self.state is not State.BOOT:
+        if id_ == 0x700 + self.number and not self.beat and self.state is not State.BOOT:
             self._guarded_at = now
             reported = self._toggle | self.state
             self._toggle ^= 0x80
@@ -409,7 +401,7 @@ class Node:
             frames += self._lose_master()
         if self.state is not State.OPERATIONAL:
             return frames
-        if _expired(self._synced_at, int(SYNC_TOLERANCE * self._sync_period), now):
+        if _expired(self._synced_at, int(SYNC_TOLERANCE * self.sync_period), now):
             self._synced_at = None
             frames += self._lose(NO_SYNC)
         for pdo in self._receives:
