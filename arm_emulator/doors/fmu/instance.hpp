@@ -241,7 +241,7 @@ class Instance {
       for (int k = 0; k < kVariables[references[r]].count; ++k)
         if (const char* rule = machine_.why_not(kVariables[references[r]], k, *value++)) {
           if (const char* joint = machine_.commanded(kVariables[references[r]], k))
-            return report(kDiscard, "%s: value of %s must %s, got %g", call, joint, rule,
+            return report(kDiscard, "%s: command of %s must %s, got %g", call, joint, rule,
                           value[-1]);
           return report(kDiscard, "%s: value %d of variable %u must %s, got %g", call, k,
                         references[r], rule, value[-1]);
