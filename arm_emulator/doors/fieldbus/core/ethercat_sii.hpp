@@ -19,7 +19,7 @@ constexpr std::uint8_t kMailboxOutControl = 0x26, kMailboxInControl = 0x22, kOut
                        kInputsControl = 0x20;
 }  // namespace area
 
-// What the EEPROM of a drive holds; its process data objects are those of its first mapping.
+// Content of a drive's EEPROM; its process data objects are those of its first mapping.
 inline std::vector<std::uint8_t> sii_image(const fieldbus::Values& of) {
   std::vector<std::uint8_t> out(0x80, 0);
   const auto put = [&out](std::size_t word, std::uint16_t value) { put16(&out[2 * word], value); };

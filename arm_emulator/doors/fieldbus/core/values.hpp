@@ -44,7 +44,7 @@ class Values {
   }
 
   std::int64_t at(int slot) const { return value_[slot]; }
-  // A number by its place in the dictionary; 0 where there is none.
+  // A number by its place in the dictionary; 0 where it has no such entry.
   std::uint32_t number(std::uint16_t index, std::size_t sub) const {
     const int slot = find(index, static_cast<std::uint8_t>(sub));
     return slot < 0 ? 0 : static_cast<std::uint32_t>(value_[slot]);
