@@ -566,7 +566,7 @@ def emulator(folder: Path, clock: str) -> Iterator[User]:
     """Run an emulator node, and a client that hears every state."""
     faults = ", ".join(f"elbow.{one}" for one in LINES)
     scene = str(own_three_axis(folder / "scene", f"faults: [{faults}]"))
-    how = {"clock": clock, "start": "first_answer", "only": ("emulator",), "forked": True}
+    how = {"clock": clock, "start": "first_answer", "only": ("emulator",)}
     with user() as one, Bringup(scene, log=folder, **how) as nodes:
         one.wait("an active emulator", lambda: one.status)
         yield one

@@ -1,4 +1,4 @@
-// What the functions of both versions of FMI share: an instance does the work, in the modes in
+// Common part of the functions of both versions of FMI: an instance does the work, in the modes in
 // which a call is allowed.
 //
 // Included after the header of the version, whose types are `FmiStatus` and `FmiInstance`.

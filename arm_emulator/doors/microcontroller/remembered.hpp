@@ -13,7 +13,8 @@ namespace mcu {
 
 class Checkpoint {
  public:
-  // What is listed is appended, or is set to what another one has appended by the same lists.
+  // Values that are listed are appended, or set to those that another one has appended by the same
+  // lists.
   explicit Checkpoint(std::vector<uint8_t>& into) : into_(&into) {}
   explicit Checkpoint(const uint8_t* from) : from_(from) {}
   bool reads() const { return from_; }
