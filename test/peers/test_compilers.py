@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 import pytest
 from draws import FULL, some
 
+import arm_emulator
 from arm_emulator.build.compiler_command import identity
 from arm_emulator.build.unit import Unit
 from arm_emulator.campaign.program import judges_unit
@@ -48,6 +50,16 @@ def compilers(kind: str) -> list[str]:
     return some(found.values(), 1)
 
 
+# Parts that hold another part as their base, by the type of the base.
+DECORATORS = {
+    "Braked": "Braked<Friction>",
+    "CurrentLoop": "CurrentLoop<DcMotor>",
+    "FieldOrientedLoop": "FieldOrientedLoop<Pmsm>",
+    "HeatedMotor": "HeatedMotor<DcMotor>",
+    "InvertedMotor": "InvertedMotor<DcMotor>",
+    "OpenedMotor": "OpenedMotor<DcMotor>",
+    "RippledMotor": "RippledMotor<DcMotor, 1>",
+}
 CLANGS = compilers("clang++") or [
     pytest.param(
         "clang++",
@@ -56,6 +68,8 @@ CLANGS = compilers("clang++") or [
         ),
     )
 ]
+CORE = Path(arm_emulator.__file__).with_name("core")
+BASED = re.compile(r"^struct (\w+) : \w+ \{", re.MULTILINE)
 LEVELS = ("native", "x86-64-v4", "x86-64-v3", "x86-64")
 COMPILERS = [*(compilers("g++") if FULL else []), *CLANGS]
 
@@ -194,3 +208,32 @@ def test_compilers_make_the_same_machine(compiler: str, tmp_path: Path) -> None:
     found = machine_of(compiler, tmp_path / "cache")
     assert found == of_g, "bits of angles and of the servo's voltages, and what is noticed"
     assert len(found["noticed"]) == 2, "that it diverges, and that NaN is no angle"
+
+
+@pytest.mark.parametrize(
+    "compiler",
+    [f"{kind}-{version}" for kind in KINDS for version in KINDS[kind]],
+)
+def test_parts_that_differ_in_their_base_are_different(compiler: str, tmp_path: Path) -> None:
+    """g++ 11 leaves the base out of a defaulted comparison: a fault of the base had no effect."""
+    if not shutil.which(compiler):
+        pytest.skip(f"{compiler} is not installed")
+    parts = CORE / "parts"
+    based = {found for file in parts.glob("*.hpp") for found in BASED.findall(file.read_text())}
+    assert based == set(DECORATORS)
+    lines = [f'#include "parts/{file.name}"' for file in sorted(parts.glob("*.hpp"))]
+    for name, type_ in DECORATORS.items():
+        number = "Dv" if name == "Braked" else "R"
+        lines += [
+            f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{{}};",
+            f"constexpr auto other_{name} = [] {{",
+            f"  auto other = of_{name};",
+            f"  other.{number} = 1.0;",
+            "  return other;",
+            "}();",
+            f"static_assert(!(of_{name} == other_{name}));",
+        ]
+    (tmp_path / "parts.cpp").write_text("\n".join(lines))
+    command = [compiler, "-std=c++20", "-fsyntax-only", f"-I{CORE}", "parts.cpp"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

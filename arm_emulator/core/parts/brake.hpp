@@ -20,7 +20,10 @@ struct Brake {
 
 template <class Law>
 struct Braked : Law {
-  constexpr bool operator==(const Braked&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const Braked& other) const {
+    return Law::operator==(other) && brake == other.brake && closed == other.closed;
+  }
 
   Brake brake;
   Real closed;  // 1 or 0

@@ -39,7 +39,10 @@ struct DataSheet {
 
 template <class Motor>
 struct CurrentLoop : Motor {
-  constexpr bool operator==(const CurrentLoop&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const CurrentLoop& other) const {
+    return Motor::operator==(other) && control == other.control && nominal == other.nominal;
+  }
 
   CurrentControl control;
   DataSheet nominal;

@@ -34,7 +34,10 @@ struct SynchronousDataSheet {
 // `whole` false: without limits and products, which is linear.
 template <class Motor, bool whole = true>
 struct FieldOrientedLoop : Motor {
-  constexpr bool operator==(const FieldOrientedLoop&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const FieldOrientedLoop& other) const {
+    return Motor::operator==(other) && control == other.control && nominal == other.nominal;
+  }
 
   CurrentControl control;
   SynchronousDataSheet nominal;

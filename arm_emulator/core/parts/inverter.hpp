@@ -21,7 +21,10 @@ struct Inverter {
 
 template <class Motor>
 struct InvertedMotor : Motor {
-  constexpr bool operator==(const InvertedMotor&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const InvertedMotor& other) const {
+    return Motor::operator==(other) && inverter == other.inverter;
+  }
 
   Inverter inverter;
 

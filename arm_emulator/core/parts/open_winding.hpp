@@ -11,7 +11,10 @@ namespace arm {
 
 template <class Motor>
 struct OpenedMotor : Motor {
-  constexpr bool operator==(const OpenedMotor&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const OpenedMotor& other) const {
+    return Motor::operator==(other) && open == other.open;
+  }
 
   Real open;  // s
 

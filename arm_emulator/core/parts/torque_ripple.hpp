@@ -14,7 +14,10 @@ namespace arm {
 
 template <class Motor, int n>
 struct RippledMotor : Motor {
-  constexpr bool operator==(const RippledMotor&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const RippledMotor& other) const {
+    return Motor::operator==(other) && waves == other.waves;
+  }
 
   std::array<Harmonic, n> waves;  // of 1
 

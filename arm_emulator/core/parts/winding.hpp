@@ -29,7 +29,10 @@ struct Winding {
 // `whole` false: at fixed temperatures and without the loss, which is linear.
 template <class Motor, bool whole = true>
 struct HeatedMotor : Motor {
-  constexpr bool operator==(const HeatedMotor&) const = default;
+  // g++ 11 leaves the base out of a defaulted comparison.
+  constexpr bool operator==(const HeatedMotor& other) const {
+    return Motor::operator==(other) && winding == other.winding;
+  }
 
   Winding winding;
 
