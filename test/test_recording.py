@@ -28,7 +28,7 @@ from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter, repair
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.recorded_runs import Numbered
+from arm_emulator.ros.recorder import Numbered
 from arm_emulator.ros.recorder_presence import RecorderPresence, recorders_of
 from arm_emulator.ros.recorders import AHEAD, Recorders
 from arm_emulator.ros.recorders import PATIENCE as RECORDER_PATIENCE

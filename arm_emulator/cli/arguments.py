@@ -20,7 +20,13 @@ from arm_emulator.cli.options import Json
 
 WIDTH = 100  # of help
 FRAMELESS = Box("    \n" * 8)
-DEFAULTS = Parameter(negative=(), consume_multiple=(1, None), json_list=False, json_dict=False)
+DEFAULTS = Parameter(
+    negative=(),
+    consume_multiple=(1, None),
+    json_list=False,
+    json_dict=False,
+    show_default=lambda value: None if value in (None, False, "") else str(value),
+)
 
 
 class BadArguments(Exception):
