@@ -115,7 +115,7 @@ def network(
     try:
         with (
             own_domain(),
-            Bringup(str(scene), emulator=given, log=log, only=only) as nodes,
+            Bringup(str(scene), emulator=given, log=log, only=only, forked=True) as nodes,
         ):
             with joined(only, nodes.ended) as user:
                 yield user

@@ -374,12 +374,16 @@ def network(
     clock: str = "lockstep",
     start: str = "paused",
     only: tuple[str, ...] = ALL_THREE,
+    forked: bool = True,
     **emulator: object,
 ) -> Iterator[tuple[User, Bringup]]:
-    """Run nodes and a user in a ROS domain of their own; at the end all must end cleanly."""
+    """Run nodes and a user in a ROS domain of their own; at the end all must end cleanly.
+
+    Nodes that a test kills and starts again are started as those of `up` (`forked=False`).
+    """
     if clock == "lockstep":  # a pace at which listeners in Python keep up, beside other tests
         emulator.setdefault("real_time_factor", 3.0)
-    how: dict[str, Any] = {"clock": clock, "start": start, "only": only}
+    how: dict[str, Any] = {"clock": clock, "start": start, "only": only, "forked": forked}
     nodes = Bringup(scene, emulator=emulator, log=log, **how)
     with user(clock=clock) as one, nodes:
         yield one, nodes

@@ -29,7 +29,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def three_nodes(log: Path) -> Iterator[tuple[User, Bringup]]:
     """Paused at first; the first test, which compares bits, leaves another emulator."""
-    with network(log) as running:
+    with network(log, forked=False) as running:
         yield running
 
 

@@ -43,7 +43,7 @@ TICKS = {"three_axis": 400, "ur5": 300}
 @pytest.fixture(scope="module")
 def three_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNetwork]:
     log = tmp_path_factory.mktemp("three_nodes")
-    with closing(SharedNetwork(log, timeout=0.5)) as shared:
+    with closing(SharedNetwork(log, timeout=0.5, forked=False)) as shared:
         yield shared
 
 

@@ -156,7 +156,7 @@ def assert_alive(nodes: Bringup, log: Path) -> None:
 
 def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path: Path) -> None:
     rng = random.Random(f"values {SEED}")
-    with network(tmp_path, start="first_answer") as (user, nodes):
+    with network(tmp_path, start="first_answer", forked=False) as (user, nodes):
         user.wait("the run", lambda: user.tick > 100)
         strangers = Strangers(user, rng)
         services = [one for one in strangers.services if not one.endswith(LASTING)]
@@ -189,7 +189,7 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
     names = list(scene.joint_names)
     found = ElementTree.fromstring(scene.urdf).findall("joint")
     limits = {one.get("name", ""): one.find("limit") for one in found}
-    with network(tmp_path, scene="ur5", start="first_answer") as (user, nodes):
+    with network(tmp_path, scene="ur5", start="first_answer", forked=False) as (user, nodes):
         user.wait("the run", lambda: user.tick > 100)
         strangers = Strangers(user, rng)
         topics = [one for one in strangers.topics if one.strip("/") not in PUSHES]

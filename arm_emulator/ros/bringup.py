@@ -19,6 +19,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.ros.ctrl_c import END_SIGNALS
 from arm_emulator.ros.end_with_parent import parent_environment
+from arm_emulator.ros.node_forks import ForkedNode, forks, python_path
 
 # Module and kind of configuration file of each node.
 MODULES = {
@@ -33,7 +34,7 @@ STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine 
 @dataclass
 class _NodeProcess:
     name: str
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] | ForkedNode
 
 
 class Bringup:
@@ -51,6 +52,8 @@ class Bringup:
         namespace: of all nodes and topics, such as "/cell1".
         use_sim_time: whether the nodes' own clocks follow the emulator's.
         params_file: a ROS parameter file for all nodes; it overrides all of the above.
+        forked: fork the nodes from a process that has imported them, see `node_forks`: networks
+            after the first one of this process start without imports.
 
     Raises:
         Refusal: a configuration file is missing, or a namespace that is not valid.
@@ -68,10 +71,13 @@ class Bringup:
         namespace: str = "",
         use_sim_time: bool = False,
         params_file: Path | None = None,
+        forked: bool = False,
     ) -> None:
         file = find_scene(scene)
         self.log = log
         self._running: list[_NodeProcess] = []
+        forked &= hasattr(os, "pidfd_open")  # Linux
+        self._forks = forks([module for module, _ in MODULES.values()]) if forked else None
         self._words: dict[str, list[str]] = {}
         own = {"scene": file, "clock": clock, "start": start, "real_time_factor": 0.0}
         emulator_parameters = {**own, **(emulator or {})}
@@ -109,20 +115,25 @@ class Bringup:
             self.log.mkdir(parents=True, exist_ok=True)
             log = (self.log / f"{name}.log").open("wb")
         module, words = MODULES[name][0], self._words[name]
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module, *words],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT if log is not None else None,
-            process_group=0,  # takes no signals from the terminal: `stop` passes them on
-            preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
-            env={**os.environ, **parent_environment(), "PYTHONPATH": _python_path()},
-        )
+        process: subprocess.Popen[bytes] | ForkedNode
+        if self._forks is not None:
+            output = None if log is None else log.fileno()
+            process = self._forks.start(module, words, {**os.environ, **python_path()}, output)
+        else:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module, *words],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT if log is not None else None,
+                process_group=0,  # takes no signals from the terminal: `stop` passes them on
+                preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
+                env={**os.environ, **parent_environment(), **python_path()},
+            )
         if log is not None:
             log.close()
         self._running.append(_NodeProcess(name, process))
 
-    def process(self, name: str) -> subprocess.Popen[bytes]:
+    def process(self, name: str) -> subprocess.Popen[bytes] | ForkedNode:
         """Return the process of a running node."""
         return next(one.process for one in reversed(self._running) if one.name == name)
 
@@ -168,12 +179,6 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
         read_yaml(params_file)  # invalid YAML is refused here, not by each node
         arguments += ["--params-file", str(params_file.resolve())]
     return arguments
-
-
-def _python_path() -> str:
-    """Return the module path of nodes: that of this process without its working folder."""
-    folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
-    return os.pathsep.join([*folders, str(Path(__file__).resolve().parents[2])])
 
 
 def _hold_signals_back() -> None:

@@ -32,9 +32,14 @@ FORGOTTEN = 30.0  # s, wall: the graph does not have a killed node for so long
 LOOK_PERIOD = 0.25  # s, wall
 
 
-@cache
 def started() -> int:
     """Return the wall time [ns] of this process's start, which identifies it."""
+    return _started(os.getpid())
+
+
+@cache
+def _started(process: int) -> int:
+    """Return the time of the first call in a process: one that was forked has a time of its own."""
     return time.time_ns()
 
 
