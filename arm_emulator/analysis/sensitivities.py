@@ -169,7 +169,7 @@ def sensitivities(
     """Return a motion with its derivatives.
 
     The first use of a scene with these numbers compiles for 2 to 20 s. Up to 8 derivatives cost
-    ten to twenty runs of a `Plant`; runs for more are shared by the cores.
+    some ten runs of a `Plant`; runs for more are shared by the cores.
 
     A derivative is that of the motion as the scheme computes it. It is one-sided where the motion
     has none, as by the speed of a joint that sticks at the start. Without `events: located` modes

@@ -96,7 +96,7 @@ std::int64_t run_following(const arm_sensitive_run& run) {
         std::make_unique<Follower>(run.step, begin.parameters.at, begin.state(run)));
   }
   const std::vector<Real> parameters(run.parameters, run.parameters + S::parameters);
-  const arm::Numbers<S> values(parameters.data());
+  typename Follower::Values values(run.step, parameters.data(), run.parts == 1);
   std::vector<typename Follower::Common> common;
   for (std::int64_t row = 0; row < run.rows; ++row) {
     const double* command = run.commands + row * Scene::N;
@@ -105,7 +105,7 @@ std::int64_t run_following(const arm_sensitive_run& run) {
     const auto* pieces =
         static_cast<const typename Follower::Piece*>(arm_leader_pieces(leader.get(), &count));
     common.resize(count);
-    for (auto& of_piece : common) of_piece.known = false;
+    for (auto& of_piece : common) of_piece.begun = false;
     for (std::int64_t part = 0; part < run.parts; ++part) {
       Follower& one = *followers[part];
       one.command(command);

@@ -10,7 +10,9 @@ namespace arm {
 // Of all drives.
 template <class S>
 void follow_at_once(const Numbers<S>& n, State<S>& x, const Real* u) {
-  n.for_each_drive([&](const auto& drive, int j) {
+  n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+    // The compiler does not see that nothing happens to numbers with derivatives.
+    if constexpr (kDifferentiates && !Drive::may_follow) return;
     auto at = input_of(drive, j, x, u[j]);
     drive.follow(at);
     put_states(drive, j, 0, at, x);

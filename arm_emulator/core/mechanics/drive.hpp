@@ -345,6 +345,7 @@ struct Drive {
     if constexpr (driven) return motor.inertia(0, false) == 0.0;
     return false;
   }
+  static constexpr bool may_follow = driven && !requires { Motor::never_follows; };
   constexpr void follow(Input<Real>& x) const {
     if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
   }

@@ -1,5 +1,5 @@
-// The links' part at a state with its derivatives by positions and speeds, of which those in other
-// directions follow: taken once for all of them.
+// The links' part at a state with its derivatives by positions and speeds, of
+// which those in other directions follow: taken once for all of them.
 #pragma once
 
 #include "mechanics/links.hpp"
@@ -20,7 +20,10 @@ class LinkSlopes {
       for (int j = 0; j < N; ++j) q[j] = x.q[j].value, v[j] = x.v[j].value;
       for (int i = first; i < 2 * N && i < first + width; ++i)
         (i < N ? q[i] : v[i - N]).by[i - first] = 1.0;
-      Links<S>::dynamics_apart(values, q, v, at_);
+      if (first < N)
+        Links<S>::dynamics_apart(values, q, v, at_);
+      else
+        nle_apart(values, q, v, at_.nle);
       for (int i = first; i < 2 * N && i < first + width; ++i)
         for (int j = 0; j < N; ++j) {
           nle_[j][i] = at_.nle[j].by[i - first];
@@ -28,18 +31,24 @@ class LinkSlopes {
         }
     }
   }
-  // The part at x, of the same values, of a machine whose links have no derivatives of their own.
-  void put(const State<S>& x, Dynamics& links) const {
-    for (int j = 0; j < N; ++j) {
-      links.nle[j] = at_.nle[j].value;
-      for (int i = 0; i < N; ++i)
-        links.nle[j].by += nle_[j][i] * x.q[i].by + nle_[j][N + i] * x.v[i].by;
-      for (int k = j; k < N; ++k) {
-        Real& M = links.M.at[j][k] = at_.M.at[j][k].value;
-        for (int i = 0; i < N; ++i)
-          if (M_[j][k][i] != 0.0) M.by += M_[j][k][i] * x.q[i].by;
-      }
-    }
+  // At the state taken, without derivatives.
+  double nle(int j) const { return at_.nle[j].value; }
+  double M(int j, int k) const { return at_.M.at[j < k ? j : k][j < k ? k : j].value; }
+  // The derivatives of M a + share nle by q, and of nle by v, a row for each
+  // joint.
+  void by_q(const double* a, double share, double (&out)[N][N]) const {
+    for (int j = 0; j < N; ++j)
+      for (int i = 0; i < N; ++i) out[j][i] = share * nle_[j][i];
+    for (int j = 0; j < N; ++j)
+      for (int k = j; k < N; ++k)
+        for (int i = 0; i < N; ++i) {
+          out[j][i] += M_[j][k][i] * a[k];
+          if (k != j) out[k][i] += M_[j][k][i] * a[j];
+        }
+  }
+  void by_v(double (&out)[N][N]) const {
+    for (int j = 0; j < N; ++j)
+      for (int i = 0; i < N; ++i) out[j][i] = nle_[j][N + i];
   }
   // Whether the links of a machine have derivatives of their own.
   static bool own(const Numbers<S>& numbers, const State<S>& x) {
@@ -56,6 +65,12 @@ class LinkSlopes {
   }
 
  private:
+  static ARM_APART void nle_apart(const Numbers<S>& n, const Real* q, const Real* v, Real* nle) {
+    typename Links<S>::Kinematics kinematics;
+    Links<S>::kinematics(q, kinematics);
+    Links<S>::inverse_dynamics(n, kinematics, v, nullptr, nle);
+  }
+
   Dynamics at_;
   double nle_[N][2 * N], M_[N][N][N];
 };

@@ -127,6 +127,22 @@ constexpr bool drives_vary() {
   return false;
 }
 
+// Whether a varied number changes the drive of a joint, as above.
+template <class S>
+struct ChangedDrives {
+  bool at[S::parameters + 1][S::N] = {};
+
+  ChangedDrives() {
+    const Sheet<S> before = sheet_with<S>(-1);
+    for (int k = 0; k < S::parameters; ++k) {
+      const Sheet<S> after = sheet_with<S>(k);
+      [&]<int... j>(std::integer_sequence<int, j...>) {
+        ((at[k][j] = !(std::get<j>(before.drives) == std::get<j>(after.drives))), ...);
+      }(std::make_integer_sequence<int, S::N>{});
+    }
+  }
+};
+
 template <class S, class X = Real>
 class Numbers;
 struct Nothing {};

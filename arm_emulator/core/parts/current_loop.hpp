@@ -70,6 +70,7 @@ struct CurrentLoop : Motor {
   constexpr void put_current(Real* z, Real current) const {
     z[0] = current, z[1] = this->R_circuit() * current;
   }
+  static constexpr bool never_follows = true;
   constexpr void follow(Real*, Real, Real) const {}
 
   template <class X>

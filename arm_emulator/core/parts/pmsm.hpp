@@ -65,6 +65,7 @@ struct PmsmOf {
   constexpr Real R_circuit() const { return R + R_contact; }
   constexpr Real current_d(const Real* z) const { return z[0]; }
   constexpr Real largest_current() const { return 0.0; }
+  static constexpr bool never_follows = true;
   constexpr void follow(Real*, Real, Real) const {}
 
   // A further input is a constant state: held between commands, and saved with the states.

@@ -143,6 +143,20 @@ class DriveTables : public ServedDrives<S, X> {
     });
   }
 
+  // The same of one joint, of numbers with derivatives, from the inputs in[...].at[0].
+  Number first_at(int j, const auto& in) const { return answer_at<In::k1>(rhs_1, j, in); }
+  Number rate_at(int k, int j, const auto& in) const {
+    return answer_at<In::change>(k_z[k], j, in);
+  }
+  Number second_at(int j, const auto& in) const { return answer_at<In::k2>(rhs_2, j, in); }
+  Number end_at(int k, int j, const auto& in) const {
+    return in[k].at[0] + answer_at<In::count>(dz[k], j, in);
+  }
+  template <int inputs>
+  ARM_INLINE static Number answer_at(const Numbers& numbers, int j, const auto& in) {
+    return numbers.answer(j, inputs, [&](int c) -> const Number& { return in[c].at[0]; });
+  }
+
   // A row's numbers times the inputs, for all joints. `k`: the state of which it is; -1: the link.
   template <int inputs>
   ARM_INLINE static arm::Row<N, X> answer(const Numbers& numbers, const Inputs& x, auto k) {

@@ -1,15 +1,17 @@
-// The derivatives of a motion with located events: the parts of its steps (pieces.hpp), taken again
-// with numbers that carry derivatives.
+// The derivatives of a motion with located events: the parts of its steps
+// (pieces.hpp), taken again with numbers that carry derivatives.
 //
-// The modes of each part and its length were decided for the values, which are put in here.
-// The instant of an event has derivatives by the implicit function theorem.
+// The modes of each part and its length were decided for the values, which are
+// put in here. The instant of an event has derivatives by the implicit function
+// theorem.
 #pragma once
 
+#include <optional>
+
 #include "mechanics/command_bounds.hpp"
-#include "mechanics/link_slopes.hpp"
 #include "mechanics/modes.hpp"
 #include "schemes/pieces.hpp"
-#include "schemes/scheme.hpp"
+#include "schemes/step_slopes.hpp"
 
 namespace arm {
 
@@ -21,11 +23,20 @@ class Follower {
   using Dynamics = typename Links<S>::Dynamics;
   static constexpr int N = S::N, K = State<S>::K, row = Method::row;
   using Piece = arm::Piece<N, K>;
+  using SlopesOfStep = StepSlopes<S, Method, S::Scheme::extrapolates>;
+  using SlopesOfPart = StepSlopes<S, Part, false>;
 
   Follower(Real step, const Real* parameters, const State<S>& start)
       : h_(step), n_(parameters), whole_(step, n_), part_(step, n_), x_(start) {
+    static const ChangedDrives<S> changed;
     whole_.reset(x_);
-    own_links_ = LinkSlopes<S>::own(n_, x_);
+    own_.links = LinkSlopes<S>::own(n_, x_);
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int) {
+      ever_usual_ = ever_usual_ && (Drive::modes == 0 || drive.is_ever_usual());
+    });
+    for (int k = 0; k < S::parameters; ++k)
+      for (int j = 0; j < N; ++j)
+        own_drive_[j] = own_drive_[j] || (has_derivatives(parameters[k]) && changed.at[k][j]);
   }
   Follower(const Follower&) = delete;
   Follower& operator=(const Follower&) = delete;
@@ -37,57 +48,68 @@ class Follower {
   void command(const double* commands) {
     for (int j = 0; j < N; ++j) u_[j] = commands[j];
     bound_commands(n_, x_, u_);
+    for (int j = 0; j < N; ++j) own_.at[j] = own_drive_[j] || has_derivatives(u_[j]);
   }
-  // Shared by all followers of a machine, of one of its parts.
+  // The machine without derivatives, shared by its followers.
+  struct Values {
+    const Numbers<S> n;
+    Method method;
+    Part part;
+    bool of_one;  // follower alone
+
+    Values(Real step, const Real* parameters, bool alone)
+        : n(parameters), method(step, n), part(step, n), of_one(alone) {}
+  };
+  // Shared, too: of one of its parts what has been found.
   struct Common {
-    bool known = false;
+    bool begun = false, stepped = false, moved = false;
+    State<S> start;
     LinkSlopes<S> links;
+    std::optional<Modes<S>> usual;  // where its modes depend on nothing
+    SlopesOfStep of_step;
+    SlopesOfPart of_part;
+    // The change of its end, and of the condition of an event, with its length.
+    State<S> along;
+    double slope;
   };
 
   // Take a part; `next` begins at its end.
-  void follow(const Piece& piece, const Piece& next, const Numbers<S>& values, Common& common) {
-    Dynamics links;
+  void follow(const Piece& piece, const Piece& next, Values& values, Common& common) {
     if (piece.end == PieceEnd::cut) {
+      Dynamics links;
       Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
       whole_.remember(start_, x_, u_, links);
       cut_ = false;
       return;
     }
     follow_at_once(n_, x_, u_);
-    put_values(piece);
-    const Modes<S> modes = modes_of(piece, next);
-    if (own_links_) {
-      Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
-    } else {
-      if (!common.known) common.links.take(values, x_);
-      common.known = true;
-      common.links.put(x_, links);
+    if (!common.begun) begin(piece, next, values, common);
+    std::optional<Modes<S>> modes;
+    if (!common.usual || !piece.whole) {
+      put_values(piece, x_);
+      modes = modes_of(n_, x_, u_, piece, next);
     }
-    if (!piece.whole && !cut_) start_ = x_, left_ = h_, cut_ = true;
-    if (piece.whole)
-      whole_.step_in(modes, x_, u_, links, Method::Past::used);
-    else if (piece.end == PieceEnd::unlocated)
-      finish(links);
-    else
-      take_part(piece, modes, links);
-    if (piece.end == PieceEnd::unlocated)
-      follow_at_once(n_, x_, u_);
-    else if (!piece.whole || !is_usual(piece))
-      modes.settle(x_, u_);
+    if (piece.whole) {
+      move(piece, next, values, values.method, whole_, h_, modes, common.of_step, common);
+    } else {
+      if (!cut_) start_ = x_, left_ = h_, cut_ = true;
+      if (piece.end == PieceEnd::unlocated) return finish();
+      const Real length = piece.end == PieceEnd::step ? left_ : piece.length;
+      if (!common.moved) take_along(piece, next, values, common);
+      move(piece, next, values, values.part, part_, length, modes, common.of_part, common);
+      if (piece.end == PieceEnd::event)
+        move_end(piece, *modes, common);
+      else
+        move_along(length, common);
+    }
+    put_values(next, x_);
+    if (modes) modes->settle(x_, u_);
   }
 
   // End a row of commands at the state at which `next` begins.
   void end_row(const Piece& next) {
     follow_at_once(n_, x_, u_);
-    put_values(next);
-  }
-
-  // Put the values of a state in the place of those here.
-  void put_values(const auto& of) {
-    for (int j = 0; j < N; ++j) {
-      for (int k = 0; k < K; ++k) x_.z[k][j].value = of.z[k][j];
-      x_.q[j].value = of.q[j], x_.v[j].value = of.v[j];
-    }
+    put_values(next, x_);
   }
 
  private:
@@ -99,17 +121,63 @@ class Follower {
     for (int j = 0; j < N; ++j) usual = usual && !piece.locked[j] && !piece.held[j];
     return usual;
   }
-  // The modes in which it was taken. Where rounding lets the state at its start call for others,
-  // that at its end knows them.
-  Modes<S> modes_of(const Piece& piece, const Piece& next) const {
+  // Put the values of a state in the place of those here.
+  static void put_values(const Piece& of, State<S>& x) {
+    for (int j = 0; j < N; ++j) {
+      for (int k = 0; k < K; ++k) x.z[k][j].value = of.z[k][j];
+      x.q[j].value = of.q[j], x.v[j].value = of.v[j];
+    }
+  }
+  void put_commands(Real (&u)[row]) const {
+    for (int j = 0; j < N; ++j) u[j] = constant(u_[j]);
+  }
+  void begin(const Piece& piece, const Piece& next, Values& values, Common& common) const {
+    put_values(piece, common.start);
+    common.links.take(values.n, common.start);
+    common.usual.reset();
+    if (ever_usual_ && is_usual(piece))
+      common.usual = modes_of(values.n, common.start, u_, piece, next);
+    common.begun = true, common.stepped = common.moved = false;
+  }
+
+  // Take the step or the part with what all have in common.
+  template <class Taking, class Slopes>
+  void move(const Piece& piece, const Piece& next, const Values& values, Taking& of_values,
+            Taking& own, const Real& length, const std::optional<Modes<S>>& modes, Slopes& slopes,
+            Common& common) {
+    const Numbers<S>& n = values.n;
+    const double h = length.value;
+    if (values.of_one)
+      return slopes.move_alone(own, n_, n, common.links, modes ? *modes : *common.usual,
+                               common.start, x_, u_, own.own_memory(), own_, h);
+    if (!common.stepped) {
+      alignas(64) Real u[row] = {};
+      put_commands(u);
+      slopes.take(of_values, n, common.links, common.start, u, own.memory(), h,
+                  [&](const State<S>& x) { return modes_of(n, x, u, piece, next); });
+      common.stepped = true;
+    }
+    if (own_.any()) {
+      const auto take = [&](const Modes<S>& modes) {
+        slopes.take_own(own, n_, modes, common.start, u_, h, own_);
+      };
+      common.usual ? take(*common.usual) : take(modes_of(n_, common.start, u_, piece, next));
+    }
+    slopes.move(x_, own.own_memory(), own_, h);
+  }
+
+  // The modes in which it was taken. Where rounding lets the state at its start
+  // call for others, that at its end knows them.
+  static Modes<S> modes_of(const Numbers<S>& n, const State<S>& x, const Real* u,
+                           const Piece& piece, const Piece& next) {
     typename Modes<S>::Friction::Modes friction;
     for (int j = 0; j < N; ++j)
       friction.locked[j] = piece.locked[j], friction.direction[j] = piece.direction[j];
-    Modes<S> modes(n_, friction);
-    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+    Modes<S> modes(n, friction);
+    n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         if (!piece.held[j] && drive.is_ever_usual()) return;
-        auto at = input_of(drive, j, x_, u_[j]);
+        auto at = input_of(drive, j, x, u[j]);
         auto now = drive.modes_at(at);
         if (now.held() != piece.held[j]) {
           for (int k = 0; k < Drive::states; ++k) at.z[k].value = next.z[k][j];
@@ -123,32 +191,37 @@ class Follower {
     return modes;
   }
 
-  void take_part(const Piece& piece, const Modes<S>& modes, const Dynamics& links) {
-    const State<S> start = x_;
-    const auto take = [&](const Real& length) {
-      x_ = start;
-      part_.retime(length, modes);
-      part_.step_in(modes, x_, u_, links, Past::unknown);
-    };
-    if (piece.end == PieceEnd::step) return take(left_);
-    // At this length, and along it: dt = -dg / (dg/dt) of the condition's g.
+  // At its length, and along it: dt = -dg / (dg/dt) of the condition's g.
+  void move_end(const Piece& piece, const Modes<S>& modes, const Common& common) {
     Real length = piece.length;
-    take(length);
-    const State<S> y = x_;
-    const Real g = condition(piece, modes);
-    length.by[0] = 1.0;
-    take(length);
-    const double slope = condition(piece, modes).by[0] - g.by[0];
-    length.by = slope != 0.0 ? -g.by / slope : 0.0 * g.by;
-    for_each_pair(x_, y, [&](Real& along, const Real& at) {
-      along = {at.value, at.by + (along.by[0] - at.by[0]) * length.by};
-    });
+    const Real g = condition(piece, modes, x_, u_);
+    length.by = common.slope != 0.0 ? -g.by / common.slope : 0.0 * g.by;
+    move_along(length, common);
     left_ -= length;
   }
-  Real condition(const Piece& piece, const Modes<S>& modes) const {
+  void move_along(const Real& length, const Common& common) {
+    for_each_pair(x_, common.along,
+                  [&](Real& x, const Real& along) { x.by += along.by[0] * length.by; });
+  }
+  void take_along(const Piece& piece, const Piece& next, Values& values, Common& common) const {
+    alignas(64) Real u[row] = {};
+    put_commands(u);
+    const Modes<S> modes = modes_of(values.n, common.start, u, piece, next);
+    Dynamics links;
+    Links<S>::dynamics_apart(values.n, common.start.q, common.start.v, links);
+    Real length = piece.end == PieceEnd::step ? constant(left_) : piece.length;
+    length.by[0] = 1.0;
+    common.along = common.start;
+    values.part.retime(length, modes);
+    values.part.step_in(modes, common.along, u, links, Past::unknown);
+    if (piece.end == PieceEnd::event) common.slope = condition(piece, modes, common.along, u).by[0];
+    common.moved = true;
+  }
+  static Real condition(const Piece& piece, const Modes<S>& modes, const State<S>& x,
+                        const Real* u) {
     LinksMemo<S> memo;
     Real each[Modes<S>::conditions];
-    modes.margin(x_, u_, memo, each);
+    modes.margin(x, u, memo, each);
     return each[piece.failing];
   }
   static void for_each_pair(State<S>& x, const State<S>& y, auto&& pair) {
@@ -157,12 +230,14 @@ class Follower {
       pair(x.q[j], y.q[j]), pair(x.v[j], y.v[j]);
     }
   }
-  void finish(const Dynamics& links) {
+  void finish() {
     Nobody nobody;
-    Dynamics own = links;
+    Dynamics links;
+    Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
     Method part(left_, n_);
     part.reset(x_);
-    part.step(x_, u_, own, nobody);
+    part.step(x_, u_, links, nobody);
+    follow_at_once(n_, x_, u_);
   }
 
   Real h_, left_ = 0.0;
@@ -172,7 +247,9 @@ class Follower {
   State<S> x_, start_;
   alignas(64) Real u_[row] = {};
   bool cut_ = false;
-  bool own_links_;  // have derivatives
+  bool own_drive_[N] = {};  // has derivatives
+  bool ever_usual_ = true;  // all drives are, in some states
+  OwnSlopes<S> own_;
 };
 
 }  // namespace arm

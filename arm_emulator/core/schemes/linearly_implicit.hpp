@@ -45,6 +45,7 @@ class LinearlyImplicit {
  public:
   static constexpr int N = S::N, K = most_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
+  using Drives = Tables;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
   // Takes steps of any length in modes that are known (located.hpp).
@@ -93,6 +94,8 @@ class LinearlyImplicit {
     Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past().torque);
   }
   const Memory& memory() const { return past_[newest_]; }
+  Memory& own_memory() { return past(); }
+  Tables& tables() { return tables_; }
   // That before the newest step, of lanes.
   const Memory& memory_before() const { return past_[kept - 1 - newest_]; }
   void restore(const Memory& memory) { past() = memory; }

@@ -96,6 +96,29 @@ class ServedDrives {
     return rest;
   }
 
+  // The rest of one drive, of numbers with derivatives, in the rows that `bends` names.
+  template <class Drive>
+  ARM_APART static void rest_of(const Drive& drive, const typename Drive::Linear& linear,
+                                const typename Drive::template Input<X>& at, unsigned held,
+                                X* rest) {
+    if constexpr (!Drive::is_linear) {
+      const auto put = [&](const auto& is) __attribute__((always_inline)) {
+        for_each<Drive::states, kMostStates>([&](auto k) {
+          if constexpr (Drive::bends(k)) rest[k] = is.f[k];
+        });
+        rest[K] = is.g;
+      };
+      if (held)
+        put(drive.rest(at, held, linear));
+      else
+        put(drive.rest(at, 0, linear));
+    }
+  }
+  template <int j>
+  const auto& linear_drive() const {
+    return std::get<j>(linear_);
+  }
+
   // Set x to the values that the modes in use hold, against rounding.
   void settle(State<S, X>& x, const X (&u)[row]) const {
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
@@ -211,16 +234,12 @@ class ServedDrives {
         for_each<Drive::modes, kMostStates>([&](auto m) { at.offset[m] = now_[j].at[m].offset; });
         held = now_[j].held();
       }
-      const auto put = [&](const auto& is) __attribute__((always_inline)) {
-        for_each<Drive::states, kMostStates>([&](auto k) {
-          if constexpr (Drive::bends(k)) rest.at[k][j] = is.f[k];
-        });
-        rest.at[K][j] = is.g;
-      };
-      if (held)
-        put(drive.rest(at, held, std::get<j>(linear_)));
-      else
-        put(drive.rest(at, 0, std::get<j>(linear_)));
+      X is[K + 1];
+      rest_of(drive, std::get<j>(linear_), at, held, is);
+      for_each<Drive::states, kMostStates>([&](auto k) {
+        if constexpr (Drive::bends(k)) rest.at[k][j] = is[k];
+      });
+      rest.at[K][j] = is[K];
     }
   }
   static auto linear_of(const auto& drives) {

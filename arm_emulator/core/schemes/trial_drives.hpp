@@ -33,25 +33,13 @@ class TrialDrives : public ServedDrives<S, Real> {
   }
   void retime(const MakeImplicit& maker) {
     h_ = maker.h;
-    for (int g = 0; g < Row::groups; ++g) {
-      Group& one = of_[g];
-      one.eliminate.put(one.drive, gamma_of(2) * h_);
-      Row::store_group(diagonal, g, one.eliminate.s * one.eliminate.b);
-    }
+    for (int g = 0; g < Row::groups; ++g) retime_group(g);
   }
 
   // See DriveTables. Each relies on those before it.
   ARM_INLINE Row first(const Inputs& in) {
-    return of_groups([&](Group& one, int g) __attribute__((always_inline)) {
-      Vector f[kRows] = {}, torque = {};
-      for (int c = 0; c < Linear::kColumns; ++c) {
-        for (int k = 0; k < K; ++k) f[k] += one.drive.F[k][c] * in[c].at[g];
-        torque += one.drive.G[c] * in[c].at[g];
-      }
-      add_rest(in, In::rest, g, f, torque);
-      one.first = one.eliminate.stage(one.drive, f, in[In::v].at[g], torque);
-      return one.first.rhs;
-    });
+    return of_groups([&](Group& one, int g)
+                         __attribute__((always_inline)) { return first_of(one, in, g); });
   }
   ARM_INLINE Row rates_at_rest(int k, const Inputs&) {
     return of_groups([&](Group& one, int) { return one.first.z[k]; });
@@ -60,26 +48,28 @@ class TrialDrives : public ServedDrives<S, Real> {
     return of_groups([&](Group& one, int g) { return one.rate(k, in[In::k1].at[g]); });
   }
   ARM_INLINE Row second(const Inputs& in) {
-    return of_groups([&](Group& one, int g) __attribute__((always_inline)) {
-      const Vector a = in[In::k1].at[g];
-      const auto& [s, E, e, b] = one.eliminate;
-      Vector r_z[kRows] = {}, r_v = kSqrt2 * (one.first.rhs - s * b * a);
-      for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * one.drive.D[k] * one.rate(k, a);
-      add_rest(in, In::change, g, r_z, r_v);
-      const Vector r_q = kSqrt2 * (in[In::v].at[g] + s * a);
-      one.second = one.eliminate.stage(one.drive, r_z, r_q, r_v);
-      return one.second.rhs;
-    });
+    return of_groups([&](Group& one, int g)
+                         __attribute__((always_inline)) { return second_of(one, in, g); });
   }
   template <int stages>
   ARM_INLINE void add(const Inputs& in, Row* z) {
     static_assert(stages == 2);
     for (int k = 0; k < K; ++k)
-      z[k] = of_groups([&](Group& one, int g) __attribute__((always_inline)) {
-        const Vector k2 = one.second.z[k] + one.eliminate.e[k] * in[In::k2].at[g];
-        return in[k].at[g] + h_ * (gamma_of(2) * one.rate(k, in[In::k1].at[g]) + 0.5 * k2);
-      });
+      z[k] = of_groups([&](Group& one, int g)
+                           __attribute__((always_inline)) { return end_of(one, k, in, g); });
   }
+
+  // The same of one joint, of numbers with derivatives, from the inputs in[...].at[0].
+  void retime(const MakeImplicit& maker, int j)
+    requires(kDifferentiates)
+  {
+    h_ = maker.h;
+    retime_group(j);
+  }
+  Real first_at(int j, const auto& in) { return first_of(of_[j], in, 0); }
+  Real rate_at(int k, int j, const auto& in) const { return of_[j].rate(k, in[In::k1].at[0]); }
+  Real second_at(int j, const auto& in) { return second_of(of_[j], in, 0); }
+  Real end_at(int k, int j, const auto& in) { return end_of(of_[j], k, in, 0); }
 
   alignas(64) Real diagonal[row] = {};
 
@@ -97,12 +87,43 @@ class TrialDrives : public ServedDrives<S, Real> {
     ARM_INLINE Vector rate(int k, const Vector& a) const { return first.z[k] + eliminate.e[k] * a; }
   };
 
+  ARM_INLINE void retime_group(int g) {
+    Group& one = of_[g];
+    one.eliminate.put(one.drive, gamma_of(2) * h_);
+    Row::store_group(diagonal, g, one.eliminate.s * one.eliminate.b);
+  }
+  // For the joints side by side, from the inputs in[...].at[g].
+  ARM_INLINE static Vector first_of(Group& one, const auto& in, int g) {
+    Vector f[kRows] = {}, torque = {};
+    for (int c = 0; c < Linear::kColumns; ++c) {
+      for (int k = 0; k < K; ++k) f[k] += one.drive.F[k][c] * in[c].at[g];
+      torque += one.drive.G[c] * in[c].at[g];
+    }
+    add_rest(in, In::rest, g, f, torque);
+    one.first = one.eliminate.stage(one.drive, f, in[In::v].at[g], torque);
+    return one.first.rhs;
+  }
+  ARM_INLINE static Vector second_of(Group& one, const auto& in, int g) {
+    const Vector a = in[In::k1].at[g];
+    const auto& [s, E, e, b] = one.eliminate;
+    Vector r_z[kRows] = {}, r_v = kSqrt2 * (one.first.rhs - s * b * a);
+    for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * one.drive.D[k] * one.rate(k, a);
+    add_rest(in, In::change, g, r_z, r_v);
+    const Vector r_q = kSqrt2 * (in[In::v].at[g] + s * a);
+    one.second = one.eliminate.stage(one.drive, r_z, r_q, r_v);
+    return one.second.rhs;
+  }
+  ARM_INLINE Vector end_of(Group& one, int k, const auto& in, int g) const {
+    const Vector k2 = one.second.z[k] + one.eliminate.e[k] * in[In::k2].at[g];
+    return in[k].at[g] + h_ * (gamma_of(2) * one.rate(k, in[In::k1].at[g]) + 0.5 * k2);
+  }
+
   ARM_INLINE Row of_groups(auto&& number) {
     Row row;
     for (int g = 0; g < Row::groups; ++g) row.at[g] = number(of_[g], g);
     return row;
   }
-  ARM_INLINE static void add_rest(const Inputs& in, int first, int g, Vector (&f)[kRows],
+  ARM_INLINE static void add_rest(const auto& in, int first, int g, Vector (&f)[kRows],
                                   Vector& torque) {
     if constexpr (R > 0) {
       for (int k = 0; k < K; ++k)
