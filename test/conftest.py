@@ -44,7 +44,7 @@ fleet up recording network stream external_wrench mode_loops bags doctor ways
 identification faults_at_doors library_examples motor_kinds couplings threads collisions
 doubtful_records validation compiler copies arm_loops at_rest linearised sensors recorder search
 launch random_scenes json located load_friction spoiled_files brake hard_cases stability inputs
-motion_orders fuzz varied_axes varied current_loop fleet_follow campaign_lanes lanes
+motion_orders fuzz varied_axes varied current_loop fleet_follow splitting campaign_lanes lanes
 dynamics ideal_motors firmware_faults by_hand faults driven_machine progressive_gear negative_ratio
 fault_replay torque_terms command_line jog random_machines motors mounting efforts advice repair
 bound case_bag first_difference rotor_friction readings end_stops demo working_folder topic_based

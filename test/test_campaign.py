@@ -222,7 +222,7 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
         ("vary/controller.joints.elbow.gain", "uniform(0, 1)", "velocity_gain"),
         ("correlate", [{"between": ["payload.mass"], "by": 0.5}], "two numbers that vary"),
         ("correlate", [{"between": ["payload.mass", "faults.*"], "by": 2}], "correlate.0.by"),
-        ("sampling", "halton", "random, sobol"),
+        ("sampling", "halton", "random, sobol, latin"),
         ("faults/push/kind", "wench", "payload, power_cut, wrench"),
         ("faults/push/link", "hand", "be one that moves"),
         ("faults/cut/at", None, "faults.cut.at must be"),
@@ -305,7 +305,7 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     assert facts["digest"] == digest and facts["count"] == 300
     assert facts["shares"][1]["hits"] == np.count_nonzero(columns["robustness.never"] < 0) > 0
     report = (tmp_path / "two" / "report.html").read_text()
-    assert "faults.push.force.2" in report and report.count("data:image/png") == 2
+    assert "faults.push.force.2" in report and report.count("data:image/png") == 3
     for name, unit in (("near", "rad"), ("never", "rad/s")):
         margins = columns[f"robustness.{name}"]
         assert f"margin of {name} [{unit}]" in report, "a column has one unit"
@@ -470,4 +470,4 @@ def test_the_page_lists_what_a_file_may_have():
     for word in REDUCTIONS:
         assert f"`{word}(...)`" in page, word
     for name, table in TABLES.items():
-        assert f"<!-- generated: campaign {name} -->" in page and table().count("\n") > 2
+        assert f"<!-- generated: campaign {name} -->" in page and table().count("\n") > 3

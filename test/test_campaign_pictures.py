@@ -4,15 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 
 from arm_emulator.campaign.pictures import (
+    FAILS,
+    HOLDS,
+    MOST_LINES,
     NO_BREAK,
     _in,
+    coordinates,
     influences,
     margins,
     png,
     wrapped,
 )
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
+def test_no_kind_of_run_hides_the_other(share: float) -> None:
+    """As many lines of each as there are, up to a limit, and in any part of the order both."""
+    count, rng = 20_000, np.random.default_rng(3)
+    columns = {name: rng.uniform(size=count) for name in "abc"}
+    failed = rng.uniform(size=count) < share
+    figure = coordinates(columns, list(columns), failed, np.where(failed, -1.0, 1.0))
+    (lines,) = (one for one in figure.axes[0].collections if isinstance(one, LineCollection))
+    colors = [to_hex(one) for one in lines.get_color()]
+    png(figure)  # closes it
+    assert colors.count(FAILS) == colors.count(HOLDS) == MOST_LINES
+    # Of 150 in turns, 50 of one kind in a row are drawn once in 1e15.
+    for last in (colors[-50:], colors[:50]):
+        assert {FAILS, HOLDS} == set(last)
+
 
 LONG = (
     "joints.shoulder_lift_joint.motor.current_loop.proportional_gain",
@@ -22,7 +45,7 @@ LONG = (
 )
 
 
-@pytest.mark.parametrize("kind", ["influences", "margins"])
+@pytest.mark.parametrize("kind", ["influences", "margins", "coordinates"])
 def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> None:
     rng = np.random.default_rng(4)
     columns = {name: rng.normal(size=300) for name in LONG}
@@ -33,6 +56,9 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
     figure = {
         "influences": lambda: influences(columns, LONG, titles, units),
         "margins": lambda: margins(columns, titles, units),
+        "coordinates": lambda: coordinates(
+            columns, LONG, columns["robustness.near"] < 0.0, np.arange(300)
+        ),
     }[kind]()
     figure.canvas.draw()
     seen = figure.bbox

@@ -1,9 +1,10 @@
-"""Search of campaigns: rare failures, falsification, and failures that are shrunk."""
+"""Search of campaigns: rare failures, falsification, sensitivity, and failures that are shrunk."""
 
 from __future__ import annotations
 
 import concurrent.futures as cf
 import importlib.util
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from draws import FULL
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from arm_emulator import Refusal
 from arm_emulator.campaign.campaign_file import load_campaign
@@ -22,7 +23,8 @@ from arm_emulator.campaign.crew import Crew
 from arm_emulator.campaign.intervals import of_repetitions
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.results import Results, checksum_of, digest_of
-from arm_emulator.campaign.search.falsification import CmaEs
+from arm_emulator.campaign.search.falsification import Bayes, CmaEs
+from arm_emulator.campaign.search.sensitivity import Morris, Sobol
 from arm_emulator.campaign.search.subset import Subset
 from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.shrinking import fewest, shrink, write_shrunk
@@ -49,16 +51,16 @@ def written(folder, data, name="c.yaml"):
     return file
 
 
-def found_by(method, margins_at, D, seed=1):
-    """Finding about a function of points (K, D) -> (K,), and the points that were asked for."""
-    course, asked = method.course(D, "g", seed), []
+def found_by(method, outputs_at, D, seed=1, outputs=("g",)):
+    """Finding about a function of points (K, D) -> (K, M), and the points that were asked for."""
+    course, asked = method.course([f"x{k}" for k in range(D)], list(outputs), seed), []
     try:
         points = next(course)
         while True:
             asked.append(points)
-            points = course.send(margins_at(points))
+            points = course.send(np.reshape(outputs_at(points), (len(points), -1)))
     except StopIteration as end:
-        return end.value, np.concatenate(asked)
+        return end.value[0], np.concatenate(asked)
 
 
 # ---------------------------------------------------------------------------------- rare failures
@@ -129,16 +131,17 @@ def test_an_estimate_of_zero_lowers_the_interval():
     assert of_repetitions(np.zeros(4), 0.9) == (0.0, 1.0)
 
 
-# ----------------------------------------------------------------------------------- falsification
+# ------------------------------------------------------------------ falsification and sensitivity
 
 
 def bowl(z):
     return np.array([((point - np.linspace(-1.5, 2.5, len(point))) ** 2).sum() for point in z])
 
 
-def test_falsification_finds_what_sampling_does_not():
-    pytest.importorskip("cma", reason="pip install cma")
-    some = CmaEs(most=400, below=-1e300)
+@pytest.mark.parametrize("method", [CmaEs, Bayes])
+def test_falsification_finds_what_sampling_does_not(method):
+    pytest.importorskip(method.package[0], reason=f"pip install {method.package[1]}")
+    some = method(most=400, below=-1e300)
     found, points = found_by(some, bowl, 3)
     assert len(points) == 400 == found.rows[0][3] and np.abs(points).max() <= 3.0
     drawn = bowl(np.random.default_rng(1).standard_normal((400, 3))).min()
@@ -150,6 +153,43 @@ def test_falsification_finds_what_sampling_does_not():
     assert len(points) < 400 and stopped.rows[0][1] < 0.0 and stopped.rows[0][4] > 0
     diverging, _ = found_by(some, lambda z: np.where(z[:, 0] > 0.0, -np.inf, bowl(z)), 3)
     assert diverging.rows[0][1] == -math.inf
+
+
+def test_sobol_indices_are_those_of_ishigami():
+    pytest.importorskip("SALib", reason="pip install SALib")
+
+    def ishigami(z):
+        x = math.pi * (2.0 * special.ndtr(z) - 1.0)
+        g = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+        return np.column_stack([g, 1e6 + g, 0.0 * g, np.where(z[:, 0] > 2.0, -np.inf, g)])
+
+    found, points = found_by(Sobol(base=1024), ishigami, 3, outputs=("g", "moved", "flat", "inf"))
+    assert len(points) == Sobol(base=1024).runs(3) == 5 * 1024
+    rows = {(row[0], row[1]): row[2:] for row in found.rows}
+    truth = {"x0": (0.5576, 0.3139), "x1": (0.4424, 0.4424), "x2": (0.2437, 0.0)}
+    for output, (name, of_all) in itertools.product(("g", "moved"), truth.items()):
+        total, _, alone, _ = rows[output, name]
+        assert (total, alone) == pytest.approx(of_all, abs=0.04), (output, name)
+    assert {row[0] for row in found.rows} == {"g", "moved"}
+    assert "flat: the same" in found.about and "inf: not finite" in found.about
+
+
+def test_morris_effects_of_a_sum_are_its_factors():
+    pytest.importorskip("SALib", reason="pip install SALib")
+    found, points = found_by(
+        Morris(trajectories=10), lambda z: special.ndtr(z) @ np.array([3.0, -2.0, 0.0]), 3
+    )
+    assert len(points) == 40
+    effects = {row[1]: (row[4], row[5]) for row in found.rows}  # mean and spread; 1 % to 99 %
+    # The statement beside the effects names the quantiles between which steps lead.
+    quantiles = np.unique(np.round(special.ndtr(points), 9))
+    assert quantiles == pytest.approx([0.01, 0.01 + 0.98 / 3, 0.01 + 1.96 / 3, 0.99], abs=1e-9)
+    steps = np.abs(np.diff(special.ndtr(points).reshape(10, 4, 3), axis=1)).max(axis=2)
+    assert steps == pytest.approx(0.98 * 2 / 3, abs=1e-9)
+    assert "such as 1 and 66.3 %, divided by 0.667" in found.about
+    assert effects["x0"] == pytest.approx((0.98 * 3.0, 0.0), abs=1e-9)
+    assert effects["x1"] == pytest.approx((-0.98 * 2.0, 0.0), abs=1e-9)
+    assert effects["x2"] == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
 # ------------------------------------------------------------------------------------ the machine
@@ -200,7 +240,7 @@ def probability(one):
 
 def test_rare_failures_of_a_machine(tmp_path):
     one = load_campaign(written(tmp_path, PUSHED))
-    found, columns = searched(one, tmp_path / "r", Here(), 2)
+    (found,), columns = searched(one, tmp_path / "r", Here(), 2)
     _, mean, low, high, runs = found.rows[0]
     p = probability(one)
     assert p < 1e-4 and low <= p <= high and mean < 3.0 * p, (p, low, high)
@@ -221,7 +261,7 @@ def test_the_example_agrees_with_bisection_along_lines(tmp_path):
     text = (EXAMPLES / "search.yaml").read_text()
     (tmp_path / "c.yaml").write_text(f"{text}\nseed: 4\n")
     one = load_campaign(tmp_path / "c.yaml")
-    found, _ = searched(one, tmp_path / "r", Here(), 2)
+    (found,), _ = searched(one, tmp_path / "r", Here(), 2)
     _, _, low, high, _ = found.rows[0]
     simulator, rng = Simulator(one), np.random.default_rng(1)
     names = [number.name for number in one.variation.numbers]
@@ -292,6 +332,9 @@ def _with_other_values(part):
         ({"method": "subset", "per_levle": 3}, "key search.per_levle must be known"),
         ({"method": "subset", "share": 0.9}, "search.share must be"),
         ({"method": "subset", "share": 0.01, "per_level": 30}, "leave two chains a level"),
+        ({"method": "morris", "of": "near"}, "search.of must name"),
+        ({"method": "sobol", "base": 100}, "search.base must be a power of two"),
+        ({"method": "morris", "levels": 5}, "search.levels must be even"),
         ({"of": "near"}, "search.method must be"),
     ],
 )
@@ -308,6 +351,13 @@ def test_bad_searches_are_refused_in_a_line(tmp_path, search, reason):
         ({"vary": {}}, "search.method must have numbers that vary"),
         ({"requirements": {}}, "search.method must have a requirement"),
         (
+            {
+                "correlate": [{"between": ["payload.mass", "faults.*"], "by": 0.5}],
+                "search": {"method": "sobol"},
+            },
+            "have independent numbers",
+        ),
+        (
             {"vary": {"payload.mass": "uniform(0, 1)"}, "search": {"method": "cma-es"}},
             "at least two numbers",
         ),
@@ -318,10 +368,13 @@ def test_searches_are_refused_beside_what_they_cannot_have(tmp_path, change, rea
         load_campaign(written(tmp_path, PUSHED | change))
 
 
-def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["cma-es", "bayes", "sobol", "morris"])
+def test_packages_that_are_missing_are_named(tmp_path, name, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(Refusal, match=r"must be installed, got none; valid: pip install cma"):
-        load_campaign(written(tmp_path, PUSHED | {"search": {"method": "cma-es"}}))
+    with pytest.raises(
+        Refusal, match=r"must be installed, got none; valid: pip install (cma|opt|SA)"
+    ):
+        load_campaign(written(tmp_path, PUSHED | {"search": {"method": name}}))
 
 
 # --------------------------------------------------------------------------------------- shrinking

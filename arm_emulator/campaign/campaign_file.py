@@ -208,10 +208,10 @@ def load_campaign(file: Path) -> Campaign:
     numbers = varying_numbers(root, patterns, scene, servo, data)
     pairs = correlated(root, [one.name for one in numbers])
     correlation = correlation_of(pairs, numbers, file.name)
-    levels = Variation(numbers, "random", bytes(32)).levels
+    levels = Variation(numbers, "random", bytes(32), 1).levels
     count = count or (levels if levels > 1 else ALL)
-    key = _key(data, used, root)
-    variation = Variation(numbers, sampling, key, correlation, file.name)
+    key = _key(data, used, root, count if sampling == "latin" else 0)
+    variation = Variation(numbers, sampling, key, count, correlation, file.name)
     stop = root.section("stop")
     campaign = Campaign(
         file=file,
@@ -293,10 +293,10 @@ def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
     return {name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()}
 
 
-def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section) -> bytes:
+def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int) -> bytes:
     """Return the hash of all that decides what a run with an index is."""
     deciding = {key: value for key, value in data.items() if key not in ("count", "stop")}
-    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} 0\0".encode())
+    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} {count}\0".encode())
     digest.update(json.dumps(deciding, sort_keys=True, default=str).encode())
     for name, content in sorted(used.items()):
         digest.update(f"\0{name} {len(content)}\0".encode())

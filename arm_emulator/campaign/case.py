@@ -22,6 +22,8 @@ class Case:
         index: its number.
         values: of what varies, by name.
         seed: of the sensors' noise.
+        reseeds: ticks before which the noise gets another seed, ascending, and the seeds: a run
+            that was forked there.
         without: faults of the file that do not happen.
         seconds: after which it ends, if the scenario does not end before.
     """
@@ -31,6 +33,7 @@ class Case:
     seed: float
     without: frozenset[str] = frozenset()
     seconds: float = math.inf
+    reseeds: tuple[tuple[int, float], ...] = ()
 
 
 def drawn_case(variation: Variation, index: int) -> Case:

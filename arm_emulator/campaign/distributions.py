@@ -1,13 +1,13 @@
 """Distributions as text, each as its quantile function: a number of (0, 1) gives the value.
 
-So one point of the unit cube, random or of Sobol, gives all values of a run.
+So one point of the unit cube, random, of Sobol or of a Latin hypercube, gives all values of a run.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -139,6 +139,38 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
     return Distribution("", quantile, share)
 
 
+def exponential(mean: float) -> Distribution:
+    """Mean of the values, which begin at 0."""
+    _above("mean", mean)
+    return Distribution(
+        "", lambda u: -mean * math.log1p(-u), lambda x: -math.expm1(-max(0.0, x) / mean)
+    )
+
+
+def weibull(shape: float, scale: float) -> Distribution:
+    """Shape and scale."""
+    _above("shape", shape)
+    _above("scale", scale)
+    return Distribution(
+        "",
+        lambda u: scale * (-math.log1p(-u)) ** (1.0 / shape),
+        lambda x: -math.expm1(-((max(0.0, x) / scale) ** shape)),
+    )
+
+
+def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distribution:
+    """Beta distribution between two ends."""
+    _above("a", a)
+    _above("b", b)
+    _ordered(low, high)
+    width = high - low
+    return Distribution(
+        "",
+        lambda u: low + width * float(special.betaincinv(a, b, u)),
+        lambda x: float(special.betainc(a, b, _within((x - low) / width))),
+    )
+
+
 def truncated(of: Distribution, low: float, high: float) -> Distribution:
     """Part of a distribution between two ends."""
     _ordered(low, high)
@@ -163,6 +195,26 @@ def choice(*values: float) -> Distribution:
     return Distribution("", lambda u: values[min(int(u * len(values)), len(values) - 1)])
 
 
+def mixture(*pairs: float | Distribution) -> Distribution:
+    """Weights, each followed by its distribution."""
+    weights, parts = pairs[::2], pairs[1::2]
+    if not len(weights) == len(parts) > 0:
+        raise _Bad("be weights, each followed by a distribution", f"{len(pairs)} arguments")
+    sizes = [_above("weights", one) for one in weights if isinstance(one, float)]
+    shares = [one / math.fsum(sizes) for one in sizes]
+
+    def quantile(u: float) -> float:
+        left = u
+        for weight, part in zip(shares[:-1], parts[:-1], strict=True):
+            if left < weight:
+                return part.quantile(left / weight)  # type: ignore[union-attr]
+            left -= weight
+        inside = min(max(left / shares[-1], 2.0**-53), 1.0 - 2.0**-53)
+        return parts[-1].quantile(inside)  # type: ignore[union-attr]
+
+    return Distribution("", quantile)
+
+
 def grid(low: float, high: float, count: float) -> Distribution:
     """Evenly spaced values from end to end, each combined with those of all other grids."""
     if not (count >= 2 and count == int(count) and count <= 10**6):
@@ -180,7 +232,8 @@ def grid(low: float, high: float, count: float) -> Distribution:
 KINDS: dict[str, Callable[..., Distribution]] = {
     one.__name__: one
     for one in (
-        uniform, loguniform, normal, lognormal, triangular, truncated, choice, grid
+        uniform, loguniform, normal, lognormal, triangular, exponential, weibull, beta,
+        truncated, choice, mixture, grid,
     )
 }  # fmt: skip
 
@@ -234,12 +287,12 @@ def _called(name: str, tree: ast.Call) -> Distribution:
         raise _Bad("be a known distribution", name, ", ".join(KINDS))
     if any(one.arg is None for one in tree.keywords):
         raise _Bad("have the arguments of its kind", ast.unparse(tree))
-    of: list[Any] = [_read(one) for one in tree.args]
+    of: Sequence[Any] = [_read(one) for one in tree.args]
     named = {str(one.arg): _read(one.value) for one in tree.keywords}
+    expects = {"truncated": (0,), "mixture": tuple(range(1, len(of), 2))}.get(name, ())
     for place, one in enumerate(of):
-        wanted = name == "truncated" and place == 0
-        if isinstance(one, Distribution) != wanted:
-            kind = "a distribution" if wanted else "a number"
+        if isinstance(one, Distribution) != (place in expects):
+            kind = "a distribution" if place in expects else "a number"
             raise _Bad(f"have {kind} as argument {place + 1} of {name}", ast.unparse(tree))
     try:
         return replace(KINDS[name](*of, **named), text=ast.unparse(tree))

@@ -1,4 +1,4 @@
-"""Pictures of a campaign: margins of requirements, and influences on them."""
+"""Pictures of a campaign: margins of requirements, influences on them, and all runs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.campaign.search.method import Finding
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Columns = Mapping[str, Array]
 HOLDS, FAILS, INK = "#4878a8", "#d1495b", "#22313f"
-MOST_POINTS = 4000
+MOST_LINES, MOST_POINTS, MOST_AXES = 150, 4000, 10  # lines: of each kind
 WIDTH = 10.2  # inches
 _STYLE = {
     "font.size": 9.5,
@@ -149,6 +151,29 @@ def influences(
     return figure
 
 
+def bars_of(found: Finding) -> Figure:
+    """Draw a column of a finding as bars, a panel for each output."""
+    at = found.head.index(found.bars)
+    outputs = list(dict.fromkeys(row[0] for row in found.rows))
+    across = min(3, len(outputs))
+    down = -(-len(outputs) // across)
+    figure, axes = _figure(WIDTH, 2.6 * down, down, across)
+    for axis, output in zip(axes, outputs, strict=False):
+        rows = [row for row in found.rows if row[0] == output][:7][::-1]
+        sizes, errors = [[float(row[k]) for row in rows] for k in (at, at + 1)]
+        axis.barh(range(len(rows)), sizes, xerr=errors, color=HOLDS, height=0.62,
+                  error_kw={"ecolor": INK, "elinewidth": 1.0})  # fmt: skip
+        names = [wrapped(short(str(row[1])), 34) for row in rows]
+        axis.set_yticks(range(len(rows)), names, fontsize=8.5)
+        axis.set_xlim(0.0, None)
+        axis.tick_params(axis="y", length=0)
+        axis.set_title(wrapped(str(output)))
+        axis.set_xlabel(found.bars)
+    for axis in axes[len(outputs) :]:
+        axis.set_visible(False)
+    return figure
+
+
 def _bars(axis: Axes, strongest: Mapping[str, float], title: str) -> None:
     names = list(strongest)[::-1]
     axis.barh(range(len(names)), [strongest[name] for name in names], color=HOLDS, height=0.62)
@@ -169,6 +194,55 @@ def _cloud(axis: Axes, x: Array, y: Array) -> None:
     inside = y[sound]
     if len(inside) and -np.ptp(inside) <= np.max(inside) and np.min(inside) <= np.ptp(inside):
         axis.axhline(0.0, color=INK, linewidth=0.8)  # farther away it would squeeze the cloud
+
+
+def coordinates(
+    columns: Columns, varying: Sequence[str], failed: Array, ranks: NDArray[np.int64]
+) -> Figure:
+    """Draw runs as lines over all varied numbers, failed and others in turns.
+
+    So neither kind hides the other, however many there are of each.
+
+    Args:
+        columns: of the results.
+        varying: numbers that vary; the first `MOST_AXES` are drawn.
+        failed: whether each run failed (K,).
+        ranks: its place among the worst, by which lines are chosen (K,).
+    """
+    from matplotlib.collections import LineCollection
+
+    names = [*varying[:MOST_AXES]]
+    figure, (axis,) = _figure(WIDTH, 3.6, 1, 1)
+    order = np.argsort(-ranks, kind="stable")
+    bad = order[failed[order]][-MOST_LINES:]
+    good = order[~failed[order]]
+    good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES)).astype(int)]
+    heights = np.array([_scaled(columns[name]) for name in names])
+    drawn = np.random.default_rng(0).permutation(np.concatenate([bad, good]))
+    lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in drawn]
+    colors = [FAILS if failed[run] else HOLDS for run in drawn]
+    axis.add_collection(
+        LineCollection(lines, colors=colors, alpha=0.4, linewidths=0.8, rasterized=True)
+    )
+    for place, name in enumerate(names):
+        axis.axvline(place, color="#9aa7b2", linewidth=0.8)
+        low, high = float(np.min(columns[name])), float(np.max(columns[name]))
+        axis.text(place, 1.03, f"{high:.3g}", ha="center", va="bottom", fontsize=8)
+        axis.text(place, -0.03, f"{low:.3g}", ha="center", va="top", fontsize=8)
+    axis.set_xlim(-0.4, len(names) - 0.6)
+    axis.set_ylim(-0.12, 1.12)
+    axis.set_xticks(range(len(names)), [wrapped(short(name), 12) for name in names])
+    axis.tick_params(length=0)
+    axis.set_yticks([])
+    for side in ("left", "bottom"):
+        axis.spines[side].set_visible(False)
+    return figure
+
+
+def _scaled(values: Array) -> Array:
+    low, high = float(np.min(values)), float(np.max(values))
+    scaled: Array = (values - low) / (high - low) if high > low else np.full(len(values), 0.5)
+    return scaled
 
 
 def _in(name: str, unit: str | None) -> str:

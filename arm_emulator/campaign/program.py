@@ -168,15 +168,23 @@ class Program:
         """Begin all runs."""
         self._calls.judges_begin(self._structs, len(self._pieces))
 
-    def take(self, samples: Array, counts: NDArray[np.int64], targets: Targets) -> None:
+    def go_on(self, taken: int) -> None:
+        """Continue a run of which so many samples were taken elsewhere; of rows alone."""
+        self.begin()
+        self._structs[0].taken = taken
+
+    def take(
+        self, samples: Array, counts: NDArray[np.int64], targets: Targets | None = None
+    ) -> None:
         """Go on with samples (runs, S, room), of which there are so many (runs,)."""
         pieces, runs = self._pieces, len(counts)
         pieces["count"][:runs], pieces["stride"] = counts, samples.shape[2]
         pieces["rows"][:runs] = _places(samples, np.arange(runs))
-        first = targets.first[: runs + 1]
-        pieces["since"][:runs] = _places(targets.since, first[:-1])
-        pieces["targets"][:runs] = _places(targets.q, first[:-1])
-        pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
+        if targets is not None:
+            first = targets.first[: runs + 1]
+            pieces["since"][:runs] = _places(targets.since, first[:-1])
+            pieces["targets"][:runs] = _places(targets.q, first[:-1])
+            pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
         given = JUDGES.pointer("judges_samples", pieces)
         if self._calls.judges_take(self._structs, runs, given):
             raise MemoryError("no memory for a requirement")

@@ -57,29 +57,37 @@ def write_report(
     results: Results,
     columns: pictures.Columns,
     summary: Summary,
-    finding: Finding | None = None,
+    findings: Sequence[Finding] = (),
 ) -> Path:
     """Write ``report.html`` and its pictures into the folder of the results; return the file.
 
     Args:
         campaign: which one.
         results: their folder.
-        columns: all columns of these, one run at least.
+        columns: all columns of these; without a run where the findings are of forks.
         summary: of these.
-        finding: of a search.
+        findings: of a search.
     """
     varying = [one.name for one in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
+    ranks = _ranks(columns, list(names))
     drawn: dict[str, bytes] = {}
     units = column_units(campaign)
-    if names:
+    if names and summary.count:
         drawn["margins"] = pictures.png(pictures.margins(columns, names, units))
-    if names and varying:
+    if names and varying and summary.count:
         drawn["influences"] = pictures.png(pictures.influences(columns, varying, names, units))
+    if len(varying) > 1 and summary.count:
+        order = _by_influence(columns, varying, list(names))
+        lines = pictures.coordinates(columns, order, columns[FAILED], ranks)
+        drawn["coordinates"] = pictures.png(lines)
+    for one in findings:
+        if one.bars and one.rows:
+            drawn[one.title.lower()] = pictures.png(pictures.bars_of(one))
     for name, content in drawn.items():
         write_whole(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
-    text = "\n".join(_page(campaign, summary, columns, drawn, finding))
+    text = "\n".join(_page(campaign, results, summary, columns, ranks, drawn, findings))
     write_whole(file, text)
     return file
 
@@ -108,32 +116,29 @@ def _by_influence(
 
 def _page(
     campaign: Campaign,
+    results: Results,
     summary: Summary,
     columns: pictures.Columns,
+    ranks: NDArray[np.int64],
     drawn: dict[str, bytes],
-    finding: Finding | None,
+    findings: Sequence[Finding],
 ) -> Iterable[str]:
     scenario, name = campaign.nominal[0], html_text(campaign.file.stem)
     yield f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
     yield f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>"
     method = campaign.search
     of_all = "" if method else f"of {campaign.count} "
-    yield f"<h1>{name}</h1><p class=lead>{summary.count} {of_all}runs of the scene "
+    runs = f"{summary.count} {of_all}runs" if summary.count else "Runs and forks of runs"
+    yield f"<h1>{name}</h1><p class=lead>{runs} of the scene "
     yield f"<b>{html_text(campaign.scene.name)}</b>, {scenario.seconds:g} s each; "
     how = f"searched by {method.kind}" if method else campaign.variation.sampling
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
-    yield from _cards(campaign, summary, columns)
-    if finding is not None:
-        yield from _finding(finding)
-    yield from _requirements(campaign, summary)
-    titles = {"margins": "Margins", "influences": "What moves the margins"}
-    for picture, content in drawn.items():
-        data = base64.b64encode(content).decode()
-        yield f"<h2>{titles[picture]}</h2><div class=scroll><img alt='{titles[picture]}' "
-        yield f"src='data:image/png;base64,{data}'></div>"
-    yield from _worst(campaign, columns)
-    if campaign.search is None:
-        yield from _quantiles(summary)
+    if summary.count:
+        yield from _cards(campaign, summary, columns)
+    for one in findings:
+        yield from _finding(one)
+    if summary.count:
+        yield from _of_runs(campaign, results, summary, columns, ranks, drawn)
     yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
     yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
 
@@ -154,8 +159,34 @@ def _cards(campaign: Campaign, summary: Summary, columns: pictures.Columns) -> I
     yield "</div>"
 
 
+def _of_runs(
+    campaign: Campaign,
+    results: Results,
+    summary: Summary,
+    columns: pictures.Columns,
+    ranks: NDArray[np.int64],
+    drawn: dict[str, bytes],
+) -> Iterable[str]:
+    yield from _requirements(campaign, summary)
+    titles = {
+        "sensitivity": "Sensitivity, drawn",
+        "margins": "Margins",
+        "influences": "What moves the margins",
+        "coordinates": "All that varies, run by run",
+    }
+    for picture, content in drawn.items():
+        data = base64.b64encode(content).decode()
+        yield f"<h2>{titles[picture]}</h2><div class=scroll><img alt='{titles[picture]}' "
+        yield f"src='data:image/png;base64,{data}'></div>"
+    yield from _worst(campaign, columns, ranks)
+    if campaign.search is None:
+        yield from _quantiles(summary)
+
+
 def _finding(one: Finding) -> Iterable[str]:
     yield f"<h2>{html_text(one.title)}</h2><p>{html_text(one.about)}</p>"
+    if not one.rows:
+        return
     words = [isinstance(entry, str) for entry in one.rows[0]]
     kinds = ["" if word else " class=n" for word in words]
     yield "<div class=scroll><table><tr>"
@@ -205,7 +236,9 @@ def _bar(one: Share, scale: float) -> str:
     )
 
 
-def _worst(campaign: Campaign, columns: pictures.Columns) -> Iterable[str]:
+def _worst(
+    campaign: Campaign, columns: pictures.Columns, ranks: NDArray[np.int64]
+) -> Iterable[str]:
     varying = [one.name for one in campaign.variation.numbers]
     margins = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     shown = _by_influence(columns, varying, list(margins))[:5]
@@ -220,7 +253,7 @@ def _worst(campaign: Campaign, columns: pictures.Columns) -> Iterable[str]:
         unit = f" [{units[name]}]" if units[name] else ""
         yield f"<th class=n>{html_text(head + unit)}"
     yield "<th>drive it again</tr>"
-    for at in np.argsort(_ranks(columns, list(margins)), kind="stable")[:WORST]:
+    for at in np.argsort(ranks, kind="stable")[:WORST]:
         index = int(columns[INDEX][at])
         yield f"<tr><td class='n{' bad' if columns[FAILED][at] else ''}'>{index}"
         for name in margins:

@@ -144,18 +144,18 @@ class Results:
 
         # Its bytes first, so that nothing reads the structures of a damaged file.
         if part.stem.rpartition("-")[2] != checksum_of(part.read_bytes()):
-            return self._set_aside(part, "its bytes are not those that were written")
+            return self.set_aside(part, "its bytes are not those that were written")
         try:
             metadata = pq.read_schema(part).metadata or {}
         except (OSError, ValueError) as error:
-            return self._set_aside(part, f"it is no Parquet file: {error}")
+            return self.set_aside(part, f"it is no Parquet file: {error}")
         if metadata.get(b"campaign") != self.campaign.key.hex().encode():
-            return self._set_aside(part, "it is of another campaign")
+            return self.set_aside(part, "it is of another campaign")
         self._sound.add(part.name)
         return True
 
-    def _set_aside(self, file: Path, reason: str) -> bool:
-        """Move a part that cannot be counted into a folder of its own, and warn; return False."""
+    def set_aside(self, file: Path, reason: str) -> bool:
+        """Move a file that cannot be counted into a folder of its own, and warn; return False."""
         aside = self.folder / ASIDE
         aside.mkdir(exist_ok=True)
         file.replace(aside / file.name)

@@ -18,13 +18,18 @@ from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import case_at
 from arm_emulator.campaign.crew import Crew, Pool, Progress, Work
 from arm_emulator.campaign.executor import failures_in
-from arm_emulator.campaign.results import INDEX, ROBUSTNESS, Results, chunks_of
+from arm_emulator.campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.worker import Done, simulate
 from arm_emulator.machine.chain import Array
 
 FOUND = "search.json"
 LEAST = "any requirement"
+
+
+def write_findings(results: Results, found: Sequence[Finding]) -> None:
+    """Write what a search has found beside the results."""
+    write_whole(results.folder / FOUND, json.dumps([asdict(one) for one in found], indent=1))
 
 
 class Searcher:
@@ -43,6 +48,8 @@ class Searcher:
         assert campaign.search is not None
         self._campaign, self._results, self._method = campaign, results, campaign.search
         self._crew = crew
+        self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
+        self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
         self._varying = [one.name for one in campaign.variation.numbers]
         self._next = 0
         columns = self._read()
@@ -51,26 +58,31 @@ class Searcher:
         self._progress = Progress(count, len(self._known), failures=failures)
         self._work = Work(campaign, crew, self._progress)
 
-    def run(self) -> Finding:
+    def run(self) -> list[Finding]:
         """Search to the end; return what was found, which is written beside the results, too.
 
         Raises:
             Refusal: a run that is not taken, or workers that end again and again.
             KeyboardInterrupt: after what was done has been written.
         """
-        requirements, of = [*self._campaign.requirements], self._method.of
-        columns = [requirements.index(of)] if of else slice(None)
-        seed = int.from_bytes(self._campaign.key[16:24])
-        course = self._method.course(len(self._varying), of or LEAST, seed)
+        requirements, seed = self._campaign.requirements, int.from_bytes(self._campaign.key[16:24])
+        names = self._outputs if self._method.every else [self._method.of or LEAST]
+        names = [name.removeprefix(ROBUSTNESS) for name in names]
+        course = self._method.course(self._varying, names, seed)
         try:
             points = next(course)
             while True:
-                points = course.send(self._batch(points)[:, columns].min(axis=1))
+                outputs = self._batch(points)
+                if not self._method.every:
+                    of = [*requirements].index(self._method.of) if self._method.of else None
+                    margins = outputs[:, : len(requirements)]
+                    outputs = (margins.min(axis=1) if of is None else margins[:, of])[:, None]
+                points = course.send(outputs)
         except StopIteration as end:
-            found: Finding = end.value
+            found: list[Finding] = end.value
         finally:
             self._work.end()
-        write_whole(self._results.folder / FOUND, json.dumps([asdict(found)], indent=1))
+        write_findings(self._results, found)
         return found
 
     def _read(self) -> dict[str, NDArray[Any]]:
@@ -78,28 +90,27 @@ class Searcher:
         columns = self._results.columns()
         self._known = {int(index): place for place, index in enumerate(columns[INDEX])}
         self._values = np.column_stack([columns[name] for name in self._varying])
-        margins = [columns[f"{ROBUSTNESS}{name}"] for name in self._campaign.requirements]
-        self._of_known = np.column_stack(margins)
+        self._of_known = np.column_stack([columns[name] for name in self._outputs])
         return columns
 
     def _batch(self, points: Array) -> Array:
-        """Return the margins of the runs at some points (K, R)."""
+        """Return the outputs of the runs at some points (K, M)."""
         first, self._next = self._next, self._next + len(points)
-        margins = np.full((len(points), len(self._campaign.requirements)), math.nan)
+        outputs = np.full((len(points), len(self._outputs)), math.nan)
 
         def missing(killed: int) -> list[tuple[int, int]]:
             if killed:
                 self._read()
-            return self._fill(first, points, margins)
+            return self._fill(first, points, outputs)
 
         def work(pool: Pool, left: Sequence[tuple[int, int]], _: int) -> None:
-            self._simulate(pool, first, points, left, margins)
+            self._simulate(pool, first, points, left, outputs)
 
         self._work.complete(missing, work)
-        return margins
+        return outputs
 
-    def _fill(self, first: int, points: Array, margins: Array) -> list[tuple[int, int]]:
-        """Fill in margins that are known; return the runs that are missing, as ranges."""
+    def _fill(self, first: int, points: Array, outputs: Array) -> list[tuple[int, int]]:
+        """Fill in outputs that are known; return the runs that are missing, as ranges."""
         gaps: list[tuple[int, int]] = []
         for k, point in enumerate(points):
             index = first + k
@@ -113,7 +124,7 @@ class Searcher:
                 rule = "have runs of this search, by the same versions of its packages"
                 folder = f"folder {self._results.folder}"
                 raise Refusal("campaign", folder, rule, f"another run {index}", "--into FOLDER")
-            margins[k] = self._of_known[place]
+            outputs[k] = self._of_known[place]
         return gaps
 
     def _simulate(
@@ -122,7 +133,7 @@ class Searcher:
         first: int,
         points: Array,
         missing: Sequence[tuple[int, int]],
-        margins: Array,
+        outputs: Array,
     ) -> None:
         """Simulate what is missing of a batch."""
         campaign, folder = self._campaign, str(self._results.folder.absolute())
@@ -136,7 +147,7 @@ class Searcher:
         for one in cf.as_completed(waiting):
             done = one.result()
             at = waiting[one] - first
-            assert done.margins is not None
-            margins[at : at + done.runs] = done.margins
+            assert done.outputs is not None
+            outputs[at : at + done.runs] = done.outputs
             self._progress.add(done)
             self._crew.report(self._progress)

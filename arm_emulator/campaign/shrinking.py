@@ -174,7 +174,7 @@ def _campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]
         for key, value in campaign.data.items()
         if key not in ("vary", "correlate", "sampling", "search", "stop", "measures", "count")
     }
-    beside = campaign.file.parent
+    beside, period = campaign.file.parent, campaign.scene.servo_period
 
     def seen(name: str) -> str:
         return path_from(folder, beside / name) if (beside / name).is_file() else name
@@ -192,7 +192,12 @@ def _campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]
         file, _, function = str(requirement["python"]).partition(":")
         requirement = {**requirement, "python": f"{seen(file)}:{function}"}
     data["requirements"] = {found.requirement: requirement}
-    data["faults"] = {name: campaign.data["faults"][name] for name in found.faults}
+    noise = {
+        f"noise_{k}": {"kind": "number", "name": "seed", "value": seed, "at": tick * period}
+        for k, (tick, seed) in enumerate(found.case.reseeds)
+        if tick * period < found.seconds
+    }
+    data["faults"] = {name: campaign.data["faults"][name] for name in found.faults} | noise
     vary = dict(found.changes)
     if campaign.scene.sensed and "seed" not in vary:
         vary["seed"] = found.case.seed

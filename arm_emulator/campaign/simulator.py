@@ -18,7 +18,7 @@ from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
 from arm_emulator.campaign.signals import Sampler
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.change import Change
+from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
@@ -219,7 +219,7 @@ class BoundCase(NamedTuple):
 
     Attributes:
         scenario, servo: of this run.
-        changes: what its faults set, with the ticks before which that happens, ascending.
+        changes: what its faults and forks set, with the ticks before which that happens, ascending.
         last: tick at which it ends.
     """
 
@@ -240,6 +240,9 @@ def bound(campaign: Campaign, case: Case) -> BoundCase:
     scenario, faults, servo = given
     there = [fault for name, fault in faults.items() if name not in case.without]
     changes = changes_of(there, campaign.scene, case.values) if there else []
+    noise: list[tuple[int, Change]]
+    noise = [(tick, NumberChange("seed", seed)) for tick, seed in case.reseeds]
+    changes = sorted(noise + changes, key=lambda one: one[0])
     seconds = min(case.seconds, scenario.seconds)
     last = max(1, ticks_of(seconds, campaign.scene.servo_period))
     return BoundCase(scenario, servo, changes, last)

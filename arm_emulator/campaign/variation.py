@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from scipy.stats import qmc
 
 Array = NDArray[np.float64]
-SAMPLINGS = ("random", "sobol")
+SAMPLINGS = ("random", "sobol", "latin")
 MOST_SOBOL = 21_201  # dimensions that SciPy has directions for
+LARGEST_LATIN = 5 * 10**7  # numbers of a Latin hypercube, which every worker holds
 _FIRST, _LAST = 2.0**-54, 1.0 - 2.0**-53
 
 
@@ -41,18 +42,21 @@ class Variation:
         numbers: that vary, in a fixed order.
         sampling: one of `SAMPLINGS`.
         key: of the campaign, 32 bytes.
+        count: of runs, which a Latin hypercube divides.
         correlation: of the normal scores of the numbers (D, D); None: they are independent.
         where: for refusals.
 
     Raises:
-        Refusal: correlations that contradict each other, or too many numbers for Sobol's sequence.
+        Refusal: correlations that contradict each other, or too many numbers for a sampling.
     """
 
     numbers: Sequence[Varying]
     sampling: str
     key: bytes
+    count: int
     correlation: Array | None = None
     where: str = "campaign"
+    _cube: Array | None = field(default=None, repr=False)
     _sobol: tuple[int, qmc.Sobol] | None = field(default=None, repr=False)
     _newest: tuple[int, list[float]] = field(default=(-1, []), repr=False)
 
@@ -62,8 +66,11 @@ class Variation:
         self._free = [place for place in range(len(self.numbers)) if place not in grids]
         D = len(self._free)
         if self.sampling == "sobol" and D > MOST_SOBOL:
-            rule = f"be random with more than {MOST_SOBOL} numbers"
+            rule = f"be random or latin with more than {MOST_SOBOL} numbers"
             raise Refusal(self.where, "sampling", rule, "sobol")
+        if self.sampling == "latin" and D * self.count > LARGEST_LATIN:
+            rule = f"be random or sobol with more than {LARGEST_LATIN:g} numbers in all"
+            raise Refusal(self.where, "sampling", rule, f"latin, {D * self.count}")
         self._mixed = None if self.correlation is None else self._root(self.correlation)
         self._key = int.from_bytes(self.key[:16], "little")
         alone = np.eye(len(self.numbers))
@@ -145,6 +152,14 @@ class Variation:
             return []
         if self.sampling == "sobol":
             return self._sobol_point(index, D)
+        if self.sampling == "latin" and index < self.count:
+            if self._cube is None:
+                from scipy.stats import qmc  # takes long to import
+
+                cube = qmc.LatinHypercube(D, seed=self._of_all())
+                self._cube = cube.random(self.count)
+            row: list[float] = self._cube[index].tolist()
+            return row
         return self.uniforms(index)[:D]
 
     def _sobol_point(self, index: int, D: int) -> list[float]:
@@ -152,14 +167,16 @@ class Variation:
         if sequence is None or at > index:
             from scipy.stats import qmc  # takes long to import
 
-            # The random numbers that all runs share.
-            rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
-            at, sequence = 0, qmc.Sobol(D, scramble=True, seed=rng)
+            at, sequence = 0, qmc.Sobol(D, scramble=True, seed=self._of_all())
         if index > at:
             sequence.fast_forward(index - at)
         point: list[float] = sequence.random(1)[0].tolist()
         self._sobol = index + 1, sequence
         return point
+
+    def _of_all(self) -> np.random.Generator:
+        """Return the random numbers that all runs share."""
+        return np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
 
 
 def _root_of_dependent(matrix: Array) -> Array:

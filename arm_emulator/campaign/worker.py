@@ -35,14 +35,14 @@ class Done(NamedTuple):
         failures: of each requirement, and of any of them last (R + 1,).
         seconds: of this process that they took.
         whole: whether all runs of the chunk are done.
-        margins: of each run and requirement, if they are of a search (K, R).
+        outputs: robustness and measures of each run, if it is one of a search (K, M).
     """
 
     runs: int
     failures: tuple[int, ...]
     seconds: float
     whole: bool
-    margins: Array | None = None
+    outputs: Array | None = None
 
 
 def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | RunsInLanes]:
@@ -112,7 +112,7 @@ def simulate(
     if done is not None:
         broken = np.count_nonzero(~(done.robustness >= 0.0), axis=0)
         failures, runs = (*broken.tolist(), int(np.count_nonzero(done.failed))), len(done)
-        found = done.robustness
+        found = np.hstack([done.robustness, done.measures])
     spent = time.process_time() - began
     return Done(runs, failures, spent, runs == end - first, None if points is None else found)
 

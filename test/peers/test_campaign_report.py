@@ -29,4 +29,4 @@ def test_the_report_is_as_wide_as_a_phone(tmp_path):
         page.goto(file.as_uri())
         assert page.evaluate("document.documentElement.scrollWidth") == NARROW
         pictures = page.evaluate("[...document.images].map(one => one.width)")
-        assert len(pictures) == 2 and min(pictures) >= 700, "legible; they scroll in their frames"
+        assert len(pictures) == 3 and min(pictures) >= 700, "legible; they scroll in their frames"

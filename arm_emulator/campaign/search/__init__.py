@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from arm_emulator.base.section import Section
 from arm_emulator.base.wheel import need_wheel
-from arm_emulator.campaign.search.falsification import CmaEs
+from arm_emulator.campaign.search.falsification import Bayes, CmaEs
 from arm_emulator.campaign.search.method import Method
+from arm_emulator.campaign.search.sensitivity import Morris, Sobol
+from arm_emulator.campaign.search.splitting import Splitting
 from arm_emulator.campaign.search.subset import Subset
 from arm_emulator.campaign.variation import Variation
 
-METHODS: dict[str, type[Method]] = {one.kind: one for one in (CmaEs, Subset)}
+METHODS: dict[str, type[Method]] = {
+    one.kind: one for one in (CmaEs, Bayes, Sobol, Morris, Subset, Splitting)
+}
 
 
 def read_method(root: Section, variation: Variation) -> Method | None:
@@ -31,8 +35,9 @@ def read_method(root: Section, variation: Variation) -> Method | None:
     names = [] if known is None else known.keys()
     if not names:
         raise section.refusal("method", "have a requirement to search for", "none")
-    if of and of not in names:
-        raise section.refusal("of", "name a requirement that is searched for", of, ", ".join(names))
+    if of and (of not in names or kind.every):
+        valid = "no `of`: it judges all" if kind.every else ", ".join(names)
+        raise section.refusal("of", "name a requirement that is searched for", of, valid)
     found = kind(of=of, **section.numbers(kind))
     found.check(section, variation)
     section.finish()

@@ -15,7 +15,7 @@ and how far repetitions differ gives the interval: nothing about the chains need
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -24,28 +24,21 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
-from arm_emulator.campaign.intervals import of_repetitions
-from arm_emulator.campaign.search.method import Course, Finding, Method
+from arm_emulator.campaign.search.by_levels import ByLevels
+from arm_emulator.campaign.search.method import Course, Finding
 from arm_emulator.campaign.variation import Variation
 from arm_emulator.machine.chain import Array
 
-MOST_LEVELS = 40
 ACCEPTED = 0.44  # share of candidates at which chains forget soonest
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subset(Method):
+class Subset(ByLevels):
     """Subset simulation: probabilities of failures too rare to be sampled, with their interval."""
 
     kind: ClassVar[str] = "subset"
+    most_levels = 40
 
-    repetitions: float = number(
-        ends=(4, 1000), whole=True, default=10, text="independent ones, for the interval"
-    )
-    confidence: float = number(above=0.5, at_most=0.999999, default=0.95, text="of the interval")
-    least: float = number(
-        above=0.0, at_most=0.1, default=1e-12, text="probability below which it gives up"
-    )
     per_level: float = number(
         ends=(20, 10**7), whole=True, default=1000, text="runs of a level, a repetition"
     )
@@ -68,21 +61,16 @@ class Subset(Method):
         """Return how many runs it takes at most."""
         return int((self.repetitions + 2) * self.per_level) * (self._levels + 1)
 
-    @property
-    def _levels(self) -> int:
-        """Levels after which a repetition gives up."""
-        return min(MOST_LEVELS, math.ceil(math.log(self.least) / math.log(self.share)))
-
-    def course(self, D: int, of: str, seed: int) -> Course:
+    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
-        rng, N = np.random.default_rng(seed), int(self.per_level)
+        rng, D, N = np.random.default_rng(seed), len(names), int(self.per_level)
         chains = round(self.share * N)
         levels, found, runs = yield from self._pilot(rng, D, N, chains)
         if not found:
-            return self._finding(of, np.zeros(0), runs)
+            return [self._finding(outputs[0], np.zeros(0), runs)]
         K = int(self.repetitions)
         z = rng.standard_normal((K, N, D))
-        margins = (yield z.reshape(-1, D)).reshape(K, N)
+        margins = (yield z.reshape(-1, D))[:, 0].reshape(K, N)
         p, runs = np.ones(K), runs + K * N
         for level, scale in levels:
             below = margins <= level
@@ -96,14 +84,14 @@ class Subset(Method):
             z[going], margins[going], _ = yield from _chains(now, of_now, level, scale, N, rng)
             runs += len(going) * (N - chains)
         p *= np.mean(margins < 0.0, axis=1)
-        return self._finding(of, p, runs)
+        return [self._finding(outputs[0], p, runs)]
 
     def _pilot(
         self, rng: np.random.Generator, D: int, N: int, chains: int
     ) -> Generator[Array, Array, tuple[list[tuple[float, float]], bool, int]]:
         """Return levels with scales of their chains, whether they reach failures, and the runs."""
         z = rng.standard_normal((1, N, D))
-        margins = (yield z[0])[None]
+        margins = (yield z[0])[:, 0][None]
         levels, scale, runs = list[tuple[float, float]](), 0.6, N
         while np.count_nonzero(margins < 0.0) < chains:
             order = np.argsort(margins[0], kind="stable")[:chains]
@@ -121,23 +109,9 @@ class Subset(Method):
         return levels, True, runs
 
     def _finding(self, of: str, p: Array, runs: int) -> Finding:
-        """Return the probability of a failure by that of each repetition.
-
-        Args:
-            of: the requirement.
-            p: of the repetitions; none: no level led to a failure.
-            runs: of all.
-        """
-        mean, (low, high) = 0.0, (0.0, 1.0)
-        about = f"No level reached a failure of {of}: rarer than `least`, or impossible."
-        if len(p):
-            mean, (low, high) = float(np.mean(p)), of_repetitions(p, self.confidence)
-            about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
-            if lost := int(np.count_nonzero(p == 0.0)):
-                about += f" {lost} found no failure: take more runs per level."
-        percent = f"{100 * self.confidence:g} %"
-        head = "requirement", "probability", f"low end ({percent})", f"high end ({percent})", "runs"
-        return Finding("Rare failures", about, head, ((of, mean, low, high, runs),))
+        about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
+        nothing = f"No level reached a failure of {of}: rarer than `least`, or impossible."
+        return self._found(of, p.tolist(), runs, about, nothing)
 
 
 def _chosen(places: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -162,7 +136,7 @@ def _chains(
     for _ in range(-(-N // n) - 1):
         x = rng.standard_normal(now.shape)
         candidates = math.sqrt(1.0 - scale * scale) * now + scale * x
-        found = (yield candidates.reshape(-1, D)).reshape(K, n)
+        found = (yield candidates.reshape(-1, D))[:, 0].reshape(K, n)
         below = found <= level
         now = np.where(below[:, :, None], candidates, now)
         of_now = np.where(below, found, of_now)

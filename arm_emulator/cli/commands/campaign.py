@@ -7,9 +7,9 @@ import itertools
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +25,7 @@ from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, case_with, drawn_case
 from arm_emulator.campaign.crew import Crew, Pool, Progress
 from arm_emulator.campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
+from arm_emulator.campaign.forking import forked_case
 from arm_emulator.campaign.judges import statements_about_the_start
 from arm_emulator.campaign.lanes import runs_of
 from arm_emulator.campaign.outcome import Outcome
@@ -34,6 +35,7 @@ from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.searcher import Searcher
 from arm_emulator.campaign.shrinking import shrink, write_shrunk
 from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.splitter import Splitter, failed_forks
 from arm_emulator.campaign.summary import Summary, summary_of
 from arm_emulator.cli.case_bag import check_new_bag, write_case_bag
 from arm_emulator.cli.command import command
@@ -114,21 +116,21 @@ def campaign(
     if dry:
         return 0
     results = Results(into, one)
-    interrupted, found = _simulate(one, results, dask, workers, seconds)
+    interrupted, findings = _simulate(one, results, dask, workers, seconds)
     columns = results.columns()
     summary = summary_of(one, columns)
     if one.search is None:
         _print(summary, digest_of(columns), results.folder)
     else:
-        print_finding(found, digest_of(columns), summary.count, results.folder)
-    if summary.count:
-        output.line(f"report  {write_report(one, results, columns, summary, found)}")
+        print_findings(findings, digest_of(columns), summary.count, results.folder)
+    if summary.count or findings:
+        output.line(f"report  {write_report(one, results, columns, summary, findings)}")
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
         return 130
     fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
     missed = f"the only run fails {', '.join(fails)}" if fails and one.search is None else ""
-    if not summary.count:
+    if not summary.count and not findings:
         missed = "it has ended before the first run"
     return output.judge("campaign", missed)
 
@@ -164,7 +166,7 @@ def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
 
 def _simulate(
     one: Campaign, results: Results, dask: str | None, workers: int | None, seconds: float
-) -> tuple[bool, Finding | None]:
+) -> tuple[bool, list[Finding]]:
     """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
     # One that was killed may take its time to be there again.
     patience = itertools.chain([PATIENCE], itertools.repeat(60.0))
@@ -177,12 +179,14 @@ def _simulate(
     with _shown() as report:
         crew = Crew(pool, seconds, report)
         try:
+            if one.search is not None and one.search.forks:
+                return False, Splitter(one, results, crew).run()
             if one.search is not None:
                 return False, Searcher(one, results, crew).run()
             run_campaign(one, results, crew)
         except KeyboardInterrupt:
-            return True, None
-    return False, None
+            return True, []
+    return False, []
 
 
 @contextmanager
@@ -299,7 +303,14 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     if not (into / ABOUT).is_file():
         rule = "have the search's runs, from which one is taken"
         raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
-    columns = Results(into, one).columns()
+    results = Results(into, one)
+    if one.search.forks:
+        failures = failed_forks(results)
+        if index >= len(failures):
+            valid = f"0 to {len(failures) - 1}" if failures else None
+            raise Refusal("campaign", option, "be a failure of the search", index, valid)
+        return replace(forked_case(one, failures[index]), index=index)
+    columns = results.columns()
     places = np.flatnonzero(columns[INDEX] == index)
     if not len(places):
         count = len(columns[INDEX])
@@ -328,14 +339,15 @@ def record_case(simulator: Simulator, case: Case, kept: Kept, page: str | None =
             stay()
 
 
-def print_finding(found: Finding | None, digest: str, count: int, folder: Path) -> None:
-    """Print what a search found; None: it was interrupted."""
-    if found is not None:
-        output.line(found.about)
-        output.table(found.head, found.texts(), left=len(found.head))
+def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:
+    """Print what a search found."""
+    for one in findings:
+        output.line(one.about)
+        if one.rows:
+            output.table(one.head, one.texts(), left=len(one.head))
     output.line(f"digest  {digest}")
     output.facts({
-        "findings": [] if found is None else [asdict(found)], "count": count, "digest": digest,
+        "findings": [asdict(one) for one in findings], "count": count, "digest": digest,
         "results": str(folder),
     })  # fmt: skip
 

@@ -37,6 +37,7 @@ NEEDED = (
 )  # fmt: skip
 # Modules that some commands need.
 EXTRAS = {
+    "SALib": "sensitivities of campaigns",
     "can": "`canopen`",
     "cma": "`campaign` with the search cma-es",
     "distributed": "`campaign --dask`",
@@ -44,6 +45,7 @@ EXTRAS = {
     "lz4": "bags that are compressed so",
     "matplotlib": "pictures of `bode`, `tune`, `identify`, `campaign`",
     "mcap": "`--record` and bags",
+    "optuna": "`campaign` with the search bayes",
     "pyarrow": "campaigns, and records as .parquet",
     "rerun": "`--rerun`, `demo`",
     "rosbags": "bags",
