@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from pathlib import Path
 
 import pytest
 from draws import FULL
 
-from bench.fault_matrix import Row, draw, fault_matrix, worst_by_kind
+from arm_emulator.campaign.fault_matrix import Row, draw, fault_matrix, worst_by_kind, write_csv
 
 ROWS = [
     Row("a.x", "x", 1.0, "1", "nobody", math.nan, 0.01),
@@ -17,9 +18,15 @@ ROWS = [
 ]
 
 
-def test_the_worst_of_each_kind_and_their_picture(tmp_path: Path) -> None:
+def test_the_worst_of_each_kind_and_files(tmp_path: Path) -> None:
     assert worst_by_kind(ROWS) == [ROWS[2], ROWS[1]]
-    assert draw(ROWS, tmp_path).read_bytes()[:4] == b"\x89PNG"
+    write_csv(ROWS, tmp_path / "rows.csv")
+    with (tmp_path / "rows.csv").open() as file:
+        found = list(csv.DictReader(file))
+    assert [one["fault"] for one in found] == ["a.x", "b.x", "a.y"]
+    assert float(found[1]["travel"]) == 0.02
+    draw(ROWS, "rows", tmp_path / "rows.png")
+    assert (tmp_path / "rows.png").read_bytes()[:4] == b"\x89PNG"
 
 
 @pytest.mark.skipif(not FULL, reason="a machine with all faults compiles for 13 s")

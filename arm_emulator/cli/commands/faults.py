@@ -1,16 +1,34 @@
-"""List the faults that a scene may have."""
+"""List the faults that a scene may have, or try each of them."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.campaign.fault_matrix import draw, fault_matrix, worst_by_kind, write_csv
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.scene import load_scene
 
 
-@command(keys="`scene`, `faults`")
-def faults(scene: SceneName = "three_axis", /) -> int:
-    """List the faults that a scene may have, and which of them it lists."""
+@command(keys="`scene`, `faults`; with the option matrix `matrix`")
+def faults(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    matrix: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+) -> int:
+    """List the faults that a scene may have, and which of them it lists.
+
+    Args:
+        matrix: try each fault in a move of the tool; write who detects it, after how long, and how
+            far the tool leaves its way meanwhile, as CSV and as a picture.
+    """
+    if matrix is not None:
+        return _try_faults(scene, matrix)
     machine = load_scene(scene)
     if not machine.faults:
         machine = load_scene(scene, {"faults": []})
@@ -42,4 +60,19 @@ def faults(scene: SceneName = "three_axis", /) -> int:
             ],
         }
     )  # fmt: skip
+    return 0
+
+
+def _try_faults(scene: str, folder: Path) -> int:
+    """Try each fault, write the matrix, and print the worst joint of each kind."""
+    rows = fault_matrix(scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_csv(rows, folder / "faults.csv")
+    draw(rows, f"Faults of {Path(scene).stem} in a move of 71 mm", folder / "faults.png")
+    for one in worst_by_kind(rows):
+        after = "" if one.after != one.after else f" after {1e3 * one.after:.0f} ms"
+        found = f"{one.detected_by}{after}"
+        output.line(f"{one.fault:<40} {found:<32} tool {1e3 * one.travel:.3g} mm off its way")
+    output.line(f"matrix  {folder / 'faults.csv'}, {folder / 'faults.png'}")
+    output.facts({"scene": scene, "matrix": rows})
     return 0
