@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Diverged, OfflineRun, Pose, load_gains, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.machine.chain import Array
 from bench.measure import progress
 from bench.origins import Origin, origins
 from bench.tables import table

@@ -22,16 +22,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator import Refusal, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.runs.table_run import load_table_run
 from bench.measure import progress
 from bench.tables import table
 
 TITLE = "Programs beside MuJoCo's"
 
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"

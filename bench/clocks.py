@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import load_gains, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.busy import busy_processes
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.chain import Array
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Refusal, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification import inertia
 from arm_emulator.identification.found import numbers_found
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
@@ -22,7 +23,6 @@ from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
 from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.friction import RotorFriction

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator import Fleet, Plant, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import Task, interleaved, progress
@@ -25,7 +25,6 @@ from oracles.reference import reference
 
 TITLE = "Many arms"
 
-Array = NDArray[np.float64]
 
 COUNT = 64  # arms
 ARMS = ("three_axis", "ur5", "panda")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from arm_emulator.base.arrays import Array
 
 SERVO_PERIOD = 1e-3  # s
 AMPLITUDE = 12.0  # V, a quarter of the scenes' supply

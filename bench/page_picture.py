@@ -19,8 +19,8 @@ import yaml
 
 from arm_emulator import OfflineRun, Pose, Refusal, Timeline
 from arm_emulator.analysis.torque_terms import TermsNow
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.chain import Array
 from arm_emulator.page.run_page import RunPage
 from arm_emulator.page.subject import Subject
 from arm_emulator.ros.bringup import Bringup

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Plant, Pose, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.runs.offline import load_offline_run
 from bench.bare import BARE
 from bench.measure import Task, compile_all, interleaved, progress
-from bench.motion import Array
 from bench.tables import table
 
 TITLE = "A step of each scene as shipped"

@@ -12,9 +12,10 @@ import pinocchio as pin
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.measure import compile_all, side_by_side
-from bench.motion import Array, sines
+from bench.motion import sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
 from bench.pictures import new_figure, save
 from bench.tables import table

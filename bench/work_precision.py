@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Plant, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.measure import (
@@ -22,7 +23,7 @@ from bench.measure import (
     timing,
     without_collector,
 )
-from bench.motion import SERVO_PERIOD, Array, sines
+from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of
 from bench.work_precision_report import FROM_PYTHON, INPUTS, draw, report
 from oracles.reference import reference

@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.task import Future
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.follow_goal import result_of
 from arm_emulator.motion.motion_report import Kind, MotionReport
@@ -61,7 +61,7 @@ class FollowAction:
                 ended.set_result(report)
 
     def feed_back(
-        self, stamp: Any, names: list[str], instruction: Instruction, q: FloatArray, v: FloatArray
+        self, stamp: Any, names: list[str], instruction: Instruction, q: Array, v: Array
     ) -> None:
         """Publish how the arm follows the active goals."""
         for goal, ended in self._goals.values():

@@ -28,8 +28,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
@@ -373,15 +373,13 @@ class MotionControllerNode(ManagedNode):
         else:
             self._diagnostics.count("joint_states of an earlier time, without a reset")
 
-    def _loads(self, message: JointState) -> FloatArray | None:
+    def _loads(self, message: JointState) -> Array | None:
         """Return the loads of the motors; None of other servos: some have amperes as `effort`."""
         if not self._servo_reports:
             return None
         return self._optional(message, message.effort, EFFORT)
 
-    def _optional(
-        self, message: JointState, given: Sequence[float], bound: Number
-    ) -> FloatArray | None:
+    def _optional(self, message: JointState, given: Sequence[float], bound: Number) -> Array | None:
         """Return measured speeds or loads; None if they are missing or not sound."""
         try:
             if given:

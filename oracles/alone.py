@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from arm_emulator import Diverged, Scene, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_motor import CurrentMotor

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.count import check_count
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 _STEPS = Number.within("step_response", "", 1e3)
 SMALL = 0.02  # of the way: errors below count no more
 
 
-def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> FloatArray:
+def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> Array:
     """Return the error of the tool after each instruction of eq. (6), in parts of its way.
 
     Let S_m be the part of a step of its target that the servo has gone m motion periods later,

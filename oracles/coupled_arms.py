@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from oracles.own_robots import Part, serial
 
 GRAVITY = (0.4, -1.1, -9.7)

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.scene import Scene
 from oracles.reference import ROWS, STIFF, ReferenceMachine
 

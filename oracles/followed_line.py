@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator import OfflineRun, Pose, Scene, load_gains, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.new_scene import known_drives
-from arm_emulator.machine.chain import Array
 from arm_emulator.motion.controller import controller_for
 from arm_emulator.motion.elastic_arm import ElasticArm
 from arm_emulator.motion.link_torques import LinkTorques

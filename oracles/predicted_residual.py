@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import LARGEST_COUNT, POSITION
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.pose import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 _Q = POSITION.named("q")
 _COUNT = POSITION.named("count_angle")
@@ -28,13 +27,13 @@ class PredictedResidual:
     Rows as the task: translation [m], then rotation [rad].
     """
 
-    encoder: FloatArray
+    encoder: Array
     """Largest deviation of either sign that the encoders' resolution leaves, (rows,), >= 0."""
-    wind_up: FloatArray
+    wind_up: Array
     """Deviation by the gears' wind-up, with its sign, (rows,); 0 where it was not asked for."""
 
     @property
-    def total(self) -> FloatArray:
+    def total(self) -> Array:
         """Bound on the size of the whole deviation, (rows,)."""
         return self.encoder + np.abs(self.wind_up)
 
@@ -119,7 +118,7 @@ def predicted_residual(
     )
 
 
-def _times_held(controller: Controller, q: FloatArray) -> float:
+def _times_held(controller: Controller, q: Array) -> float:
     """Return a joint's largest deviation at rest, relative to the servo's range."""
     if not isinstance(controller, JacobianController):
         return 1.0

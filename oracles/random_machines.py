@@ -24,7 +24,7 @@ import pinocchio as pin
 import yaml
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
 from oracles.event_reference import reference_with_events
 from oracles.random_chain import random_chain_urdf

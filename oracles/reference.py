@@ -16,8 +16,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop

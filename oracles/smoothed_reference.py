@@ -20,7 +20,7 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Refusal, Scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake

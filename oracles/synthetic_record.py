@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 

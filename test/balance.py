@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant import Plant
 
 

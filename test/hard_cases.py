@@ -20,8 +20,8 @@ import pinocchio as pin
 import yaml
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from oracles.reference import links_model, reference
 

@@ -13,7 +13,7 @@ from machines import LINK_INERTIA, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from oracles.random_chain import LINK
 
 RATIO = 0.05

@@ -14,7 +14,6 @@ import pytest
 from draws import FULL, some
 from in_process import in_process
 from machines import CONFIG, GANTRY, PMSM, ROTOR, gantry_urdf, write_scene
-from numpy.typing import NDArray
 from test_written_integrator import add_demo, run, scene_copy
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
@@ -22,6 +21,7 @@ from arm_emulator.analysis.advice import SHARE, Judge, advise, reserve, step_cou
 from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_motions
 from arm_emulator.analysis.stability import why
 from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
+from arm_emulator.base.arrays import Array
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.advise import advise as advise_scene
 from arm_emulator.cli.commands.advise import demo_commands, read_commands
@@ -30,7 +30,6 @@ from oracles.event_reference import reference_with_events
 from oracles.random_machines import machine
 from oracles.reference import reference
 
-Array = NDArray[np.float64]
 STEP = "step"
 
 

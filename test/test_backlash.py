@@ -11,7 +11,7 @@ from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 
 ROWS = 60
 

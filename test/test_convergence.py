@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array
 from arm_emulator.servo.drives import Drives, Target
 from oracles.convergence import convergence_factor, expected_errors
 

@@ -17,7 +17,7 @@ from test_fleet_calls import SENSED
 from test_fleet_step import LOCATED
 
 from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.external_wrench import AXES
 from arm_emulator.machine.scene_unit import scene_unit
 from oracles.reference import ROWS, ReferenceMachine

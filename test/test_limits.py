@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from arm_emulator import Plant, Scene, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from oracles.reference import reference
 

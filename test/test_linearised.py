@@ -13,17 +13,15 @@ import numpy as np
 import pytest
 import yaml
 from draws import some
-from numpy.typing import NDArray
 
 from arm_emulator import LinearMachine, Plant, Refusal, Scene, linearise, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from oracles.event_reference import MachineWithModes
 from oracles.reference import ReferenceMachine
-
-Array = NDArray[np.float64]
 
 # Without what the references do not have, see below for that.
 ROTORS = {f"joints.axis_{k}.motor.friction": None for k in range(1, 7)}

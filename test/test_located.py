@@ -12,7 +12,7 @@ from machines import LINK_INERTIA, one_link_urdf, write_scene
 from test_limits import drawn_joint, drawn_three_axis, limited_truth
 
 from arm_emulator import Plant, Refusal, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from oracles.reference import reference
 
 SECOND_ORDER = ["rosenbrock", "extrapolated"]

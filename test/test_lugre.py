@@ -12,7 +12,7 @@ from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Diverged, Plant, load_scene
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 PERIOD = 1e-2  # s, over which a voltage is held

@@ -14,9 +14,9 @@ from machines import LINK_INERTIA, moving_joints, one_link_urdf, random_chain_ur
 from scipy.special import ellipj, ellipk
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
+from arm_emulator.base.arrays import Array
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import CORE
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import FLAGS
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear

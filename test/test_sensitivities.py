@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from draws import FULL, some
 from machines import GANTRY, GRAVITY, gantry_urdf
-from numpy.typing import NDArray
 
 from arm_emulator import Plant, Refusal, Scene, load_scene, sensitivities
 from arm_emulator.analysis.sensitivities import (
@@ -23,12 +22,12 @@ from arm_emulator.analysis.sensitivities import (
     differentiable,
     numbers_of,
 )
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.varied import Varied
 from oracles.mixtures import PERIOD, commands, drawn_alone, write_mixture, write_scene
 
-Array = NDArray[np.float64]
 Parts = tuple[type[Part], ...]
 
 BESIDE = [(PARTS + PARTS)[k : k + 3] for k in range(0, len(PARTS), 3)]

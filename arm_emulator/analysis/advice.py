@@ -25,8 +25,8 @@ from arm_emulator.analysis.true_motion import (
     find_truth,
     is_confirmed,
 )
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.integrator import EVENTS, odds
 from arm_emulator.machine.plant import Plant

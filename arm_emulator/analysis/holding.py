@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.analysis.servo_loop import poses
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Scene

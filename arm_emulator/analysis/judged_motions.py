@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene

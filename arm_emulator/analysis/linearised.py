@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import Commands
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_machine import Equations
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, scene_of

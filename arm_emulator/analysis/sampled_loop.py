@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import linalg
 
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -28,12 +28,12 @@ class SampledPlant:
     current x + current_by_command V with the commands of the period that ends there.
     """
 
-    F: FloatArray  # (n, n)
-    G: FloatArray  # (n, N)
-    theta: FloatArray  # (N, n)
-    current: FloatArray  # (N, n)
-    current_by_command: FloatArray  # (N,)
-    q: FloatArray  # (N, n), link positions
+    F: Array  # (n, n)
+    G: Array  # (n, N)
+    theta: Array  # (N, n)
+    current: Array  # (N, n)
+    current_by_command: Array  # (N,)
+    q: Array  # (N, n), link positions
     period: float  # s
 
 
@@ -121,7 +121,7 @@ class SampledLoop:
         motion = vectors[:, int(np.argmax(np.abs(values)))]
         return int(np.argmax(np.abs(self._command @ motion)))
 
-    def sensitivities(self, count: int = _FREQUENCIES) -> tuple[FloatArray, ComplexArray]:
+    def sensitivities(self, count: int = _FREQUENCIES) -> tuple[Array, ComplexArray]:
         """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
 
         L is the loop opened at the joint's command, all other loops closed: by Schur's complement
@@ -149,7 +149,7 @@ class SampledLoop:
         w, S = self.sensitivities()
         return [_margins(w, one) for one in S.T]
 
-    def step(self, joint: int, rows: int, every: int = 1) -> FloatArray:
+    def step(self, joint: int, rows: int, every: int = 1) -> Array:
         """Return the response of the link positions to a joint's unit target.
 
         Args:
@@ -169,11 +169,11 @@ class SampledLoop:
         x[size] = 1.0
         while x.shape[1] < rows:  # twice as many each time
             x, ahead = np.hstack([x, ahead @ x]), ahead @ ahead
-        response: FloatArray = (self.plant.q @ x[:n, :rows]).T
+        response: Array = (self.plant.q @ x[:n, :rows]).T
         return response
 
 
-def _margins(w: FloatArray, S: ComplexArray) -> Margins:
+def _margins(w: Array, S: ComplexArray) -> Margins:
     L = 1.0 / S - 1.0
     # Crossings of L with the negative real axis and the unit circle; linear between two
     # frequencies.

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import LARGEST_STEPS
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import DIRECTIONS, sensitivity_library_of
 from arm_emulator.machine.core_calls import SENSITIVITY
 from arm_emulator.machine.parts.sensors import JointSensors

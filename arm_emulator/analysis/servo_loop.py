@@ -17,10 +17,10 @@ import numpy as np
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlant
 from arm_emulator.analysis.stability import SmallMotions, contacts
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.held_motor import held

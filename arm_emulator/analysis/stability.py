@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_machine import LinearDrive
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant

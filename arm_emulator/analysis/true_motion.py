@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.integrator import Integrator
 from arm_emulator.machine.plant import Plant

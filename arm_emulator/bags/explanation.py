@@ -12,7 +12,7 @@ from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import EnergyFlow, Plant
 from arm_emulator.machine.plant_state import PlantState

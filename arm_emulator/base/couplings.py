@@ -13,11 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-
-Array = NDArray[np.float64]
 
 MOST = 1e4  # of a share, and of an offset [rad or m]
 RANK = 1e-9  # singular values below, by the largest, count as 0

@@ -8,17 +8,15 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 _FLAGS = (bool, np.bool_)
 Kind = TypeVar("Kind")
 
 
-def array_of(values: object) -> FloatArray | None:
+def array_of(values: object) -> Array | None:
     """Return `values` as an array of numbers in rows; a copy only if their type differs.
 
     None: one of them is not a real number.

@@ -21,7 +21,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray, array_of
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.given import array_of
 from arm_emulator.base.refusal import Refusal
 
 # A finite number need not be a quantity. What lies beyond these is a slip, and what is computed
@@ -52,14 +53,14 @@ class Number:
     _: KW_ONLY
     above: float | None = None
     at_least: float | None = None
-    at_most: float | FloatArray | None = None
+    at_most: float | Array | None = None
     in_size: bool = False
     whole: bool = False
     default: Any = REQUIRED
     text: str = ""
 
     @classmethod
-    def within(cls, name: str, unit: str, largest: float | FloatArray) -> Self:
+    def within(cls, name: str, unit: str, largest: float | Array) -> Self:
         """Return a number of either sign and at most this size, of a row one per entry (N,)."""
         return cls(name, unit, in_size=True, at_most=largest)
 
@@ -97,7 +98,7 @@ class Number:
             raise self.named(name or self.name).refusal(where, value)
         return int(value) if self.whole else float(value)
 
-    def row(self, where: str, values: object, count: int) -> FloatArray:
+    def row(self, where: str, values: object, count: int) -> Array:
         """Return `values` as an array of `count` numbers in the range, which may be `values`.
 
         Raises:
@@ -109,7 +110,7 @@ class Number:
         self.check(where, array.tolist())
         return array
 
-    def numbers(self, where: str, values: object) -> FloatArray:
+    def numbers(self, where: str, values: object) -> Array:
         """Return `values` as an array of numbers of any size, which may be `values` itself.
 
         Raises:
@@ -121,7 +122,7 @@ class Number:
         return array
 
     def check(
-        self, where: str, values: Sequence[float] | FloatArray, joints: Sequence[str] = ()
+        self, where: str, values: Sequence[float] | Array, joints: Sequence[str] = ()
     ) -> None:
         """Refuse numbers of which one is not finite or out of the range.
 

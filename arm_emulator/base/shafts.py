@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.couplings import Follows, followers, own_shafts
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import limits_of, parse_urdf
 
@@ -78,19 +78,19 @@ class Shafts:
             self.offset[k] = row.offset
         self.coupled = len(along) > 0 or bool((self.C != np.eye(len(names))).any())
 
-    def of_joints(self, p: FloatArray) -> FloatArray:
+    def of_joints(self, p: Array) -> Array:
         """Return the joints' angles, of shafts' angles (..., N)."""
         return p @ self.C.T + self.offset if self.coupled else p
 
-    def rates(self, p: FloatArray) -> FloatArray:
+    def rates(self, p: Array) -> Array:
         """Return the joints' speeds or accelerations."""
         return self.C @ p if self.coupled else p
 
-    def columns(self, J: FloatArray) -> FloatArray:
+    def columns(self, J: Array) -> Array:
         """Return columns (or torques) by the shafts, of those by the joints."""
         return J @ self.C if self.coupled else J
 
-    def positions(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def positions(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return limits of the shafts within which no joint passes its own.
 
         Where a joint goes with several shafts, these are a box around the middle of the joints'
@@ -126,7 +126,7 @@ class Shafts:
             raise Refusal(WHERE, f"joint {self.joints[k]}", rule, got)
         return low, high
 
-    def _ends(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _ends(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Return between which angles joints are where shafts are within a box."""
         up, down = np.maximum(self.C, 0.0), np.minimum(self.C, 0.0)
         with np.errstate(invalid="ignore"):  # 0 times infinite: a shaft that is not the joint's
@@ -136,15 +136,15 @@ class Shafts:
             ]
         return ends[0], ends[1]
 
-    def most(self, of_joints: FloatArray) -> FloatArray:
+    def most(self, of_joints: Array) -> Array:
         """Return limits of the shafts' rates with which no joint passes its own."""
         return self._least(of_joints, self.C) if self.coupled else of_joints
 
     @staticmethod
-    def _least(limits: FloatArray, C: FloatArray) -> FloatArray:
+    def _least(limits: Array, C: Array) -> Array:
         sums = np.abs(C).sum(axis=1)
         shares = limits / np.where(sums > 0.0, sums, 1.0)
-        least: FloatArray = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)
+        least: Array = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)
         return least
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_text
 
@@ -36,11 +36,11 @@ class Table:
     where: str
     columns: tuple[str, ...]
     lines: tuple[int, ...]
-    values: FloatArray
+    values: Array
 
-    def column(self, name: str) -> FloatArray:
+    def column(self, name: str) -> Array:
         """Return the values below a name (K,)."""
-        column: FloatArray = self.values[:, self.columns.index(name)]
+        column: Array = self.values[:, self.columns.index(name)]
         return column
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.formula import (
     Combined,
     Expression,
@@ -31,7 +32,6 @@ from arm_emulator.campaign.program import Program, Rows, Targets, judges
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.campaign.scenario import ticks_of
 from arm_emulator.campaign.signals import units_of_signals
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.formula_rows import is_at_one_instant
 
 Signals = Mapping[str, Array]

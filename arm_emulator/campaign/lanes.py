@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case
@@ -21,7 +22,6 @@ from arm_emulator.campaign.program import BLOCK, Targets
 from arm_emulator.campaign.scenario import Scenario
 from arm_emulator.campaign.signals import FleetSampler
 from arm_emulator.campaign.simulator import BoundCase, Simulator, bound
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.runs.servo_fleet import ServoFleet

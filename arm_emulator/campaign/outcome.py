@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 
 
 @dataclass(frozen=True)

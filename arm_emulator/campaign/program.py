@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.formula import Constant, Operation, Signal
 from arm_emulator.build.c_header import NULL, Header, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.campaign.requirement import Robustness
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.formula_rows import FORMULA, FormulaRows
 
 HERE = Path(__file__).resolve().parent

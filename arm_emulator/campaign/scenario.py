@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.whole_file import write_whole
 from arm_emulator.campaign.campaign_file import Campaign
@@ -21,7 +22,6 @@ from arm_emulator.campaign.executor import failures_in
 from arm_emulator.campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator.campaign.search.method import Finding
 from arm_emulator.campaign.worker import Done, simulate
-from arm_emulator.machine.chain import Array
 
 FOUND = "search.json"
 LEAST = "any requirement"

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.build.c_header import NULL, CData, Header, pointer
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.call_arguments import truth_at
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.measured import MeasuredPlace

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign
 from arm_emulator.campaign.case import Case, drawn_case
@@ -17,7 +18,6 @@ from arm_emulator.campaign.outcome import Outcome, Outcomes
 from arm_emulator.campaign.program import Targets
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
 from arm_emulator.campaign.signals import Sampler
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.change import Change, NumberChange
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.motion.pose import Pose

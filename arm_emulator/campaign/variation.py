@@ -8,16 +8,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.distributions import Distribution
 
 if TYPE_CHECKING:
     from scipy.stats import qmc
 
-Array = NDArray[np.float64]
 SAMPLINGS = ("random", "sobol", "latin")
 MOST_SOBOL = 21_201  # dimensions that SciPy has directions for
 LARGEST_LATIN = 5 * 10**7  # numbers of a Latin hypercube, which every worker holds

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.campaign_file import Campaign, load_campaign
 from arm_emulator.campaign.case import Case, case_at, drawn_case
@@ -21,7 +22,6 @@ from arm_emulator.campaign.lanes import RunsInLanes, runs_of
 from arm_emulator.campaign.outcome import Outcomes
 from arm_emulator.campaign.results import write_part
 from arm_emulator.campaign.simulator import Simulator
-from arm_emulator.machine.chain import Array
 
 _PR_SET_PDEATHSIG = 1
 _asked = {"end": False, "busy": False}

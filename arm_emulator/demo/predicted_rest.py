@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.motion_report import State
@@ -27,14 +27,14 @@ _WORDS = {State.UNREACHABLE: "out of reach", State.MOVING: "not yet there"}
 class PredictedRest:
     """Outcome of the plan in one process."""
 
-    deviations: FloatArray
+    deviations: Array
     """Target minus true tool before instruction 0 .. K, (K + 1, 3) [m]."""
     target: str
     """Result of the target, by motion control: reached, out of reach, not yet there, ..."""
     missed: str
     """Why motion control has not reached the target; empty if it has."""
 
-    def missed_by(self, deviations: FloatArray, exact: bool) -> str:
+    def missed_by(self, deviations: Array, exact: bool) -> str:
         """Return as text why a network misses target or prediction; empty if it meets both.
 
         Args:

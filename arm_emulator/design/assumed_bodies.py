@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.mesh_file import find_mesh
-from arm_emulator.machine.chain import Array, Body, Frame, frame_of
+from arm_emulator.machine.chain import Body, Frame, frame_of
 from arm_emulator.motion.mesh_units import mesh_unit
 
 DENSITY = 1200.0  # kg/m3

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
 from arm_emulator.design.assumed_bodies import shape_of
-from arm_emulator.machine.chain import Array, Body, Chain, cross
+from arm_emulator.machine.chain import Body, Chain, cross
 from arm_emulator.machine.urdf_tree import read_bodies
 
 ROUNDING = 0.01  # of the largest moment: figures of two digits

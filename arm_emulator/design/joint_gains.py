@@ -35,7 +35,7 @@ import numpy as np
 
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.held_motor import held
 from arm_emulator.servo.servo_config import Commanded, JointServo
@@ -310,7 +310,7 @@ def joint_plant(
         B[2] = A[2, 0] * by_voltage
         A[2] += A[2, 0] * current
         kept = kept[1:]
-    unit: FloatArray = np.eye(5)[:, kept]
+    unit: Array = np.eye(5)[:, kept]
     return SampledPlant(
         *held(unit.T @ A @ unit, unit.T @ B, period),
         unit[1:2],

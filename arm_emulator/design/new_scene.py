@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from arm_emulator.analysis.holding import Overload, overloads
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.number import numbers_of
 from arm_emulator.base.refusal import Refusal
@@ -28,7 +29,6 @@ from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_
 from arm_emulator.design.sizing import Demand, Sized, full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, filtfilt, lfilter, lfilter_zi
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.measured_run import SLOWEST, MeasuredRun
-from arm_emulator.machine.chain import Array
 
 Mask = NDArray[np.bool_]
 

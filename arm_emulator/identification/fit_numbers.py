@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE
 from arm_emulator.base.given import array_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.structure import lasting
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.outputs import KNOWN, outputs_of
 from arm_emulator.machine.plant_state import ROWS

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification import inertia
 from arm_emulator.identification.torque_fit import IDENTIFIED, TorqueFit
-from arm_emulator.machine.chain import Array, Body, ChainJoint
+from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import NAMES, of_child
 

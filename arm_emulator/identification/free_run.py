@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.scene import Scene
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_text
@@ -23,7 +24,7 @@ from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel, matches
-from arm_emulator.machine.chain import Array, Body, Frame
+from arm_emulator.machine.chain import Body, Frame
 from arm_emulator.machine.overrides import override
 from arm_emulator.machine.scene import Scene, load_scene
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.machine.chain import Array, Body
+from arm_emulator.base.arrays import Array
+from arm_emulator.machine.chain import Body
 
 NUMBERS = 10
 THIN = 1e-6  # of a body's second moments: assumed for a thin or massless one

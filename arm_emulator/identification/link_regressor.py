@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification.inertia import dynamic
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Scene
 

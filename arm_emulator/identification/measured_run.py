@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array
 
 SHORTEST = 200  # samples
 UNEVEN = 0.01  # of a sample: jitter of clocks

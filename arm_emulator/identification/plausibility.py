@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.filtered import Filtered, filtered
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.slips import Slip, Slips
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
 # Saving of an undone slip, in squares of deviations and relative to the record's cost. In correct

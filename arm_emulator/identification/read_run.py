@@ -13,12 +13,11 @@ from typing import IO
 import numpy as np
 from numpy.lib.format import read_array
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.table_file import read_table
 from arm_emulator.base.text_file import open_file
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
 # Contents of a record, by their names in files. Arrays and groups of columns have equal names.
@@ -156,7 +155,7 @@ _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # the memory of the other
 _NUMBERS = "fiub"  # kinds of NumPy's types that are real numbers
 
 
-def read_arrays(file: Path, names: Collection[str]) -> dict[str, FloatArray]:
+def read_arrays(file: Path, names: Collection[str]) -> dict[str, Array]:
     """Return those of the named arrays that an archive holds, as doubles.
 
     Raises:
@@ -196,8 +195,8 @@ def _check_entries(stream: IO[bytes], where: str) -> None:
         raise Refusal(where, "archive", rule, "more" if large else entries)
 
 
-def _arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dict[str, FloatArray]:
-    arrays: dict[str, FloatArray] = {}
+def _arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dict[str, Array]:
+    arrays: dict[str, Array] = {}
     left = MOST_BYTES
     for entry in archive.infolist():
         name = entry.filename.removesuffix(".npy")

@@ -18,11 +18,11 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.link_regressor import LinkRegressor
 from arm_emulator.identification.structure import lasting
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Scene
 

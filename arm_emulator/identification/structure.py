@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification.filtered import Filtered, Mask
-from arm_emulator.machine.chain import Array
 
 MOST_EFFECTS = 12  # added one after the other
 ENOUGH = 14.0  # of twice the logarithm of a likelihood, beyond a share for each column

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.structure import Effect, find_structure, lasting
 from arm_emulator.identification.torque_model import MotionTorques, TorqueModel, Unknown
-from arm_emulator.machine.chain import Array
 
 TURNS = 5  # of fit, weights and loads in alternation
 BEGIN = 0.3  # of each torque: initial assumption of noise

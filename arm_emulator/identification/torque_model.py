@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.link_regressor import LinkRegressor
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion

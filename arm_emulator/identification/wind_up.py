@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator.identification.found import Found
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.torque_model import matches
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
 BELOW = 10.0  # Hz: bandwidth of the load of rigid links

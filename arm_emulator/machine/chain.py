@@ -7,12 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.couplings import Coupling
 from arm_emulator.base.products import applied, product
-
-Array = NDArray[np.float64]
 
 
 def _constant(values: object) -> Array:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, Library, pointer
 from arm_emulator.machine.call_arguments import options_of, refusal_of, truth_at
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import equations_library_of, library_of
 from arm_emulator.machine.core_calls import ARM, REFUSED
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link

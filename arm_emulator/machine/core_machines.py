@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMAND
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
@@ -18,7 +19,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.call_arguments import Commands, by_joint, options_of, refusal_of
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link

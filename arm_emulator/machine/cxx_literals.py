@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 
 
 def number(value: float) -> str:

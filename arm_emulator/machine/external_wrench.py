@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import FORCE, MOMENT, POINT
 from arm_emulator.base.number import Number
 from arm_emulator.base.products import applied
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array, Frame
+from arm_emulator.machine.chain import Frame
 from arm_emulator.machine.scene import Scene
 
 AXES = ("link", "world")

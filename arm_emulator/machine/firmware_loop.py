@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.plant import Plant

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.uncopied import Uncopied
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.outputs import outputs_of

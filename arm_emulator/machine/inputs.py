@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.input import Input

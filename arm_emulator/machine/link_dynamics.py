@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import POSITION
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import pointer
-from arm_emulator.machine.chain import Array
 
 QUANTITIES = {
     "q": Number.within("q", "rad or m", POSITION.most),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.count import check_count
@@ -24,7 +25,6 @@ from arm_emulator.machine.call_arguments import (
     by_joint,
     commands_of,
 )
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
 from arm_emulator.machine.core_machine import Borrowed, CoreMachine, Equations

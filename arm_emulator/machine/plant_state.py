@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.number import Number
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
 SET = ("current", "theta_m", "omega_m", "q", "v")  # what decides on the others of `PlantState`

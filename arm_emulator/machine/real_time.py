@@ -8,13 +8,13 @@ from dataclasses import fields
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns
 from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.call_arguments import commands_of
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import ARM, PLACES

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.by_value import ByValue
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
@@ -24,7 +25,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.section import Section
 from arm_emulator.base.yaml_file import read_yaml
-from arm_emulator.machine.chain import Array, Body, Chain
+from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.integrator import Integrator, dividing, odds
 from arm_emulator.machine.joint import Joint, read_joints

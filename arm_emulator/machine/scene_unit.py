@@ -7,9 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.escape import c_string
 from arm_emulator.base.products import applied
-from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
+from arm_emulator.machine.chain import Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, vector
 from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.inputs import further_inputs, input_at

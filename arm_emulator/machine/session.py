@@ -14,12 +14,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.answers import Answers
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, RealTimeFigures
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link

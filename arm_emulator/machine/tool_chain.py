@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.build.c_header import pointer
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.formula_rows import TOOL_POSITION, formula_library
 from arm_emulator.machine.scene import Scene
 

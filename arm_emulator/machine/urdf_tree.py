@@ -12,10 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.name_rule import check_joint_name
 from arm_emulator.base.products import length, product
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import EYE, X_AXIS, Array, Bodies, Frame, clean, turns
+from arm_emulator.machine.chain import (
+    EYE,
+    X_AXIS,
+    Bodies,
+    Frame,
+    clean,
+    turns,
+)
 
 MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 FREE_KINDS = ("floating", "planar")  # no joints of an arm, but they may be locked at 0

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import Array, Body, ChainJoint, Frame
+from arm_emulator.machine.chain import Body, ChainJoint, Frame
 from arm_emulator.machine.cxx_literals import number
 
 Kind = TypeVar("Kind")

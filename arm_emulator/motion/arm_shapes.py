@@ -14,7 +14,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
@@ -76,26 +76,26 @@ class ArmShapes(Lasting):
         """Limits within a turn (N,)."""
 
     @property
-    def rest(self) -> FloatArray:
+    def rest(self) -> Array:
         """All joints at 0, or in the middle of limits that exclude it (N,)."""
         middle = 0.5 * (self.low + self.high)
-        rest: FloatArray = np.where((self.low > 0.0) | (self.high < 0.0), middle, 0.0)
+        rest: Array = np.where((self.low > 0.0) | (self.high < 0.0), middle, 0.0)
         return rest
 
-    def drawn(self, rng: np.random.Generator) -> FloatArray:
+    def drawn(self, rng: np.random.Generator) -> Array:
         """Return a configuration within the limits (N,)."""
         return self.low + (self.high - self.low) * rng.random(len(self.low))
 
-    def whole(self, q: FloatArray) -> FloatArray:
+    def whole(self, q: Array) -> Array:
         """Return Pinocchio's configuration at q (..., N)."""
         angles = self._shafts.of_joints(q)
-        whole: FloatArray = np.tile(self._neutral, (*angles.shape[:-1], 1))
+        whole: Array = np.tile(self._neutral, (*angles.shape[:-1], 1))
         turning, places = self._turning, self._places
         whole[..., places] = np.where(turning, np.cos(angles), angles)
         whole[..., places[turning] + 1] = np.sin(angles[..., turning])
         return whole
 
-    def joints(self, ways: FloatArray) -> FloatArray:
+    def joints(self, ways: Array) -> Array:
         """Return how far each joint goes on ways of those commanded (..., N) [rad or m]."""
         return np.abs(ways @ self._shafts.C.T)
 

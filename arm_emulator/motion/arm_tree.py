@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
@@ -104,14 +104,14 @@ class ArmTree(Lasting):
         )
         self._law = way_library()
 
-    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def forward(self, q: Array) -> tuple[Array, Array]:
         """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""
         q = self._joints(q)
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
         self._law.way_forward(self.struct, len(q), pointer(q), pointer(p), pointer(R))
         return p, R
 
-    def torques(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    def torques(self, q: Array, v: Array, a: Array) -> Array:
         """Return the torques of the links, (K, N) [N m or N]."""
         q = self._joints(q)
         v, a = (np.ascontiguousarray(one @ self._coupling.T) for one in (v, a))
@@ -121,12 +121,12 @@ class ArmTree(Lasting):
 
     def trace(
         self,
-        start: FloatArray,
-        p: FloatArray,
-        R: FloatArray,
-        goal: FloatArray | None = None,
+        start: Array,
+        p: Array,
+        R: Array,
+        goal: Array | None = None,
         turns: bool = True,
-    ) -> FloatArray:
+    ) -> Array:
         """Return joint angles along poses of the tool, (1 + those that were reached, N).
 
         Args:
@@ -151,12 +151,12 @@ class ArmTree(Lasting):
         )
         return q[: reached + 1]
 
-    def _joints(self, q: FloatArray) -> FloatArray:
+    def _joints(self, q: Array) -> Array:
         """Return the joints of the tree, (K, joints)."""
         return np.ascontiguousarray(q @ self._coupling.T + self._offset)
 
 
-def _doubles(values: Any) -> FloatArray:
+def _doubles(values: Any) -> Array:
     return np.ascontiguousarray(np.array(values, dtype=np.float64))
 
 

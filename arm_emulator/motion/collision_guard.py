@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collisions import collisions_of
 from arm_emulator.motion.kinematics import Kinematics
@@ -21,7 +21,7 @@ _FINEST = 5e-3  # m, likewise, that they may move near an obstacle whatever the 
 _ROUNDING = 1e-6  # m
 _FIRST, _MOST = 33, 2000  # configurations of a way
 
-Angles = Callable[[FloatArray], FloatArray]
+Angles = Callable[[Array], Array]
 """Angles of the joints (K, N) at parts of a way (K,), 0 to 1."""
 
 
@@ -56,9 +56,9 @@ class CollisionGuard:
             rule = "be met by shapes for collisions of the robot description"
             got = "no collision shapes of moving links"
             raise Refusal(config.where, OBSTACLES, rule, got, "<collision> in its links")
-        self._rested: FloatArray | None = None  # a state at rest without contact
+        self._rested: Array | None = None  # a state at rest without contact
 
-    def ahead(self, joints: SmoothJoints, now: FloatArray, then: Reference) -> str:
+    def ahead(self, joints: SmoothJoints, now: Array, then: Reference) -> str:
         """Return which parts touch where the joints stop if they brake from `then` on; empty: none.
 
         Where parts touch already at `now` (N,), a motion that brings them no nearer is allowed.
@@ -94,7 +94,7 @@ class CollisionGuard:
         return self._met(angles, part, q, found)
 
     def _met(
-        self, angles: Angles, part: FloatArray, q: FloatArray, found: tuple[float, str] | None
+        self, angles: Angles, part: Array, q: Array, found: tuple[float, str] | None
     ) -> tuple[float, str] | None:
         """Return where an obstacle is met before what was found, or that.
 
@@ -155,7 +155,7 @@ class CollisionGuard:
         got = f"{touching} would touch at {part:.0%} of it, the tool at {place} m"
         raise NoWay(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
 
-    def _apart(self, angles: Angles) -> tuple[FloatArray, FloatArray]:
+    def _apart(self, angles: Angles) -> tuple[Array, Array]:
         """Return parts of a way (K,), and angles there (K, N), no farther apart than is tested."""
         part = np.linspace(0.0, 1.0, _FIRST)
         q = angles(part)
@@ -168,7 +168,7 @@ class CollisionGuard:
             q = angles(part)
         return part, q
 
-    def _step(self, way: FloatArray) -> int:
+    def _step(self, way: Array) -> int:
         """Return the number of pieces in which a way of the joints (N,) is tested."""
         moved = self.collisions.moved(way)
         foreign = self.collisions.foreign
@@ -176,6 +176,6 @@ class CollisionGuard:
         obstacles = float((moved[foreign] / nearest).max(initial=0.0))
         return max(1, math.ceil(max(float(self._parts(way)), obstacles)))
 
-    def _parts(self, ways: FloatArray) -> FloatArray:
+    def _parts(self, ways: Array) -> Array:
         """Return how many pieces ways of the joints (..., N) are."""
         return np.asarray(self.collisions.moved(ways).max(axis=-1, initial=0.0) / _BETWEEN)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.arm_shapes import ArmShapes
 from arm_emulator.motion.obstacles import Obstacle
@@ -106,13 +106,13 @@ class Collisions(Lasting):
         """Number of pairs tested."""
         return len(self._shapes.collisionPairs)
 
-    def first(self, q: FloatArray) -> str:
+    def first(self, q: Array) -> str:
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
         with self._alone:
             touching = self._touching(self._arm.whole(q)) if self.pairs else []
         return self.name(touching[0]) if touching else ""
 
-    def suspects(self, q: FloatArray) -> Iterator[int]:
+    def suspects(self, q: Array) -> Iterator[int]:
         """Yield the numbers of those of some configurations (K, N) in which any parts touch."""
         if self.pairs:
             for k, whole in enumerate(self._arm.whole(q)):
@@ -121,11 +121,11 @@ class Collisions(Lasting):
                 if touching:
                     yield k
 
-    def drawn(self, rng: np.random.Generator) -> FloatArray:
+    def drawn(self, rng: np.random.Generator) -> Array:
         """Return a configuration within the limits (N,)."""
         return self._arm.drawn(rng)
 
-    def moved(self, ways: FloatArray) -> FloatArray:
+    def moved(self, ways: Array) -> Array:
         """Return how far the parts of each pair move at most, seen from each other [m].
 
         Args:
@@ -133,7 +133,7 @@ class Collisions(Lasting):
         """
         return np.asarray(self._arm.joints(ways) @ self._leads)
 
-    def gaps(self, pairs: Sequence[int], q: FloatArray) -> dict[int, float]:
+    def gaps(self, pairs: Sequence[int], q: Array) -> dict[int, float]:
         """Return distances that the parts of pairs have at least [m], each at q (pairs, N).
 
         That of their convex hulls, or the margin, where the meshes within those do not touch; pairs
@@ -146,7 +146,7 @@ class Collisions(Lasting):
                     apart[k] = gap
         return apart
 
-    def _gap(self, k: int, whole: FloatArray) -> float | None:
+    def _gap(self, k: int, whole: Array) -> float | None:
         shapes, meshes, margin = self._shapes, self._meshes, float(self.margins[k])
         pin.updateGeometryPlacements(self._model, self._data, shapes, self._tested, whole)
         apart = float(pin.computeDistance(shapes, self._tested, k).min_distance)
@@ -155,7 +155,7 @@ class Collisions(Lasting):
         pin.updateGeometryPlacements(self._model, self._data, meshes, self._exact)
         return None if pin.computeCollision(meshes, self._exact, k) else margin
 
-    def fresh(self, q: FloatArray, now: FloatArray, nearer: float) -> str:
+    def fresh(self, q: Array, now: Array, nearer: float) -> str:
         """Return which two parts touch at q and not at `now`, or have come nearer; empty: none.
 
         Args:
@@ -175,13 +175,13 @@ class Collisions(Lasting):
         lost = self._distances(now)[both] - self._distances(q)[both]
         return self.name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
 
-    def _distances(self, q: FloatArray) -> FloatArray:
+    def _distances(self, q: Array) -> Array:
         whole, tested = self._arm.whole(q), self._tested
         with self._alone:
             pin.computeDistances(self._model, self._data, self._shapes, tested, whole)
             return np.array([one.min_distance for one in tested.distanceResults])
 
-    def _touching(self, whole: FloatArray) -> list[int]:
+    def _touching(self, whole: Array) -> list[int]:
         """Return the pairs whose meshes touch, of those whose convex hulls do."""
         if not self._may_touch(whole) or not pin.computeCollisions(
             self._model, self._data, self._shapes, self._tested, whole, False
@@ -191,7 +191,7 @@ class Collisions(Lasting):
         pin.updateGeometryPlacements(self._model, self._data, self._meshes, self._exact)
         return [k for k in hulls if pin.computeCollision(self._meshes, self._exact, k)]
 
-    def _may_touch(self, whole: FloatArray) -> bool:
+    def _may_touch(self, whole: Array) -> bool:
         """Return whether any hulls touch, by their boxes first, where there are many pairs."""
         if self._boxes is None:
             return True
@@ -241,7 +241,7 @@ class Collisions(Lasting):
                 if pair[1] >= self._own or not together:
                     shapes.addCollisionPair(pin.CollisionPair(*pair))
 
-    def _all(self, q: FloatArray) -> npt.NDArray[np.bool_]:
+    def _all(self, q: Array) -> npt.NDArray[np.bool_]:
         touching = np.zeros(self.pairs, dtype=bool)
         touching[self._touching(self._arm.whole(q))] = True
         return touching

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.joint_goal import JointGoal
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
@@ -32,9 +32,9 @@ class ConfigurationSearch:
         self._to_tool = kinematics.to_tool
         self._goal = JointGoal(kinematics.of_tool)
         self._parts = spread(STARTS, int(self._to_tool.sum()))
-        self._starts: list[FloatArray] = []
+        self._starts: list[Array] = []
 
-    def begin(self, target: Pose, q: FloatArray) -> None:
+    def begin(self, target: Pose, q: Array) -> None:
         """Look for a configuration for another target, the arm being at q (N,)."""
         kinematics = self._goal.kinematics
         self._all, q = q, q[self._to_tool]
@@ -52,7 +52,7 @@ class ConfigurationSearch:
         """Whether all angles have been tried."""
         return not self._starts
 
-    def search(self, steps: int) -> FloatArray | None:
+    def search(self, steps: int) -> Array | None:
         """Take so many steps; return joint angles that reach the target if any are found."""
         if self.over:
             return None
@@ -69,7 +69,7 @@ class ConfigurationSearch:
                 self._begin_next()
         return found
 
-    def _whole_turns(self, q: FloatArray) -> list[FloatArray]:
+    def _whole_turns(self, q: Array) -> list[Array]:
         """Return where joints at a limit are after a turn back: all of them, and each alone."""
         kinematics = self._goal.kinematics
         turns = np.where(q >= kinematics.upper, -2.0 * math.pi, 0.0)
@@ -88,7 +88,7 @@ class ConfigurationSearch:
         self._left = _STEPS
 
 
-def spread(count: int, dimensions: int) -> FloatArray:
+def spread(count: int, dimensions: int) -> Array:
     """Return points (count, dimensions) in [0, 1).
 
     They are an additive sequence with the powers of the generalised golden ratio (Roberts 2018, The

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.drive_numbers import SECTION
@@ -30,7 +30,7 @@ class Controller(Protocol):
     """
 
     kinematics: Kinematics
-    error: FloatArray
+    error: Array
     notices: tuple[str, ...]
     way: str
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import number
 from arm_emulator.base.parameters import numbers_in, tables_of
 
@@ -68,6 +68,6 @@ def drives_of(given: object, where: str) -> dict[str, DriveNumbers]:
     }
 
 
-def column(drives: Sequence[DriveNumbers], key: str) -> FloatArray:
+def column(drives: Sequence[DriveNumbers], key: str) -> Array:
     """Return a number of all drives (N,)."""
     return np.array([getattr(drive, key) for drive in drives], dtype=np.float64)

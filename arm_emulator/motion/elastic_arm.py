@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.drive_numbers import DriveNumbers, column
 from arm_emulator.motion.link_torques import LinkTorques
 
@@ -34,13 +34,13 @@ _UNKNOWN_LIMIT = 1.0  # rad/s or m/s, where a joint has no limit of speed
 class Drive:
     """Motion of an arm's motors at an instant, (N,) each, referred to the links."""
 
-    theta: FloatArray
+    theta: Array
     """Angles of the motors times their ratios [rad]."""
-    omega: FloatArray
+    omega: Array
     """Speeds likewise [rad/s]."""
-    torque: FloatArray
+    torque: Array
     """Torques that the gears carry [N m]."""
-    torque_rate: FloatArray
+    torque_rate: Array
     """Their rates of change [N m/s]."""
 
 
@@ -54,7 +54,7 @@ class ElasticArm:
     """
 
     def __init__(
-        self, links: LinkTorques, drives: Sequence[DriveNumbers], velocity_limit: FloatArray
+        self, links: LinkTorques, drives: Sequence[DriveNumbers], velocity_limit: Array
     ) -> None:
         self._links = links
         stiffness = column(drives, "stiffness")
@@ -71,11 +71,11 @@ class ElasticArm:
 
     def at(
         self,
-        q: FloatArray,
-        v: FloatArray,
-        a: FloatArray,
-        jerk: FloatArray,
-        factor: FloatArray | float = 1.0,
+        q: Array,
+        v: Array,
+        a: Array,
+        jerk: Array,
+        factor: Array | float = 1.0,
     ) -> Drive:
         """Return the motors' motion for a motion of the links, (N,) each [rad, s].
 
@@ -88,7 +88,7 @@ class ElasticArm:
         wound = self.wind_up(torque - self._damping * rate * softness)
         return Drive(q + wound, v + rate * self._slope(wound), torque, rate)
 
-    def over(self, begins: Drive, ends: Drive, period: float) -> FloatArray:
+    def over(self, begins: Drive, ends: Drive, period: float) -> Array:
         """Return the mean torques of gears and rotors' friction in a period, (N,) [N m].
 
         The gears' part is the integral of the cubic through torques and rates at both ends.
@@ -98,15 +98,15 @@ class ElasticArm:
         omega = 0.5 * (begins.omega + ends.omega)
         return gear + self._friction(self._of_rotor, omega)[0]
 
-    def sliding(self, v: FloatArray) -> FloatArray:
+    def sliding(self, v: Array) -> Array:
         """Return the share of dry friction that acts at speeds v (N,), 0 to 1."""
         return np.asarray(np.abs(v) / np.hypot(v, self._smooth))
 
-    def weight(self, q: FloatArray) -> FloatArray:
+    def weight(self, q: Array) -> Array:
         """Return the torques that the gears carry at rest (N,) [N m]."""
         return self._links.at(q, np.zeros_like(q))
 
-    def wind_up(self, torque: FloatArray) -> FloatArray:
+    def wind_up(self, torque: Array) -> Array:
         """Return the wind-up of the gears under torques at rest, (N,) [rad]."""
         linear = torque * self.softness
         cubic = self._cubic * self.softness
@@ -117,13 +117,11 @@ class ElasticArm:
         scale = np.sqrt(4.0 / (3.0 * np.where(bent, cubic, 1.0)))
         return np.where(bent, scale * np.sinh(np.arcsinh(3.0 * linear / scale) / 3.0), linear)
 
-    def _slope(self, wound: FloatArray) -> FloatArray:
+    def _slope(self, wound: Array) -> Array:
         """Return wind-up per torque at a wind-up (N,) [rad/(N m)]."""
         return self.softness / (1.0 + 3.0 * self._cubic * self.softness * wound**2)
 
-    def _friction(
-        self, law: tuple[FloatArray, FloatArray], v: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _friction(self, law: tuple[Array, Array], v: Array) -> tuple[Array, Array]:
         """Return friction at speeds v (N,), and its derivative."""
         viscous, coulomb = law
         root = np.hypot(v, self._smooth)

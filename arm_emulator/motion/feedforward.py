@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.drive_numbers import DriveNumbers
 from arm_emulator.motion.elastic_arm import Drive, ElasticArm
@@ -42,7 +42,7 @@ class Feedforward:
         names = kinematics.joint_names
         self.gives = config.gives
         self.trouble = ""
-        self.wound: FloatArray = np.zeros(len(names))
+        self.wound: Array = np.zeros(len(names))
         self._period = config.period
         self._torques: LinkTorques | None = None
         self._arm: ElasticArm | None = None
@@ -61,10 +61,10 @@ class Feedforward:
             arm, outboard = self._arm, self._torques.outboard
             self._load = RestLoad(arm.dry, arm.softness, self._period, outboard)
             self._factor = self._load.factor
-            self._held: FloatArray = np.zeros(len(names))  # by the servo's integrals, N m, negative
-            self._at_rest: FloatArray | None = None  # announced there, N m
+            self._held: Array = np.zeros(len(names))  # by the servo's integrals, N m, negative
+            self._at_rest: Array | None = None  # announced there, N m
 
-    def links(self, q: FloatArray) -> FloatArray:
+    def links(self, q: Array) -> Array:
         """Return the links' angles for measured motors at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
             for _ in range(_TIMES):  # the weight is that at the links' true angles
@@ -72,7 +72,7 @@ class Feedforward:
                 self.wound = self._arm.wind_up(self._load.factor * weight)
         return q - self.wound
 
-    def standing(self, q: FloatArray) -> FloatArray:
+    def standing(self, q: Array) -> Array:
         """Return the links' angles at rest for commanded angles q, (N,) [rad]."""
         measured = q + self.wound
         self.forget()
@@ -82,7 +82,7 @@ class Feedforward:
         """Reset for the next motion."""
         self._before = None
 
-    def observe(self, tau: FloatArray | None, movable: npt.NDArray[np.bool_] | None) -> None:
+    def observe(self, tau: Array | None, movable: npt.NDArray[np.bool_] | None) -> None:
         """Take what the motors give, at the links (N,) [N m], and which joints can move (N,).
 
         None: not measured; all can.
@@ -132,7 +132,7 @@ class Feedforward:
         tau = self._announced(arm, begins, present) if instruction.tau is None else instruction.tau
         return Instruction(begins.theta, (ends.theta - begins.theta) / period, tau, now)
 
-    def _announced(self, arm: ElasticArm, begins: Drive, present: _Period) -> FloatArray:
+    def _announced(self, arm: ElasticArm, begins: Drive, present: _Period) -> Array:
         """Return the torques of the present period (N,).
 
         At rest they stay as they are while the factor follows: the servo's integrals hold the rest
@@ -156,31 +156,31 @@ class _Period:
     """A commanded motion period."""
 
     now: Reference
-    mean: FloatArray
+    mean: Array
     """Speeds (N,)."""
-    q_end: FloatArray
+    q_end: Array
     ends: Drive
     """Motion of the motors at its end."""
     rests: bool
     """Whether the links rest in it and after it."""
 
 
-def _estimated(q: FloatArray, mean: FloatArray, before: _Period | None, period: float) -> Reference:
+def _estimated(q: Array, mean: Array, before: _Period | None, period: float) -> Reference:
     """Return the motion at the beginning of a period, by the mean speeds of this and the last."""
     a = np.zeros_like(q) if before is None else (mean - before.mean) / period
     return Reference(q, mean - 0.5 * a * period, a)
 
 
-def _extrapolated(now: Reference, jerk: FloatArray, q_end: FloatArray, period: float) -> Reference:
+def _extrapolated(now: Reference, jerk: Array, q_end: Array, period: float) -> Reference:
     """Return the motion at the end of a period in which the jerk lasts."""
     v = now.v + now.a * period + 0.5 * jerk * period**2
     return Reference(q_end, v, now.a + jerk * period, jerk)
 
 
-def _jerk(now: Reference, before: _Period | None, period: float) -> FloatArray:
+def _jerk(now: Reference, before: _Period | None, period: float) -> Array:
     if now.jerk is not None:
         return now.jerk
     if before is None:
         return np.zeros_like(now.q)
-    jerk: FloatArray = (now.a - before.now.a) / period
+    jerk: Array = (now.a - before.now.a) / period
     return jerk

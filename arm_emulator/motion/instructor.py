@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.coming_orders import (
     ComingOrders,
@@ -76,7 +76,7 @@ class Instructor:
         for taken in [self._active, *self._coming]:
             if taken is not None:
                 taken.report(self.reports, Progress(State.ABORTED, reason))
-        self._hold: FloatArray | None = None
+        self._hold: Array | None = None
         self._active = None
         self._standing: Standstill | None = None
         self._only: Planned | None = None  # the only way on which the arm can stop; None: any
@@ -106,7 +106,7 @@ class Instructor:
         return self._laws.leading
 
     @property
-    def wound(self) -> FloatArray:
+    def wound(self) -> Array:
         """Assumed wind-up of the gears in the newest targets (N,) [rad]."""
         return np.zeros(0) if self._laws is None else self._laws.feedforward.wound
 
@@ -208,10 +208,10 @@ class Instructor:
         self,
         controller: Controller,
         time_ns: int,
-        q: FloatArray,
-        v: FloatArray | None = None,
+        q: Array,
+        v: Array | None = None,
         movable: Flags | None = None,
-        tau: FloatArray | None = None,
+        tau: Array | None = None,
     ) -> Instruction:
         """Return the joint targets at a logical time [ns].
 
@@ -261,7 +261,7 @@ class Instructor:
         """Reason why the arm waits at a standstill, as text; empty: it moves."""
         return "" if self._standing is None else self._standing.words
 
-    def _wait(self, laws: Laws, time_ns: int, q: FloatArray, movable: Flags | None) -> None:
+    def _wait(self, laws: Laws, time_ns: int, q: Array, movable: Flags | None) -> None:
         """Stand still while a joint cannot move, and until all rest."""
         if self._standing is None:
             if movable is not None and not movable.all():
@@ -306,7 +306,7 @@ class Instructor:
             before.report(self.reports, taken.replaces)
         return taken.number
 
-    def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
+    def _take_up(self, laws: Laws, time_ns: int, q: Array) -> None:
         """Start the orders whose time has come."""
         early = list(self._coming) if self._now_ns is None else []  # than the first joint states
         for one in early:
@@ -334,16 +334,14 @@ class Instructor:
                 self._active.report(self.reports, taken.replaces)
             self._active = taken
 
-    def _streamed(self, laws: Laws, order: TargetOrder, q: FloatArray) -> TargetOrder | StreamOrder:
+    def _streamed(self, laws: Laws, order: TargetOrder, q: Array) -> TargetOrder | StreamOrder:
         """Return the order for the newest target: itself, or that of its stream."""
         motion = self._stream.motion()
         if motion is None or not is_near(laws.controller.kinematics, q, order):
             return order
         return StreamOrder(order, motion, self._stream.posture)
 
-    def _instruct(
-        self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None
-    ) -> Instruction:
+    def _instruct(self, laws: Laws, time_ns: int, q: Array, v: Array | None) -> Instruction:
         taken = self._active
         if taken is None:
             if self._hold is None:
@@ -371,9 +369,7 @@ class Instructor:
             return self._stop(laws, time_ns, q, v)
         return self._guarded(laws, time_ns, q, instruction)
 
-    def _guarded(
-        self, laws: Laws, time_ns: int, q: FloatArray, instruction: Instruction
-    ) -> Instruction:
+    def _guarded(self, laws: Laws, time_ns: int, q: Array, instruction: Instruction) -> Instruction:
         """Return an instruction after which the arm can stop before a collision."""
         guard, taken = laws.guard, self._active
         if guard is None or taken is None:
@@ -409,7 +405,7 @@ class Instructor:
             self._only = stop.planned()
         return instruction
 
-    def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
+    def _stop(self, laws: Laws, time_ns: int, q: Array, v: Array | None) -> Instruction:
         """Bring the joints to rest from their measured motion."""
         stop = stop_order(laws)
         still = np.zeros_like(q)
@@ -418,7 +414,7 @@ class Instructor:
         self._active, self._only = TakenOrder(stop, 0), None
         return stop.instruct(laws, time_ns, q)
 
-    def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
+    def _reference(self, laws: Laws, time_ns: int, q: Array) -> Reference:
         """Return the joints' commanded motion, or the measured one if they are far apart."""
         if self._standing is not None:
             return self._standing.reference

@@ -12,7 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray, as_kind
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics import Kinematics
@@ -129,7 +130,7 @@ class JacobianController:
         self.error, self.notices = error, tuple(notices)
         return Instruction(q_target)
 
-    def _step(self, q: FloatArray, target: Pose) -> tuple[FloatArray, FloatArray, list[str]]:
+    def _step(self, q: Array, target: Pose) -> tuple[Array, Array, list[str]]:
         """Return q_target, the tool's error, and limits of the step as text."""
         error = self.kinematics.tool_error(q, target)
         scale = self.kinematics.scale
@@ -150,14 +151,14 @@ class JacobianController:
             notices.append(f"step of {longest:.3g} rad shortened to {self.step_limit:g} rad")
         return self._within_limits(q, q + step, notices), error, notices
 
-    def _inverse(self, s: FloatArray) -> FloatArray:
+    def _inverse(self, s: Array) -> Array:
         """Return 1/s, damped where s is small."""
         e = self.singular_below
         damping = np.where(s < e, (0.5 * e) ** 2 * (1.0 - (s / e) ** 2), 0.0)
-        inverse: FloatArray = s / (s**2 + damping)
+        inverse: Array = s / (s**2 + damping)
         return inverse
 
-    def _within_limits(self, q: FloatArray, q_target: FloatArray, notices: list[str]) -> FloatArray:
+    def _within_limits(self, q: Array, q_target: Array, notices: list[str]) -> Array:
         """Return `q_target` within the joint limits; a joint already outside may only come back."""
         lower, upper = self.kinematics.lower, self.kinematics.upper
         low, high = np.minimum(lower, q), np.maximum(upper, q)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import VELOCITY
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
@@ -46,11 +46,11 @@ class JogCommand:
 
     time_ns: int
     """Logical time of it [ns]."""
-    twist: FloatArray | None = None
+    twist: Array | None = None
     """Of the tool, translation and rotation (6,) [m/s, rad/s]."""
     link: str = ""
     """Link along whose axes it is, as they are at each moment; empty: the base."""
-    joints: FloatArray | None = None
+    joints: Array | None = None
     """Joint speeds (N,) [rad/s or m/s]."""
 
 
@@ -117,6 +117,6 @@ def joint_command(
     return JogCommand(time_ns, None, "", speeds)
 
 
-def _at_most(part: FloatArray, size: float) -> FloatArray:
+def _at_most(part: Array, size: float) -> Array:
     norm = float(np.linalg.norm(part))
     return part if norm <= size else part * (size / norm)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.jog import JogCommand, JogStatus
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
@@ -58,7 +58,7 @@ class JogOrder:
         """See `Order`."""
         self.begin(laws, now_ns, reference)
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """See `Order`."""
         now, config = self._joints.now, laws.config
         command = self._command
@@ -100,7 +100,7 @@ class JogOrder:
         back = self._line.back(coming, now.v, command.twist, twist)
         return replace(speeds, v=speeds.v + here.speeds(back, laws.config).v)
 
-    def _bounded(self, laws: Laws, command: JogCommand, q: FloatArray, v: FloatArray) -> FloatArray:
+    def _bounded(self, laws: Laws, command: JogCommand, q: Array, v: Array) -> Array:
         """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""
         allowed = self._joints.allowed(q, v)
         held = [laws.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)]
@@ -116,7 +116,7 @@ class JogOrder:
     def planned(self) -> None:
         """See `Order`."""
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Order`."""
         if self._stale and not self._joints.moving:
             return Progress(State.REACHED, "no command any more, at rest")
@@ -141,16 +141,14 @@ class JogLine:
 
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics = kinematics
-        self._command: FloatArray = np.zeros(POSE_ROWS)
+        self._command: Array = np.zeros(POSE_ROWS)
         self._place: Pose | None = None
 
     def leave(self) -> None:
         """Forget the line."""
         self._place = None
 
-    def back(
-        self, q: FloatArray, v: FloatArray, command: FloatArray, twist: FloatArray
-    ) -> FloatArray:
+    def back(self, q: Array, v: Array, command: Array, twist: Array) -> Array:
         """Return the twist that leads the tool back to its line (6,) [m/s, rad/s].
 
         Args:
@@ -185,12 +183,12 @@ class JogLine:
         back[:rows] = aside / scale / max(1.0, much)
         return back
 
-    def _goes_on(self, command: FloatArray) -> bool:
+    def _goes_on(self, command: Array) -> bool:
         norms = float(np.linalg.norm(command) * np.linalg.norm(self._command))
         return float(command @ self._command) >= _SAME * norms > 0.0
 
 
-def _aside(one: FloatArray, along: FloatArray) -> FloatArray:
+def _aside(one: Array, along: Array) -> Array:
     """Return the part of a vector across another."""
-    across: FloatArray = one - along * float(one @ along) / float(along @ along)
+    across: Array = one - along * float(one @ along) / float(along @ along)
     return across

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.motion.arm_tree import WAY, way_library
 
@@ -17,7 +17,7 @@ ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that 
 
 
 @functools.cache
-def _derived(degrees: int) -> tuple[FloatArray, FloatArray]:
+def _derived(degrees: int) -> tuple[Array, Array]:
     """Return factors and exponents of powers in their derivatives, (DERIVATIVES, degrees) each."""
     orders, powers = range(DERIVATIVES), range(degrees)
     factors = [[float(math.perm(d, order)) for d in powers] for order in orders]
@@ -32,18 +32,18 @@ class JointCurve:
         coefficients: of each piece, in powers of the distance from its begin, (K, D, N).
     """
 
-    def __init__(self, breaks: FloatArray, coefficients: FloatArray) -> None:
+    def __init__(self, breaks: Array, coefficients: Array) -> None:
         self.breaks, self.coefficients = breaks, np.ascontiguousarray(coefficients)
         self._breaks: list[float] = breaks[1:-1].tolist()
         self._factors, self._powers = _derived(coefficients.shape[1])
 
     @classmethod
-    def line(cls, start: FloatArray, end: FloatArray) -> JointCurve:
+    def line(cls, start: Array, end: Array) -> JointCurve:
         """Return the straight line between two configurations (N,)."""
         return cls(np.array([0.0, 1.0]), np.stack([start, end - start])[None])
 
     @classmethod
-    def spline(cls, nodes: FloatArray) -> JointCurve:
+    def spline(cls, nodes: Array) -> JointCurve:
         """Return the cubic spline through configurations (K + 1, N), evenly spread over s."""
         y = np.ascontiguousarray(nodes)
         count, columns = y.shape
@@ -69,11 +69,11 @@ class JointCurve:
         )
 
     @property
-    def end(self) -> FloatArray:
+    def end(self) -> Array:
         """Its end (N,)."""
         return np.asarray(self.derivatives(np.ones(1))[0, 0])
 
-    def leaves(self, low: FloatArray, high: FloatArray) -> tuple[float, int, float] | None:
+    def leaves(self, low: Array, high: Array) -> tuple[float, int, float] | None:
         """Return place, joint and angle where it leaves a range (N,) first; None: nowhere."""
         low = np.minimum(low, self.coefficients[0, 0]) - ROUNDING
         high = np.maximum(high, self.coefficients[0, 0]) + ROUNDING
@@ -86,14 +86,14 @@ class JointCurve:
         found = beyond(self.coefficients, lengths, 0, low, high)
         return None if found is None else (float(self.breaks[found[0]]), *found[1:])
 
-    def derivatives(self, s: FloatArray) -> FloatArray:
+    def derivatives(self, s: Array) -> Array:
         """Return q and its first three derivatives at places (K,), (4, K, N)."""
         piece = np.searchsorted(self._breaks, s, side="right")
         powers = np.vander(s - self.breaks[piece], self._factors.shape[1], increasing=True)
         weights = self._factors * powers[:, self._powers]
         return np.asarray(np.swapaxes(weights @ self.coefficients[piece], 0, 1))
 
-    def moving(self, s: float, d1: float, d2: float, d3: float) -> FloatArray:
+    def moving(self, s: float, d1: float, d2: float, d3: float) -> Array:
         """Return q and its first three derivatives by time, (4, N), from those of s."""
         piece = bisect.bisect_right(self._breaks, s)
         x = s - float(self.breaks[piece])
@@ -119,7 +119,7 @@ class JointCurve:
 
 
 def beyond(
-    pieces: FloatArray, lengths: FloatArray, order: int, low: FloatArray, high: FloatArray
+    pieces: Array, lengths: Array, order: int, low: Array, high: Array
 ) -> tuple[int, int, float] | None:
     """Return piece, column and value where a derivative leaves its range first; None: nowhere.
 
@@ -149,7 +149,7 @@ def beyond(
     return None
 
 
-def _bernstein(degree: int) -> FloatArray:
+def _bernstein(degree: int) -> Array:
     """Return the weights that make Bernstein coefficients (rows) from those of powers."""
     rows = range(degree + 1)
     return np.array(

@@ -7,7 +7,7 @@ import math
 import daqp
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
 
@@ -70,7 +70,7 @@ class JointGoal:
         self._scales = kinematics.scale[:, None] * kinematics.step_scale
         self.begin(self._rest)
 
-    def begin(self, q: FloatArray) -> None:
+    def begin(self, q: Array) -> None:
         """Take joint angles (N,) for the posture, and for the angles found."""
         self._posture = self._scaled(q)
         self._x = self._reached = self._posture
@@ -80,25 +80,25 @@ class JointGoal:
         self.settled = True
 
     @property
-    def q(self) -> FloatArray:
+    def q(self) -> Array:
         """The angles found so far."""
         return self._angles(self._x)
 
     @property
-    def posture(self) -> FloatArray:
+    def posture(self) -> Array:
         """The posture of redundant joints (N,)."""
         return self._angles(self._posture)
 
-    def hold(self, q: FloatArray) -> None:
+    def hold(self, q: Array) -> None:
         """Take the angles of joints that do not move the tool from q (N,)."""
         self._rest = np.array(q, dtype=np.float64)
 
-    def _scaled(self, q: FloatArray) -> FloatArray:
+    def _scaled(self, q: Array) -> Array:
         """Take joint angles (N,), and return those that move the tool, scaled and inside."""
         self.hold(q)
         return self._inside(q[self._to_tool] / self.kinematics.step_scale)
 
-    def _angles(self, x: FloatArray) -> FloatArray:
+    def _angles(self, x: Array) -> Array:
         q = self._rest.copy()
         q[self._to_tool] = x * self.kinematics.step_scale
         return q
@@ -108,7 +108,7 @@ class JointGoal:
         """Whether the tool is at its target there."""
         return bool(_size(self.error) <= REACHED)
 
-    def aim(self, target: Pose, q: FloatArray) -> None:
+    def aim(self, target: Pose, q: Array) -> None:
         """Seek another target, from the angles found or from q (N,), whichever are nearer to it.
 
         After one that was not reached the arm is stretched, and could bend to either side. So a
@@ -130,14 +130,14 @@ class JointGoal:
             if _size(self.error) > _LEEWAY:
                 self._start(start)
 
-    def _start(self, x: FloatArray, error: FloatArray | None = None) -> None:
+    def _start(self, x: Array, error: Array | None = None) -> None:
         self._x, self.error = x, self._error(x) if error is None else error
         self._damping = 1.0
         self._steps = 0
         self._size_before = math.inf
         self.settled = False
 
-    def take(self, q: FloatArray) -> None:
+    def take(self, q: Array) -> None:
         """Take joint angles (N,) that were found elsewhere for the target."""
         self._x = self._scaled(q)
         self.error = self._error(self._x)
@@ -204,7 +204,7 @@ class JointGoal:
         before, self._size_before = self._size_before, size
         return before - size < _HARDLY * size
 
-    def _probe(self, J: FloatArray) -> bool:
+    def _probe(self, J: Array) -> bool:
         """Try finite steps in directions that have no effect in first order; whether one helped."""
         squares, V = directions(J)
         best = _size(self.error) * (1.0 - 1e-6)
@@ -223,15 +223,15 @@ class JointGoal:
         self._x, self.error = found, self._error(found)
         return True
 
-    def _inside(self, x: FloatArray) -> FloatArray:
+    def _inside(self, x: Array) -> Array:
         return np.minimum(np.maximum(x, self._low), self._high)
 
-    def _error(self, x: FloatArray) -> FloatArray:
+    def _error(self, x: Array) -> Array:
         assert self._target is not None
         kinematics = self.kinematics
         return kinematics.scale * kinematics.tool_error(x * kinematics.step_scale, self._target)
 
-    def _error_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _error_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         assert self._target is not None
         kinematics = self.kinematics
         e, J = kinematics.error_and_jacobian(x * kinematics.step_scale, self._target)
@@ -254,9 +254,7 @@ class _Free:
         H, g: nearly the same as the minimum of ``x' H x / 2 - g' x``.
     """
 
-    def __init__(
-        self, J: FloatArray, e: FloatArray, away: FloatArray, size: float, damping: float
-    ) -> None:
+    def __init__(self, J: Array, e: Array, away: Array, size: float, damping: float) -> None:
         squares, V = directions(J)
         self._V = V
         self._stiffness = np.maximum(squares, damping * size + 1e-15)
@@ -271,19 +269,19 @@ class _Free:
             self.aside = float(posture @ posture)
             self._stiffness[:idle] = _POSTURE_WEIGHT
             self._pull[:idle] = _POSTURE_WEIGHT * posture
-        self.step: FloatArray = V @ (self._pull / self._stiffness)
+        self.step: Array = V @ (self._pull / self._stiffness)
 
     @property
-    def H(self) -> FloatArray:
+    def H(self) -> Array:
         # Better conditioned than the step itself, for the solver.
         return (self._V * np.maximum(self._stiffness, 1e-8)) @ self._V.T
 
     @property
-    def g(self) -> FloatArray:
+    def g(self) -> Array:
         return self._V @ self._pull
 
 
-def directions(J: FloatArray) -> tuple[FloatArray, FloatArray]:
+def directions(J: Array) -> tuple[Array, Array]:
     """Return the squares of J's singular values, smallest first (N,), and in columns the joint
     motions that belong to them, (N, N); with more joints than rows the first of them are 0.
     """
@@ -295,14 +293,14 @@ def directions(J: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.maximum(squares, 0.0), V
 
 
-def _size(error: FloatArray) -> float:
+def _size(error: Array) -> float:
     return math.sqrt(float(error @ error))
 
 
 _FOUND = 1
 
 
-def solve_in_box(H: FloatArray, g: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+def solve_in_box(H: Array, g: Array, low: Array, high: Array) -> Array:
     """Return the x within [low, high] that makes ``x' H x / 2 - g' x`` smallest, (N,).
 
     Args:

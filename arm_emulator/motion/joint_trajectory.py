@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
@@ -47,13 +47,13 @@ _BOUNDS = {
 class JointLimits:
     """Limits of an arm's joints, (N,) each."""
 
-    lower: FloatArray
+    lower: Array
     """[rad]; -inf: no limit."""
-    upper: FloatArray
+    upper: Array
     """[rad]; inf: no limit."""
-    speed: FloatArray
+    speed: Array
     """[rad/s]; inf: no limit."""
-    acceleration: FloatArray
+    acceleration: Array
     """Used to come to rest [rad/s2], > 0."""
     continuous: npt.NDArray[np.bool_]
     """Whether the joint repeats after a turn."""
@@ -86,13 +86,13 @@ class JointMotion:
 
     way = ""  # it keeps its times, see `TimedMotion`
 
-    def __init__(self, starts_ns: Sequence[int], end_ns: int, coefficients: FloatArray) -> None:
+    def __init__(self, starts_ns: Sequence[int], end_ns: int, coefficients: Array) -> None:
         self.starts_ns = list(starts_ns)
         self.end_ns = end_ns
         self.coefficients = coefficients
 
     @property
-    def durations(self) -> FloatArray:
+    def durations(self) -> Array:
         """Of the pieces (S,) [s]."""
         return _seconds_between([*self.starts_ns, self.end_ns])
 
@@ -115,9 +115,7 @@ class JointMotion:
         return Reference(q, v, a)
 
 
-def come_to_rest(
-    time_ns: int, q: FloatArray, v: FloatArray, acceleration: FloatArray
-) -> JointMotion:
+def come_to_rest(time_ns: int, q: Array, v: Array, acceleration: Array) -> JointMotion:
     """Return the motion that brings all joints to rest together, straight on in joint space.
 
     Args:
@@ -194,9 +192,7 @@ class JointTrajectory:
         """Return its end [ns] for a start."""
         return start_ns + (self.times_ns[-1] if self.times_ns else 0)
 
-    def begin(
-        self, now_ns: int, start_ns: int, q: FloatArray, v: FloatArray, a: FloatArray
-    ) -> JointMotion:
+    def begin(self, now_ns: int, start_ns: int, q: Array, v: Array, a: Array) -> JointMotion:
         """Return the motion of all joints from now on.
 
         Args:
@@ -236,7 +232,7 @@ class JointTrajectory:
         own = JointMotion([now_ns, *times[first:-1]], times[-1], np.concatenate([approach, pieces]))
         return _beside(own, moved, rest)
 
-    def effort(self, time_ns: int, start_ns: int) -> FloatArray | None:
+    def effort(self, time_ns: int, start_ns: int) -> Array | None:
         """Return the torques given for a logical time, straight between points.
 
         (N,) [N m], 0 for joints that are not named; None where the points next to it have none.
@@ -271,7 +267,7 @@ class JointTrajectory:
                 raise Refusal(WHERE, f"points[{point}].{field}", rule, f"{table[point, at]:.6g}")
 
     def _check_between(
-        self, pieces: FloatArray, times_ns: Sequence[int], what: str = "the spline"
+        self, pieces: Array, times_ns: Sequence[int], what: str = "the spline"
     ) -> None:
         """Refuse pieces (S, 6, M) that leave the limits between their ends."""
         if not len(pieces):
@@ -349,7 +345,7 @@ def _check_kinds(points: Sequence[TrajectoryPoint]) -> None:
             raise Refusal(WHERE, f"points[{i}].velocities", rule, "none")
 
 
-def _table(points: Sequence[TrajectoryPoint], field: str, count: int) -> FloatArray:
+def _table(points: Sequence[TrajectoryPoint], field: str, count: int) -> Array:
     """Return a field of all points, (K, M); NaN where a point has none."""
     table = np.full((len(points), count), math.nan)
     needed = field == "positions"
@@ -361,11 +357,11 @@ def _table(points: Sequence[TrajectoryPoint], field: str, count: int) -> FloatAr
     return table
 
 
-def _seconds_between(times_ns: Sequence[int]) -> FloatArray:
+def _seconds_between(times_ns: Sequence[int]) -> Array:
     return np.diff(np.array(times_ns, dtype=np.int64)).astype(np.float64) * _SECONDS
 
 
-def _hermite(times_ns: Sequence[int], q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+def _hermite(times_ns: Sequence[int], q: Array, v: Array, a: Array) -> Array:
     """Return the pieces between points, (K - 1, 6, M).
 
     Where the speeds of an end are NaN a piece is straight, where its accelerations are, cubic.
@@ -407,10 +403,10 @@ def _beside(own: JointMotion, moved: npt.NDArray[np.int64], rest: JointMotion) -
     return JointMotion(starts, end, coefficients)
 
 
-def _from(motion: JointMotion, start_ns: int) -> FloatArray:
+def _from(motion: JointMotion, start_ns: int) -> Array:
     """Return the piece that holds at a time, in powers of the seconds since then, (6, N)."""
     if start_ns >= motion.end_ns:
-        c: FloatArray = np.zeros_like(motion.coefficients[0])
+        c: Array = np.zeros_like(motion.coefficients[0])
         c[0] = motion.at(motion.end_ns).q
         return c
     piece = max(0, bisect.bisect_right(motion.starts_ns, start_ns) - 1)

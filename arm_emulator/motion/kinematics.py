@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
-from arm_emulator.base.given import FloatArray, as_kind
+from arm_emulator.base.given import as_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
@@ -142,13 +143,13 @@ class Kinematics(Lasting):
         task = "pose" if self.turns_tool else "position"
         return Kinematics, (self.urdf_xml, self.joint_names, self.tool, task)
 
-    def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def forward(self, q: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the tool's pose: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
         placement = self._data.oMf[self._frame]
         return placement.rotation.copy(), placement.translation.copy()
 
-    def axes(self, link: str, q: npt.ArrayLike) -> FloatArray:
+    def axes(self, link: str, q: npt.ArrayLike) -> Array:
         """Return the orientation R_WL of a link, or of the tool, at q, (3, 3).
 
         Raises:
@@ -161,24 +162,24 @@ class Kinematics(Lasting):
             raise Refusal("Kinematics.axes", "link", "be of the robot", link)
         number = self.model.getFrameId(LINK + link, pin.FrameType.BODY)
         pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
-        axes: FloatArray = self._data.oMf[number].rotation.copy()
+        axes: Array = self._data.oMf[number].rotation.copy()
         return axes
 
-    def jacobian(self, q: npt.ArrayLike) -> FloatArray:
+    def jacobian(self, q: npt.ArrayLike) -> Array:
         """Return J(q), (rows, N) [m/rad, rad/rad], along the world's axes at the tool."""
         return self._jacobian(self._configuration(q))
 
-    def tool_error(self, q: npt.ArrayLike, target: Pose) -> FloatArray:
+    def tool_error(self, q: npt.ArrayLike, target: Pose) -> Array:
         """Return ``X_target - X(q)``, (rows,) [m, rad]."""
         return self._tool_error(*self.forward(q), target)
 
-    def error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[FloatArray, FloatArray]:
+    def error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[Array, Array]:
         """Return `tool_error` and `jacobian` at the cost of one of them."""
         J = self._jacobian(self._configuration(q))
         placement = pin.updateFramePlacement(self.model, self._data, self._frame)
         return self._tool_error(placement.rotation, placement.translation, target), J
 
-    def _jacobian(self, configuration: FloatArray) -> FloatArray:
+    def _jacobian(self, configuration: Array) -> Array:
         J = pin.computeFrameJacobian(
             self.model,
             self._data,
@@ -187,22 +188,22 @@ class Kinematics(Lasting):
             pin.ReferenceFrame.LOCAL_WORLD_ALIGNED,
         )
         J = np.reshape(J, (POSE_ROWS, -1))  # of a single joint it comes as a vector
-        rows: FloatArray = J[: self.rows, self._columns]
+        rows: Array = J[: self.rows, self._columns]
         return self.shafts.columns(rows)
 
-    def _tool_error(self, R_WT: FloatArray, p_WT: FloatArray, target: Pose) -> FloatArray:
+    def _tool_error(self, R_WT: Array, p_WT: Array, target: Pose) -> Array:
         error = as_kind(target, Pose, "Kinematics", "target", "be a Pose").p_WT - p_WT
         if self.rows == POSITION_ROWS:
             return error
-        both: FloatArray = np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])
+        both: Array = np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])
         return both
 
-    def singular_values(self, q: npt.ArrayLike) -> FloatArray:
+    def singular_values(self, q: npt.ArrayLike) -> Array:
         """Return the singular values of the scaled Jacobian, largest first [rad/rad]."""
         scaled = self.jacobian(q)[:, self.to_tool] * self.scale[:, None]
         return np.asarray(np.linalg.svd(scaled, compute_uv=False), dtype=np.float64)
 
-    def vector(self, q: npt.ArrayLike) -> FloatArray:
+    def vector(self, q: npt.ArrayLike) -> Array:
         """Return joint angles as an array (N,).
 
         Raises:
@@ -210,10 +211,10 @@ class Kinematics(Lasting):
         """
         return _Q.row("Kinematics", q, len(self.joint_names))
 
-    def _configuration(self, q: npt.ArrayLike) -> FloatArray:
+    def _configuration(self, q: npt.ArrayLike) -> Array:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
         q = self.shafts.of_joints(self.vector(q))
-        configuration: FloatArray = self._neutral.copy()
+        configuration: Array = self._neutral.copy()
         configuration[self._places] = q
         turning = self._turning
         if turning.any():
@@ -221,16 +222,16 @@ class Kinematics(Lasting):
             configuration[self._places[turning] + 1] = np.sin(q[turning])
         return configuration
 
-    def _step_scale(self) -> FloatArray:
+    def _step_scale(self) -> Array:
         """Return by how much the joints move towards a target, relative to each other (N,)."""
         speeds = self.velocity_limit / self.joint_scale
         usual = float(np.median(speeds[self.to_tool])) if self.to_tool.any() else np.inf
         if self.to_tool.sum() <= self.rows or not np.isfinite(usual):
             return self.joint_scale  # nothing to choose from, or nothing known
-        share: FloatArray = np.clip(SLOW * speeds / usual, LEAST_SHARE, 1.0)
+        share: Array = np.clip(SLOW * speeds / usual, LEAST_SHARE, 1.0)
         return share * self.joint_scale
 
-    def _position_limits(self) -> tuple[FloatArray, FloatArray]:
+    def _position_limits(self) -> tuple[Array, Array]:
         """Return the position limits of the URDF, (N,) each; a continuous joint has none."""
         bounds = [
             (-math.inf, math.inf)

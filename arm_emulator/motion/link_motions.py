@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.shafts import Shafts
-
-Array = NDArray[np.float64]
 
 
 class LinkMotions:

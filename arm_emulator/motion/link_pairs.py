@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.arm_shapes import ArmShapes
 
 DRAWN = 10_000  # configurations: MoveIt's own assistant draws as many
@@ -87,7 +87,7 @@ class _Contacts:
         self._data = arm.model.createData()
         self._tested, self._exact = self._hulls.createData(), self._meshes.createData()
 
-    def at(self, q: FloatArray) -> set[tuple[str, str]]:
+    def at(self, q: Array) -> set[tuple[str, str]]:
         """Return the pairs that touch at q (N,)."""
         model, data = self._arm.model, self._data
         if not self.pairs or not pin.computeCollisions(

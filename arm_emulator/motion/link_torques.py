@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.base.shafts import Shafts
@@ -46,15 +46,13 @@ class LinkTorques(Lasting):
         if not np.isfinite(self.at(still, still)).all():
             raise Refusal("robot_description", "its masses", "be finite", "others")
 
-    def at(self, q: FloatArray, v: FloatArray, a: FloatArray | None = None) -> FloatArray:
+    def at(self, q: Array, v: Array, a: Array | None = None) -> Array:
         """Return the torques (N,) [N m] at angles [rad], speeds [rad/s], accelerations [rad/s2]."""
         configuration, full_v, full_a = self._whole(q, v, np.zeros_like(v) if a is None else a)
         tau = pin.rnea(self._model, self._data, configuration, full_v, full_a)
         return self._shafts.columns(np.asarray(tau[self._columns], dtype=np.float64))
 
-    def rates(
-        self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def rates(self, q: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
         """Return the torques (N,) and their rates (N,) [N m/s], with jerks [rad/s3]."""
         configuration, full_v, full_a = self._whole(q, v, a)
         by_q, by_v, M = pin.computeRNEADerivatives(
@@ -78,7 +76,7 @@ class LinkTorques(Lasting):
         order = sorted(range(len(numbers)), key=lambda j: -numbers[j])
         return [(j, tuple(carried[j])) for j in order]
 
-    def _whole(self, q: FloatArray, v: FloatArray, a: FloatArray) -> list[FloatArray]:
+    def _whole(self, q: Array, v: Array, a: Array) -> list[Array]:
         """Return Pinocchio's configuration, speeds and accelerations, of all joints."""
         whole = np.zeros((3, self._model.nv))
         shafts = self._shafts

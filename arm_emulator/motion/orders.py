@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.joint_trajectory import JointTrajectory
@@ -74,7 +74,7 @@ class Order(Protocol):
             Refusal: it cannot be continued so. Nothing has changed then.
         """
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """Return the joint targets of this motion period.
 
         Raises:
@@ -88,7 +88,7 @@ class Order(Protocol):
     def planned(self) -> Planned | None:
         """Return its motion, after `instruct`, on which parts keep apart; None: not known."""
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """Return its progress, after `instruct`, by the measured angles and speeds."""
 
 
@@ -99,7 +99,7 @@ class TargetOrder:
 
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
         self.stamp_ns, self.pose = stamp_ns, pose
-        self._held: FloatArray | None = None
+        self._held: Array | None = None
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -119,7 +119,7 @@ class TargetOrder:
         """See `Order`."""
         return self._law.way
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """See `Order`."""
         if self._held is not None:
             return Instruction(self._held)
@@ -137,7 +137,7 @@ class TargetOrder:
         """See `Order`."""
         return _planned(self._law) if isinstance(self._law, WayController) else None
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Order`."""
         return self._arrival.progress(now_ns, self._law, q, v)
 
@@ -176,7 +176,7 @@ class PathOrder:
         law.follow(left)
         self.way = f"goes on, in {left.duration:.3g} s"
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """See `Order`."""
         instruction = self._law.go_on(q, self._path.poses[-1])
         self._watch.see(instruction.q, q)
@@ -190,7 +190,7 @@ class PathOrder:
         """See `Order`."""
         return _planned(self._law)
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Order`."""
         if self._watch.broken:
             return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
@@ -238,7 +238,7 @@ class TrajectoryOrder:
         """See `Order`."""
         return self._motion.way
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """See `Order`."""
         self._at_ns, self._period = now_ns, laws.config.period
         now, then = (self._motion.at(now_ns + t) for t in (0, laws.period_ns))
@@ -257,7 +257,7 @@ class TrajectoryOrder:
         gone = (self._at_ns - self._began_ns) * _SECONDS + self._period
         return None if self.trajectory.stops else Planned(self._whole, gone)
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Order`."""
         asked = self._motion.at(now_ns)
         q_error, v_error = asked.q - q, None if v is None else asked.v - v
@@ -300,9 +300,7 @@ class _Arrival:
         """Whether the tool has come no nearer for a while."""
         return self._best_at is not None and (now_ns - self._best_at) * _SECONDS >= PATIENCE
 
-    def progress(
-        self, now_ns: int, law: Controller, q: FloatArray, v: FloatArray | None
-    ) -> Progress:
+    def progress(self, now_ns: int, law: Controller, q: Array, v: Array | None) -> Progress:
         """Return the tool's progress, by measured angles and speeds."""
         config, error = self._config, law.error
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))
@@ -320,7 +318,7 @@ class _Arrival:
             return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, shown)
         return Progress(State.MOVING, "", distance, shown)
 
-    def _rests(self, law: Controller, q: FloatArray, v: FloatArray | None) -> bool:
+    def _rests(self, law: Controller, q: Array, v: Array | None) -> bool:
         """Whether the measured tool needs more than `_STAYS` to leave what counts as reached."""
         if v is None:
             return True

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
 
@@ -31,13 +31,13 @@ class PathWatch:
     def __init__(self, kinematics: Kinematics, poses: Sequence[Pose], tolerance: float) -> None:
         self._kinematics, self._tolerance = kinematics, tolerance
         self._poses = np.array([one.p_WT for one in poses])
-        self._way: deque[FloatArray] = deque(maxlen=_LATE)
-        self._before: FloatArray | None = None
+        self._way: deque[Array] = deque(maxlen=_LATE)
+        self._before: Array | None = None
         self._passed = np.full(len(poses), np.inf)  # by the reference
         self._reached = np.full(len(poses), np.inf)  # by the measured tool
         self.broken = ""
 
-    def see(self, q_reference: FloatArray, q: FloatArray) -> None:
+    def see(self, q_reference: Array, q: Array) -> None:
         """Take reference and measured joint angles of a motion period, (N,) each."""
         asked = self._kinematics.forward(q_reference)[1]
         tool = self._kinematics.forward(q)[1]
@@ -68,7 +68,7 @@ class PathWatch:
         return f"poses[{k}] was missed by {off[k] * 1e3:.3g} mm"
 
 
-def apart(points: FloatArray, begins: FloatArray, ends: FloatArray) -> FloatArray:
+def apart(points: Array, begins: Array, ends: Array) -> Array:
     """Return the distances of points (P, 3) from segments (S, 3), (P, S) [m]."""
     along = ends - begins
     to = points[:, None] - begins

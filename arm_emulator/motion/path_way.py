@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.joint_goal import JointGoal
@@ -90,7 +90,7 @@ def plan_path(
     return row
 
 
-def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
+def _way_in(law: WayController, q: Array, path: ToolPath) -> Motion:
     """Return the way from rest to the first pose, the best of `TargetWays`."""
     kinematics, to, limits = law.kinematics, path.first, path.limits
     R_WT, p_WT = kinematics.forward(q)
@@ -123,7 +123,7 @@ def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
     raise ways.past_end(end)
 
 
-def _as_limits_allow(law: WayController, path: ToolPath, start: FloatArray) -> list[Motion]:
+def _as_limits_allow(law: WayController, path: ToolPath, start: Array) -> list[Motion]:
     """Return a way for each run between stops."""
     curve, limits = path.curve, path.limits
     ends = [(float(a), float(b)) for a, b in zip(path.stops, path.stops[1:], strict=False)]
@@ -154,7 +154,7 @@ def _as_limits_allow(law: WayController, path: ToolPath, start: FloatArray) -> l
     return ways
 
 
-def _run(path: ToolPath, a: float, b: float) -> FloatArray:
+def _run(path: ToolPath, a: float, b: float) -> Array:
     """Return evenly spread measures from one stop, without it, to the next (K,)."""
     curve = path.curve
     inside = (curve.ends > a) & (curve.ends - curve.length < b) & (curve.curvature() > 0.0)
@@ -165,7 +165,7 @@ def _run(path: ToolPath, a: float, b: float) -> FloatArray:
     return a + (b - a) * np.arange(1, count + 1) / count
 
 
-def _timed(law: WayController, path: ToolPath, start: FloatArray, scaled: bool) -> list[Motion]:
+def _timed(law: WayController, path: ToolPath, start: Array, scaled: bool) -> list[Motion]:
     """Return the way of a path with times."""
     assert path.times_ns is not None
     curve = path.curve
@@ -177,7 +177,7 @@ def _timed(law: WayController, path: ToolPath, start: FloatArray, scaled: bool) 
     distance = TimedDistance(times, curve.at_poses, stops)
     count = min(max(FEWEST_NODES, math.ceil(whole / _NODE_TIME)), MOST_NODES)
 
-    def measure(s: FloatArray) -> FloatArray:
+    def measure(s: Array) -> Array:
         return distance.at(s * whole)
 
     q = _joints(law, path, start, [measure(np.arange(1, count + 1) / count)])
@@ -231,9 +231,7 @@ class Evenly:
         return worst
 
 
-def _joints(
-    law: WayController, path: ToolPath, start: FloatArray, nodes: Sequence[FloatArray]
-) -> FloatArray:
+def _joints(law: WayController, path: ToolPath, start: Array, nodes: Sequence[Array]) -> Array:
     """Return the joints at measures of a path (1 + K, N).
 
     Raises:
@@ -294,9 +292,7 @@ class TimedDistance:
         stops: whether it rests in each place (K,).
     """
 
-    def __init__(
-        self, times: FloatArray, distance: FloatArray, stops: npt.NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, times: Array, distance: Array, stops: npt.NDArray[np.bool_]) -> None:
         self._t, self._s = times, distance
         h = np.diff(times)
         m = np.diff(distance) / h
@@ -306,7 +302,7 @@ class TimedDistance:
             self._v[1:-1] = (early + late) / (early / m[:-1] + late / m[1:])
         self._v[stops] = 0.0
 
-    def at(self, t: FloatArray) -> FloatArray:
+    def at(self, t: Array) -> Array:
         """Return the distances at times (P,) [s]."""
         i = np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2)
         h = self._t[i + 1] - self._t[i]

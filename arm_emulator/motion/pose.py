@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.by_value import ByValue
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
@@ -25,9 +25,9 @@ _ORIENTATION = Number.within("orientation", "", math.inf)
 class Pose(ByValue):
     """Pose of the tool frame T in the world frame W."""
 
-    p_WT: FloatArray
+    p_WT: Array
     """Position (3,) [m]."""
-    R_WT: FloatArray
+    R_WT: Array
     """Rotation matrix (3, 3)."""
 
     def __init__(self, p_WT: npt.ArrayLike, R_WT: npt.ArrayLike) -> None:
@@ -50,7 +50,7 @@ class Pose(ByValue):
         _keep(self, p, R)
 
     @classmethod
-    def computed(cls, p_WT: FloatArray, R_WT: FloatArray) -> Pose:
+    def computed(cls, p_WT: Array, R_WT: Array) -> Pose:
         """Take both over as they are: results of a computation from poses."""
         pose = cls.__new__(cls)
         _keep(pose, p_WT, R_WT)
@@ -90,7 +90,7 @@ class Pose(ByValue):
             ),
         )
 
-    def quaternion(self) -> FloatArray:
+    def quaternion(self) -> Array:
         """Return the orientation as x, y, z, w with w >= 0, (4,)."""
         # The column of 4 q q' with the largest diagonal entry (Shepperd 1978): never near 0 / 0.
         R = self.R_WT
@@ -103,12 +103,12 @@ class Pose(ByValue):
                 [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1 + xx + yy + zz],
             ]
         )
-        q: FloatArray = outer[:, int(np.argmax(np.diag(outer)))]
+        q: Array = outer[:, int(np.argmax(np.diag(outer)))]
         q = q / np.linalg.norm(q)
         return -q if q[3] < 0.0 else q
 
 
-def _keep(pose: Pose, p_WT: FloatArray, R_WT: FloatArray) -> None:
+def _keep(pose: Pose, p_WT: Array, R_WT: Array) -> None:
     for name, array in (("p_WT", p_WT), ("R_WT", R_WT)):
         array.setflags(write=False)
         object.__setattr__(pose, name, array)

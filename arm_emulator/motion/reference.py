@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 
 
@@ -30,17 +30,17 @@ class Motion(Protocol):
 class Reference:
     """Derivatives of the joints' motion at one moment, not means over a period, (N,) each."""
 
-    q: FloatArray
+    q: Array
     """Link angles [rad or m]."""
-    v: FloatArray
+    v: Array
     """Their speeds [rad/s or m/s]."""
-    a: FloatArray
+    a: Array
     """Their accelerations [rad/s2 or m/s2]."""
-    jerk: FloatArray | None = None
+    jerk: Array | None = None
     """Their jerks until the next change of them [rad/s3 or m/s3]; None: not known."""
 
     @classmethod
-    def at_rest(cls, q: FloatArray) -> Reference:
+    def at_rest(cls, q: Array) -> Reference:
         """Return joints at rest."""
         still = np.zeros_like(q)
         return cls(q, still, still, still)
@@ -50,11 +50,11 @@ class Reference:
 class Instruction:
     """Joint targets, (N,) each in the motion controller's order of joints."""
 
-    q: FloatArray
+    q: Array
     """Link angles [rad or m]."""
-    v: FloatArray | None = None
+    v: Array | None = None
     """Link speeds that belong to them, those of the coming motion period; None: not known."""
-    tau: FloatArray | None = None
+    tau: Array | None = None
     """Feed-forward torques of the links [N m or N]; None: unknown."""
     now: Reference | None = None
     """The motion at this moment with all its derivatives, of which `v` is the mean; None: the law

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 
 LEAST, MOST = 0.5, 2.0
 _SETTLED = 0.1  # s at rest before the motors' torques count: links swing after a motion
@@ -47,17 +47,17 @@ class RestLoad:
 
     def __init__(
         self,
-        dry: FloatArray,
-        softness: FloatArray,
+        dry: Array,
+        softness: Array,
         period: float,
         outboard: Sequence[tuple[int, Sequence[int]]],
     ) -> None:
-        self.factor: FloatArray = np.ones(len(dry))
+        self.factor: Array = np.ones(len(dry))
         with np.errstate(divide="ignore"):
-            self._uncertain: FloatArray = _FRICTION * dry + _FINE / softness
+            self._uncertain: Array = _FRICTION * dry + _FINE / softness
         self._period, self._outboard = period, outboard
         self._dry = dry
-        self._held: FloatArray = np.zeros(len(dry))  # by friction at rest, N m
+        self._held: Array = np.zeros(len(dry))  # by friction at rest, N m
         self._rested = 0.0  # s
 
     def moves(self) -> None:
@@ -69,7 +69,7 @@ class RestLoad:
         self._held = np.where(free, self._held, 0.0)
         self.moves()
 
-    def let_go(self, sliding: FloatArray) -> FloatArray:
+    def let_go(self, sliding: Array) -> Array:
         """Return what friction held at rest and holds no longer in a motion period (N,) [N m].
 
         Args:
@@ -79,7 +79,7 @@ class RestLoad:
         self._held = self._held - min(1.0, self._period / _TAKEN) * gone
         return gone
 
-    def rests(self, tau: FloatArray, weight: FloatArray) -> None:
+    def rests(self, tau: Array, weight: Array) -> None:
         """Follow the load in a motion period of rest.
 
         Args:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ruckig
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.reference import Reference
 
 _BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit
@@ -33,11 +33,11 @@ class SmoothJoints:
 
     def __init__(
         self,
-        lower: FloatArray,
-        upper: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-        jerk: FloatArray,
+        lower: Array,
+        upper: Array,
+        velocity: Array,
+        acceleration: Array,
+        jerk: Array,
         period: float,
     ) -> None:
         self._lower, self._upper, self._velocity = lower, upper, velocity
@@ -52,7 +52,7 @@ class SmoothJoints:
             one.target_velocity = one.target_acceleration = [0.0] * joints
         self._stop.synchronization = ruckig.Synchronization.No
 
-    def __getstate__(self) -> tuple[tuple[FloatArray | float, ...], Reference]:
+    def __getstate__(self) -> tuple[tuple[Array | float, ...], Reference]:
         limits = self._lower, self._upper, self._velocity, self._acceleration, self._jerk
         return (*limits, self._period), self.now
 
@@ -80,7 +80,7 @@ class SmoothJoints:
         now = self.now
         return bool(np.abs(now.v).max() > 1e-9 or np.abs(now.a).max() > 1e-6)
 
-    def allowed(self, q: FloatArray, v: FloatArray) -> FloatArray:
+    def allowed(self, q: Array, v: Array) -> Array:
         """Return the permitted share of each joint's speed (N,) at q, 0 to 1."""
         to_limit = np.where(v > 0.0, self._upper - q, q - self._lower)
         most = np.minimum(
@@ -91,7 +91,7 @@ class SmoothJoints:
         part[fast] = most[fast] / np.abs(v[fast])
         return np.where(part < _HALTS, 0.0, part)
 
-    def brakes(self, v: FloatArray, seconds: float) -> float:
+    def brakes(self, v: Array, seconds: float) -> float:
         """Return the share of speeds v (N,) that comes to rest within a time at v [s], 0 to 1."""
         moves = v != 0.0
         if not moves.any():
@@ -103,7 +103,7 @@ class SmoothJoints:
         share = float(_stopping(np.array(seconds), slows, grows))
         return 0.0 if share < _HALTS else min(1.0, share)
 
-    def stopping_way(self, then: Reference, pieces: Callable[[FloatArray], int]) -> FloatArray:
+    def stopping_way(self, then: Reference, pieces: Callable[[Array], int]) -> Array:
         """Return angles (K, N) on the way on which the joints come to rest, each by itself.
 
         Args:
@@ -120,13 +120,11 @@ class SmoothJoints:
         times = [duration * k / count for k in range(count)] if count else []
         return np.array([*(self._ends.at_time(t)[0] for t in times), end.tolist()])
 
-    def halt(self) -> FloatArray:
+    def halt(self) -> Array:
         """Brake each joint by itself for a period; return their mean speeds in it."""
         return self.go(np.zeros(len(self._lower)), alone=True, together=False)
 
-    def go(
-        self, v: FloatArray, alone: bool, together: bool = True, a: FloatArray | None = None
-    ) -> FloatArray:
+    def go(self, v: Array, alone: bool, together: bool = True, a: Array | None = None) -> Array:
         """Move the joints towards speeds v (N,) for a period; return their mean speeds in it.
 
         From where they are then every joint can stop before its limit. A joint that could not if it
@@ -149,10 +147,10 @@ class SmoothJoints:
             found = self._too_late(before) & (v != 0.0)
             late, more = late | found, found.any()
         self._out.pass_to_input(one)
-        mean: FloatArray = (np.array(one.current_position) - before) / self._period
+        mean: Array = (np.array(one.current_position) - before) / self._period
         return mean
 
-    def _extreme(self, stop: ruckig.InputParameter, at: float) -> FloatArray:
+    def _extreme(self, stop: ruckig.InputParameter, at: float) -> Array:
         """Return the largest positions (N,) on the way to rest from positions `at` > 0, or least.
 
         Ruckig 0.19 has 0 among the positions of such a way.
@@ -162,7 +160,7 @@ class SmoothJoints:
         extrema = self._ends.position_extrema
         return np.array([one.max if at > 0.0 else one.min for one in extrema])
 
-    def _step_on(self, v: FloatArray, a: FloatArray) -> None:
+    def _step_on(self, v: Array, a: Array) -> None:
         """Step to speeds v that go on to change by a, as far as the limits let them."""
         one, left = self._in, np.maximum(self._velocity - np.abs(v), 0.0)
         most = np.minimum(_BRAKES * self._acceleration, np.sqrt(2.0 * self._jerk * left))
@@ -173,7 +171,7 @@ class SmoothJoints:
         finally:
             one.target_acceleration, one.minimum_duration = [0.0] * len(v), None
 
-    def _step(self, v: FloatArray, together: ruckig.Synchronization) -> None:
+    def _step(self, v: Array, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
         self._otg.reset()
         try:
@@ -181,7 +179,7 @@ class SmoothJoints:
         except ArithmeticError as error:
             raise ArithmeticError(f"no way to take up the speeds {v.tolist()}: {error}") from None
 
-    def _too_late(self, before: FloatArray) -> npt.NDArray[np.bool_]:
+    def _too_late(self, before: Array) -> npt.NDArray[np.bool_]:
         """Return which joints cannot stop within their limits after the step, (N,).
 
         One that began outside may come back.
@@ -196,7 +194,7 @@ class SmoothJoints:
         return late
 
 
-def _stopping(distance: FloatArray, acceleration: FloatArray, jerk: FloatArray) -> FloatArray:
+def _stopping(distance: Array, acceleration: Array, jerk: Array) -> Array:
     """Return the speeds (N,) from which joints at no acceleration stop within distances.
 
     From v a joint stops within v sqrt(v / j) where it does not come to its largest acceleration a,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.orders import Planned
@@ -52,7 +52,7 @@ class Standstill:
         held = [name for name, led in zip(self._names, self._led, strict=True) if not led]
         return f"waits for power and brakes of {', '.join(held)}" if held else "comes to rest"
 
-    def instruct(self, q: FloatArray, v: FloatArray | None, movable: Flags) -> Instruction:
+    def instruct(self, q: Array, v: Array | None, movable: Flags) -> Instruction:
         """Return the joint targets of this motion period.
 
         Args:
@@ -105,7 +105,7 @@ class SlowingOrder:
         """See `Order`."""
         self._motion, self._began_ns = Rest(reference.q), now_ns
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """See `Order`."""
         now, then = self.reference(now_ns), self.reference(now_ns + laws.period_ns)
         self._at_ns = now_ns + laws.period_ns
@@ -119,7 +119,7 @@ class SlowingOrder:
         """See `Order`."""
         return Planned(self._motion, (self._at_ns - self._began_ns) * _SECONDS)
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Order`."""
         over = (now_ns - self._began_ns) * _SECONDS > self._motion.duration
         return Progress(State.REACHED, "at rest") if over else MOVING

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import ruckig
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import found
@@ -39,10 +39,10 @@ class TakeOver(Lasting):
     def __init__(
         self,
         now: Reference,
-        end: FloatArray | None,
+        end: Array | None,
         limits: WayLimits,
-        lower: FloatArray,
-        upper: FloatArray,
+        lower: Array,
+        upper: Array,
     ) -> None:
         low, high = np.minimum(lower, now.q) - 1e-9, np.maximum(upper, now.q) + 1e-9
         problem = ruckig.InputParameter(len(now.q))
@@ -84,7 +84,7 @@ class TakeOver(Lasting):
         self.duration = float(self._trajectory.duration)
         return True
 
-    def _within(self, low: FloatArray, high: FloatArray) -> bool:
+    def _within(self, low: Array, high: Array) -> bool:
         extremes = self._trajectory.position_extrema
         return all(
             one.min >= least and one.max <= most
@@ -95,7 +95,7 @@ class TakeOver(Lasting):
 class Rest:
     """Joints at rest, for a time [s]."""
 
-    def __init__(self, q: FloatArray, duration: float = 0.0) -> None:
+    def __init__(self, q: Array, duration: float = 0.0) -> None:
         self._reference, self.duration = Reference.at_rest(q), duration
 
     def at(self, time: float) -> Reference:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress
@@ -41,13 +41,13 @@ class StreamMotion:
 
     time_ns: int
     pose: Pose
-    terms: FloatArray
+    terms: Array
 
     def age(self, now_ns: int) -> float:
         """Return the time since the newest target [s]."""
         return (now_ns - self.time_ns) * _SECONDS
 
-    def at(self, age: float) -> tuple[Pose, FloatArray, FloatArray]:
+    def at(self, age: float) -> tuple[Pose, Array, Array]:
         """Return pose, speed and acceleration (6,) at an age [m, rad, s]."""
         place, speed, acceleration = self.terms
         move = place + age * speed + 0.5 * age**2 * acceleration
@@ -70,11 +70,11 @@ class TargetStream:
     """
 
     period: float
-    posture: FloatArray = field(default_factory=lambda: np.zeros(0))
+    posture: Array = field(default_factory=lambda: np.zeros(0))
     _seen: list[tuple[int, Pose]] = field(default_factory=list)
     _count: int = 0
 
-    def take(self, time_ns: int, pose: Pose, q: FloatArray) -> None:
+    def take(self, time_ns: int, pose: Pose, q: Array) -> None:
         """Take the newest target.
 
         Args:
@@ -109,21 +109,21 @@ class TargetStream:
         return StreamMotion(time_ns, newest, terms / span ** np.arange(3)[:, None])
 
 
-def _slow(twist: FloatArray) -> bool:
+def _slow(twist: Array) -> bool:
     move, turn = twist[:POSITION_ROWS], twist[POSITION_ROWS:]
     return bool(move @ move <= FASTEST**2 and turn @ turn <= FASTEST_TURN**2)
 
 
-def _turns(R: FloatArray) -> FloatArray:
+def _turns(R: Array) -> Array:
     """Return the rotation vectors of rotations (K, 3, 3) below half a turn, (K, 3) [rad]."""
     across = 0.5 * np.stack([R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     sines = np.linalg.norm(across, axis=1, keepdims=True)
     cosines = 0.5 * (np.trace(R, axis1=1, axis2=2)[:, None] - 1.0)
-    turns: FloatArray = across * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
+    turns: Array = across * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
     return turns
 
 
-def _between(before: Pose, after: Pose) -> FloatArray:
+def _between(before: Pose, after: Pose) -> Array:
     both = np.empty(POSE_ROWS)
     both[:POSITION_ROWS] = after.p_WT - before.p_WT
     both[POSITION_ROWS:] = pin.log3(after.R_WT @ before.R_WT.T)
@@ -140,7 +140,7 @@ BACK = 2.0  # 1/s, of redundant joints' distance from their posture
 _AHEAD = 1e-3  # s, over which the change of joint speeds is taken
 
 
-def is_near(kinematics: Kinematics, q: FloatArray, target: TargetOrder) -> bool:
+def is_near(kinematics: Kinematics, q: Array, target: TargetOrder) -> bool:
     """Return whether a tool is near enough to its target to go on with a stream."""
     error = kinematics.tool_error(q, target.pose)
     move, turn = error[:POSITION_ROWS], error[POSITION_ROWS:]
@@ -159,7 +159,7 @@ class StreamOrder:
     kind = Kind.TOOL_TARGET
     way = ""
 
-    def __init__(self, target: TargetOrder, motion: StreamMotion, posture: FloatArray) -> None:
+    def __init__(self, target: TargetOrder, motion: StreamMotion, posture: Array) -> None:
         self.stamp_ns = target.stamp_ns
         self._target, self._motion, self._posture = target, motion, posture
 
@@ -174,7 +174,7 @@ class StreamOrder:
         """See `Order`."""
         self.begin(laws, now_ns, reference)
 
-    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
         """See `Order`."""
         age = self._motion.age(now_ns)
         if not self._rests and age > GAP:
@@ -207,6 +207,6 @@ class StreamOrder:
         """See `Order`."""
         return self._target.planned() if self._rests else None
 
-    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Order`."""
         return self._target.progress(now_ns, q, v) if self._rests else MOVING

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import ruckig
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.configuration_search import spread
@@ -38,7 +38,7 @@ class TargetWay:
     way: Way
     words: str
     """Kind and reason, as text."""
-    end: FloatArray
+    end: Array
     """Joint angles where it ends (N,)."""
 
 
@@ -62,7 +62,7 @@ class TargetWays:
         self,
         arm: ArmTree,
         limits: WayLimits,
-        start: FloatArray,
+        start: Array,
         target: Pose,
         along: AlongLimits | None = None,
         heavy: bool = True,
@@ -74,7 +74,7 @@ class TargetWays:
         self._begin = Pose.computed(p_WT, R_WT)
         self.notices: list[str] = []
 
-    def to(self, end: FloatArray, line: JointCurve | str) -> Iterator[TargetWay]:
+    def to(self, end: Array, line: JointCurve | str) -> Iterator[TargetWay]:
         """Yield the ways to joint angles (N,) that reach the target.
 
         Args:
@@ -126,7 +126,7 @@ class TargetWays:
         if other_last:
             yield from self._turning_the_other_way("no other way is free")
 
-    def past_end(self, end: FloatArray) -> PastEnd:
+    def past_end(self, end: Array) -> PastEnd:
         """Return the refusal of joint angles (N,) to which no way leads."""
         past = past_end(self._arm, JointCurve.line(self._start, end)) * 1e3
         rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
@@ -145,7 +145,7 @@ class TargetWays:
             words = f"along the tool's line, turning the other way round: {why}"
             yield TargetWay(self._limited(self._way(curve)), words, curve.end)
 
-    def _turning_with_the_joints(self, end: FloatArray) -> JointCurve | str:
+    def _turning_with_the_joints(self, end: Array) -> JointCurve | str:
         """Return the joints' curve to their angles at the end on which the tool goes straight."""
         if self._arm.kinematics.to_tool.sum() <= POSITION_ROWS:
             return "the tool's place alone determines the joints"
@@ -167,7 +167,7 @@ class TargetWays:
             return Way(curve, self._limits, along=along)
 
 
-def joints_duration(step: FloatArray, limits: WayLimits) -> float:
+def joints_duration(step: Array, limits: WayLimits) -> float:
     """Return the duration of a line of the joints without torque limits [s]."""
     size = np.maximum(np.abs(step), 1e-12)
     problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
@@ -206,7 +206,7 @@ def past_end(arm: ArmTree, curve: JointCurve) -> float:
     return float(_past(arm, curve.derivatives(_LOOKS_AGAIN)[0][None])[0])
 
 
-def joint_arc(arm: ArmTree, start: FloatArray, end: FloatArray) -> JointCurve | None:
+def joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
     """Return a curve on which the tool goes `QUIETLY_PAST` its end at most; None: none was found.
 
     Bezier's curves with control points all over the limits, those nearest to the joints' line
@@ -241,7 +241,7 @@ def joint_arc(arm: ArmTree, start: FloatArray, end: FloatArray) -> JointCurve | 
     return None
 
 
-def _past(arm: ArmTree, q: FloatArray) -> FloatArray:
+def _past(arm: ArmTree, q: Array) -> Array:
     """Return how far the tool goes past its end on curves (K, looks, N), (K,) [m]."""
     p = arm.forward(q.reshape(-1, q.shape[-1]))[0].reshape(*q.shape[:2], 3)
     line = p[:, -1] - p[:, 0]

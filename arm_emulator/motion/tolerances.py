@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.joint_order import unknown_joint
 from arm_emulator.base.refusal import Refusal
 
@@ -18,9 +18,9 @@ WHERE = "joint_trajectory"
 class Allowed:
     """Largest errors, (N,) each; 0: any."""
 
-    q: FloatArray
+    q: Array
     """[rad]."""
-    v: FloatArray
+    v: Array
     """[rad/s]."""
 
     @classmethod
@@ -28,7 +28,7 @@ class Allowed:
         """Return the same angle for all joints, and any speed."""
         return cls(np.full(count, q), np.zeros(count))
 
-    def broken(self, names: Sequence[str], q: FloatArray, v: FloatArray | None) -> str:
+    def broken(self, names: Sequence[str], q: Array, v: Array | None) -> str:
         """Return as text the joint whose error is larger; empty: none.
 
         Args:

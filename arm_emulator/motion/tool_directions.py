@@ -18,12 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.jog import JogStatus
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 
-Brakes = Callable[[FloatArray, float], float]
+Brakes = Callable[[Array, float], float]
 """Share of joint speeds (N,) that comes to rest within a time at those speeds [s]."""
 _NEAR = 4.0  # times the singular value at which a jog slows down: farther ones are left behind
 _PROBE = 0.01  # rad, to find whether a direction leads towards a singular pose
@@ -34,7 +34,7 @@ _SIGNIFICANT = 0.05  # part of a twist: a direction with less of it does not slo
 class Speeds:
     """Joint speeds requested, and their permitted share."""
 
-    v: FloatArray
+    v: Array
     """(N,) [rad/s or m/s]."""
     status: JogStatus = JogStatus.NO_WARNING
 
@@ -53,7 +53,7 @@ class ToolDirections:
         ArithmeticError: the Jacobian is not finite.
     """
 
-    def __init__(self, kinematics: Kinematics, q: FloatArray) -> None:
+    def __init__(self, kinematics: Kinematics, q: Array) -> None:
         self._kinematics, self._q = kinematics, q
         J = kinematics.scale[:, None] * kinematics.jacobian(q) * kinematics.joint_scale
         moved = kinematics.to_tool
@@ -67,15 +67,13 @@ class ToolDirections:
             self._V = np.zeros((len(q), len(q)))
             self._V[: len(V), moved], self._V[len(V) :, ~moved] = V, np.eye(len(q) - len(V))
 
-    def idle(self, v: FloatArray) -> FloatArray:
+    def idle(self, v: Array) -> Array:
         """Return the part of joint speeds (N,) that does not move the tool, to first order (N,)."""
         scale, V = self._kinematics.joint_scale, self._V[len(self.s) :]
-        idle: FloatArray = scale * (V.T @ (V @ (v / scale)))
+        idle: Array = scale * (V.T @ (V @ (v / scale)))
         return idle
 
-    def speeds(
-        self, twist: FloatArray, config: MotionConfig, brakes: Brakes | None = None
-    ) -> Speeds:
+    def speeds(self, twist: Array, config: MotionConfig, brakes: Brakes | None = None) -> Speeds:
         """Return the joint speeds of a twist along the world's axes (6,).
 
         Args:
@@ -112,7 +110,7 @@ class ToolDirections:
         return Speeds(whole * v, status)
 
     def _stopping(
-        self, v: FloatArray, stop: float, used: npt.NDArray[np.bool_], brakes: Brakes
+        self, v: Array, stop: float, used: npt.NDArray[np.bool_], brakes: Brakes
     ) -> float:
         """Return the share of v (N,) from which no singular value in use falls below `stop`."""
         fastest = float(np.abs(v / self._kinematics.joint_scale).max())

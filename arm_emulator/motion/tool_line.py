@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.pose import Pose
@@ -19,10 +19,10 @@ OFF_THE_LINE = 1e-5  # rad, or m per reach: between nodes
 
 def joints_along(
     arm: ArmTree,
-    start: FloatArray,
+    start: Array,
     begin: Pose,
     end: Pose,
-    goal: FloatArray | None,
+    goal: Array | None,
     turns: bool = True,
     other_way: bool = False,
 ) -> JointCurve | str:
@@ -61,18 +61,18 @@ def joints_along(
     return why
 
 
-def errors(arm: ArmTree, q: FloatArray, wanted: Poses, turns: bool = True) -> FloatArray:
+def errors(arm: ArmTree, q: Array, wanted: Poses, turns: bool = True) -> Array:
     """Return the tool's distances from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
     p, R = arm.forward(q)
-    off: FloatArray = _length(p - wanted.p) / kinematics.reach
+    off: Array = _length(p - wanted.p) / kinematics.reach
     if turns and kinematics.turns_tool:
         # |R - 1| is 2 sqrt(2) sin(angle / 2).
         off += _length((R - wanted.R).reshape(-1, 9)) / np.sqrt(2.0)
     return off
 
 
-def _length(rows: FloatArray) -> FloatArray:
+def _length(rows: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
@@ -80,9 +80,9 @@ def _length(rows: FloatArray) -> FloatArray:
 class Poses:
     """Poses of a tool in a row."""
 
-    p: FloatArray
+    p: Array
     """(K, 3) [m]."""
-    R: FloatArray
+    R: Array
     """(K, 3, 3)."""
 
     def __getitem__(self, places: slice) -> Poses:
@@ -90,7 +90,7 @@ class Poses:
         return Poses(self.p[places], self.R[places])
 
 
-def along_a_line(begin: Pose, end: Pose, parts: FloatArray, other_way: bool = False) -> Poses:
+def along_a_line(begin: Pose, end: Pose, parts: Array, other_way: bool = False) -> Poses:
     """Return poses at shares (K,) of a straight way that turns evenly about one axis.
 
     Half a turn at most, or the other way round: what is left of a whole one.
@@ -106,7 +106,7 @@ def along_a_line(begin: Pose, end: Pose, parts: FloatArray, other_way: bool = Fa
     return Poses(p, begin.R_WT + np.sin(angles) * once + 2.0 * np.sin(0.5 * angles) ** 2 * twice)
 
 
-def rotations(vectors: FloatArray) -> FloatArray:
+def rotations(vectors: Array) -> Array:
     """Return the rotation matrices of rotation vectors (K, 3), (K, 3, 3)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     x, y, z = vectors.T

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.motion.pose import Pose
@@ -149,13 +149,13 @@ STRAIGHT = 1e-6  # of a distance: three points this near to a line lie on it
 class _Segments(NamedTuple):
     """Arrays of all segments (S, ...), or the values of one of them (0-dimensional arrays)."""
 
-    p0: FloatArray
-    R0: FloatArray
-    gone: FloatArray
-    tangent: FloatArray
-    normal: FloatArray
-    curvature: FloatArray
-    turn: FloatArray
+    p0: Array
+    R0: Array
+    gone: Array
+    tangent: Array
+    normal: Array
+    curvature: Array
+    turn: Array
 
 
 class ToolCurve(Lasting):
@@ -208,7 +208,7 @@ class ToolCurve(Lasting):
         """Return the number of segments."""
         return len(self.length)
 
-    def poses(self, x: FloatArray) -> Poses:
+    def poses(self, x: Array) -> Poses:
         """Return the tool at measures x (K,) from the start, between 0 and the end."""
         i = np.minimum(np.searchsorted(self.ends, x, side="right"), len(self) - 1)
         part = np.clip(1.0 - (self.ends[i] - x) / self.length[i], 0.0, 1.0)
@@ -221,12 +221,12 @@ class ToolCurve(Lasting):
         p = one.p0 + ahead[:, None] * one.tangent + aside[:, None] * one.normal
         return Poses(p, rotations(part[:, None] * one.turn) @ one.R0)
 
-    def curvature(self) -> FloatArray:
+    def curvature(self) -> Array:
         """Return, for each segment, the acceleration across at measure speed 1, (S,) [1/m]."""
         rate = self._segments.gone / self.length
         return np.asarray(self._segments.curvature * rate**2)
 
-    def kinks(self) -> FloatArray:
+    def kinks(self) -> Array:
         """Return how much the change per measure differs where segments meet (S - 1,) [m/m].
 
         Of the position, or of the orientation times `per_turn`, whichever is larger.
@@ -239,12 +239,12 @@ class ToolCurve(Lasting):
         orientation = np.linalg.norm(np.diff(turning, axis=0), axis=1)
         return np.asarray(np.maximum(position, orientation))
 
-    def _measure(self, segments: _Segments) -> FloatArray:
+    def _measure(self, segments: _Segments) -> Array:
         angle = np.linalg.norm(segments.turn, axis=1)
         return np.asarray(np.maximum(segments.gone, self._per_turn * angle))
 
 
-def _lines(points: FloatArray, R: FloatArray) -> _Segments:
+def _lines(points: Array, R: Array) -> _Segments:
     """Return the lines between points (K, 3), with the turns between orientations (K, 3, 3)."""
     step = np.diff(points, axis=0)
     gone = np.linalg.norm(step, axis=1)
@@ -260,7 +260,7 @@ def _lines(points: FloatArray, R: FloatArray) -> _Segments:
     )
 
 
-def _bent_to_arcs(points: FloatArray, segments: _Segments) -> _Segments:
+def _bent_to_arcs(points: Array, segments: _Segments) -> _Segments:
     """Return arcs instead of lines through each three points that are not on a line."""
     gone, curvature = np.array(segments.gone), np.array(segments.curvature)
     tangent, normal = segments.tangent.copy(), segments.normal.copy()
@@ -298,7 +298,7 @@ def _rows(rows: Iterable[_Segments]) -> _Segments:
     return _Segments(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _cut_and_joined(segments: _Segments, cut: FloatArray) -> Iterable[_Segments]:
+def _cut_and_joined(segments: _Segments, cut: Array) -> Iterable[_Segments]:
     """Yield each segment without its cut ends, and the arc to the next one where it is cut."""
     count = len(cut) - 1
     every = [_Segments(*(column[i] for column in segments)) for i in range(count)]
@@ -339,7 +339,7 @@ def _corner(one: _Segments, onward: _Segments, cut: float) -> _Segments:
     )
 
 
-def _circle(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _circle(a: Array, b: Array, c: Array) -> tuple[Array, Array] | None:
     """Return center and axis of the circle through three points in this order; None of a line."""
     ab, ac = b - a, c - a
     across = np.cross(ab, ac)

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.joint_curve import JointCurve
@@ -183,7 +183,7 @@ def _falling(d: int, order: int) -> float:
     return float(d if order == 1 else d * (d - 1))
 
 
-def _steps(motion: JointMotion, now: Reference) -> FloatArray:
+def _steps(motion: JointMotion, now: Reference) -> Array:
     """Return the steps of speed where pieces begin, and at the end, (S + 1, N)."""
     c, T = motion.coefficients, motion.durations[:, None]
     before = sum(d * c[:, d] * T ** (d - 1) for d in range(1, 6))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Lasting
 from arm_emulator.build.c_header import NULL, pointer
@@ -38,13 +38,13 @@ _LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
 class WayLimits:
     """Limits of the joints along a way, (N,) each; speed, acceleration and jerk > 0."""
 
-    speed: FloatArray
+    speed: Array
     """[rad/s or m/s]."""
-    acceleration: FloatArray
+    acceleration: Array
     """[rad/s2 or m/s2]."""
-    jerk: FloatArray
+    jerk: Array
     """[rad/s3 or m/s3]."""
-    torque: FloatArray
+    torque: Array
     """[N m or N]; infinite: no limit."""
 
 
@@ -60,9 +60,9 @@ class AlongLimits:
     """Along, and again across [m/s2]."""
     jerk: float
     """Along [m/s3]."""
-    ends: FloatArray
+    ends: Array
     """Ends of the curve's parts in s, ascending (S,)."""
-    curvature: FloatArray
+    curvature: Array
     """Of these parts, acceleration across at speed 1, (S,) [1/m]."""
 
     @classmethod
@@ -171,7 +171,7 @@ class Way(Lasting):
                 break
         return min(timings, key=lambda one: one.duration)
 
-    def _rows(self, sigma: FloatArray, given: tuple[Any, ...]) -> Rows:
+    def _rows(self, sigma: Array, given: tuple[Any, ...]) -> Rows:
         """Return the limits at places (P,), in parts of them; those of torque with an arm."""
         joints, along, torques = len(self._limits.speed), self._along is not None, 0
         if self._arm is not None:
@@ -256,7 +256,7 @@ class Ramps:
         return (1.0 - s, s1, -s2, s3) if falling else (s, s1, s2, s3)
 
 
-def places(pieces: int) -> FloatArray:
+def places(pieces: int) -> Array:
     """Return sigma at the `POINTS` of each of so many equal pieces."""
     inside = np.clip(np.array(POINTS), _BESIDE, 1.0 - _BESIDE)
     return np.asarray(((np.arange(pieces)[:, None] + inside) / pieces).ravel())
@@ -266,14 +266,14 @@ def places(pieces: int) -> FloatArray:
 class Rows:
     """Limits at places along a way, by the derivatives of c = (dsigma/dt)^2, in parts of them."""
 
-    most: FloatArray
+    most: Array
     """Largest c at each place, (P,)."""
-    firsts: FloatArray
+    firsts: Array
     """|f0 + fc c + fd c'| <= 1, (3, P, F)."""
-    thirds: FloatArray
+    thirds: Array
     """|tc c + td c' + te c''| sqrt(c) <= 1, (3, P, G)."""
 
-    def within(self, factors: FloatArray) -> Rows:
+    def within(self, factors: Array) -> Rows:
         """Return limits of which c may take parts (pieces,) in each piece, 1 or less."""
         k = np.repeat(factors, len(POINTS))
         still, moving = self.firsts[:1], self.firsts[1:]
@@ -291,7 +291,7 @@ class Timing:
         duration: [s].
     """
 
-    def __init__(self, coefficients: FloatArray) -> None:
+    def __init__(self, coefficients: Array) -> None:
         self.coefficients = coefficients
         self._pieces = len(coefficients) - 2
         x0, x1, x2 = coefficients[:-2], coefficients[1:-1], coefficients[2:]
@@ -326,7 +326,7 @@ class Timing:
         return (piece + u) / n, rate, 0.5 * slope, 0.5 * bend * rate
 
 
-def least_duration(pieces: int, rows: Rows) -> FloatArray | int:
+def least_duration(pieces: int, rows: Rows) -> Array | int:
     """Return the coefficients of c, or the place at which not even rest keeps the limits.
 
     Args:

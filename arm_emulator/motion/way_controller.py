@@ -21,7 +21,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.given import FloatArray, as_kind
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.given import as_kind
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
@@ -133,7 +134,7 @@ class WayController:
         return self._time
 
     @property
-    def posture(self) -> FloatArray:
+    def posture(self) -> Array:
         """The joint angles that redundant arms come back to (N,)."""
         return self._goal.posture
 
@@ -185,7 +186,7 @@ class WayController:
         self._forget()
         self._follow(motion, "")
 
-    def go_on(self, q: FloatArray, end: Pose) -> Instruction:
+    def go_on(self, q: Array, end: Pose) -> Instruction:
         """Return the present joint targets, and advance along the motion.
 
         Args:
@@ -235,7 +236,7 @@ class WayController:
         scale = self.kinematics.joint_scale
         return bool((np.abs(now.v) <= _STILL * scale).all() and (np.abs(now.a) <= _STILL).all())
 
-    def _find_reference(self, q: FloatArray) -> list[str]:
+    def _find_reference(self, q: Array) -> list[str]:
         """Restart at the arm's position if it is far from the reference; report it."""
         notices = []
         if not self._began:
@@ -260,7 +261,7 @@ class WayController:
             if isinstance(self._followed, JointCurve):
                 self._settle_for(self._followed.end, now)
 
-    def _settle_for(self, end: FloatArray, now: Reference) -> None:
+    def _settle_for(self, end: Array, now: Reference) -> None:
         """Take the joint angles that the tool's line leads to, unless there are nearer ones.
 
         A line close by a singular pose may turn the wrist over.
@@ -305,7 +306,7 @@ class WayController:
         else:
             self._set_out(now, BEYOND_REACH, notices)
 
-    def _tool_line(self, now: Reference, target: Pose, goal: FloatArray | None) -> JointCurve | str:
+    def _tool_line(self, now: Reference, target: Pose, goal: Array | None) -> JointCurve | str:
         R_WT, p_WT = self.kinematics.forward(now.q)
         return joints_along(self.arm, now.q, Pose.computed(p_WT, R_WT), target, goal)
 
@@ -345,7 +346,7 @@ class WayController:
             raise refused
         raise ways.past_end(end)
 
-    def _touches(self, q: FloatArray) -> bool:
+    def _touches(self, q: Array) -> bool:
         return self.guard is not None and bool(self.guard.collisions.first(q))
 
     def _permit(self, motion: Motion) -> None:
@@ -400,7 +401,7 @@ class WayController:
         return words
 
 
-def angles_over(motion: Motion) -> Callable[[FloatArray], FloatArray]:
+def angles_over(motion: Motion) -> Callable[[Array], Array]:
     """Return joint angles (K, N) at parts of a motion (K,): of its curve where it has one."""
     if isinstance(motion, Way):
         return lambda part: np.asarray(motion.curve.derivatives(part)[0])

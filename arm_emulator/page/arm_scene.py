@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.shafts import Shafts
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.mesh_units import in_metres, package_folders
 

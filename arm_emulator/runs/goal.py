@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.kinematics import Kinematics
@@ -17,13 +17,13 @@ from arm_emulator.runs.target_table import TargetTable
 NEAR = 0.01
 
 
-def last_target(scene: Scene, targets: TargetTable, ticks: int) -> FloatArray:
+def last_target(scene: Scene, targets: TargetTable, ticks: int) -> Array:
     """Return the joint targets that hold after so many ticks (N,) [rad or m]."""
     begun = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
     return np.asarray(targets.q[begun - 1] if begun else scene.start)
 
 
-def missed_target(session: Session, wanted: FloatArray) -> str:
+def missed_target(session: Session, wanted: Array) -> str:
     """Return as text which joint is not at its target (N,) [rad or m]; empty: all are near."""
     scene = session.scene
     scale = Kinematics(scene.urdf, scene.joint_names, scene.tool).joint_scale

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
@@ -133,7 +133,7 @@ class OfflineRun(Uncopied):
         self.controller, self.instructor, self.aimed, self._motion = others
 
     @property
-    def wound(self) -> FloatArray:
+    def wound(self) -> Array:
         """By how much the motion controller takes the gears to be wound up (N,) [rad or m]."""
         order = self._from_motion
         return self.instructor.wound[order]

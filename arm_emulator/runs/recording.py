@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMANDS
 from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.count import check_count
@@ -16,7 +17,6 @@ from arm_emulator.base.kept import check_suffix
 from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.uncopied import Uncopied
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS

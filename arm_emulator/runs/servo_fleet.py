@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.count import check_count, whole_numbers
 from arm_emulator.base.number import Number
@@ -19,7 +20,6 @@ from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.core_machines import chosen_arms
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_control import FleetControl

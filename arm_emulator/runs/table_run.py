@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.control_code import ControlCode
@@ -70,7 +70,7 @@ class TableRun:
         targets = None if table is None else self._targets(table)
         self._loop = FirmwareLoop(session.plant, servo, targets)
 
-    def _targets(self, table: TargetTable) -> tuple[list[int], FloatArray]:
+    def _targets(self, table: TargetTable) -> tuple[list[int], Array]:
         """Return the ticks from which on rows hold, and the rows."""
         scene = self.session.scene
         ticks, rows = table.ticks(scene.servo_period), table.q
@@ -174,7 +174,7 @@ def load_table_run(
     return TableRun(scene, targets, ServoStep(Drives(config), place)), targets
 
 
-def off_target(session: Session, wanted: FloatArray) -> FloatArray:
+def off_target(session: Session, wanted: Array) -> Array:
     """Return what the tool lacks to joint targets (N,) [rad or m], in the world (3,) [m]."""
     scene = session.scene
     forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import POSITION
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.table_file import Table, read_table
 from arm_emulator.base.warning import warn
@@ -19,7 +19,7 @@ from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.joint_trajectory import ROUNDING, SPEED_BETWEEN_POINTS
 from arm_emulator.motion.kinematics import Kinematics
 
-RowCheck = Callable[[str, Sequence[str], FloatArray, FloatArray], None]
+RowCheck = Callable[[str, Sequence[str], Array, Array], None]
 
 LATEST = 1e9  # s
 _ROUNDING = 1e-6  # of a period: a time that was written with a few digits is that of its tick
@@ -78,7 +78,7 @@ def load_target_table(
     return TargetTable(numbers[:, 0], numbers[:, 1:])
 
 
-def _check(numbers: FloatArray, table: Table, names: Sequence[str]) -> None:
+def _check(numbers: Array, table: Table, names: Sequence[str]) -> None:
     """Refuse gaps, times that do not ascend and angles that are not finite, with their lines."""
     t, q = numbers[:, 0], numbers[:, 1:]
     for row, column in np.argwhere(np.isnan(numbers))[:1]:
@@ -104,9 +104,7 @@ _MANY, _WHOLE_SHARE = 10, 1e-2  # rows at whole seconds, as milliseconds would b
 _FAR_TOO_FAST = 5.0  # times the limit: a slip of a unit more probably than a fast motion
 
 
-def check_targets(
-    scene: Scene, where: str, rows: Sequence[str], t: FloatArray, q: FloatArray
-) -> None:
+def check_targets(scene: Scene, where: str, rows: Sequence[str], t: Array, q: Array) -> None:
     """Refuse targets that leave the joints' limits, as joint trajectories are refused.
 
     The speed of a row is the mean one from the previous row on. Tables that keep all limits, but
@@ -137,9 +135,7 @@ def check_targets(
     _warn_of_units(where, t, np.vstack([scene.start, q]), arm)
 
 
-def _check_speed(
-    where: str, rows: Sequence[str], t: FloatArray, q: FloatArray, arm: Kinematics
-) -> None:
+def _check_speed(where: str, rows: Sequence[str], t: Array, q: Array, arm: Kinematics) -> None:
     limit = arm.velocity_limit
     v = np.diff(q, axis=0) / np.diff(t)[:, None]
     for row, j in np.argwhere(np.abs(v) > SPEED_BETWEEN_POINTS * limit)[:1]:
@@ -151,7 +147,7 @@ def _check_speed(
         raise Refusal(where, f"{rows[row + 1]}, {arm.joint_names[j]}", rule, got)
 
 
-def _warn_of_units(where: str, t: FloatArray, q: FloatArray, arm: Kinematics) -> None:
+def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
     """Warn of numbers that no limit excludes; `q` begins with the start (K + 1, N)."""
     turns = np.ptp(q, axis=0) / (2.0 * math.pi)
     turns[arm.joint_scale != 1.0] = 0.0

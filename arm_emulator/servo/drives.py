@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import BRAKE_CLOSED
-from arm_emulator.base.given import FloatArray
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_law import SERVO, servo_law
@@ -20,11 +20,11 @@ from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
 class Target:
     """Joint targets of one moment, (N,) each in the servo's order of joints."""
 
-    q: FloatArray
+    q: Array
     """Link angles [rad]."""
-    v: FloatArray | None = None
+    v: Array | None = None
     """Link speeds [rad/s], with which the angles go on; None: 0."""
-    tau: FloatArray | None = None
+    tau: Array | None = None
     """Link torques known beforehand [N m]; None: 0."""
 
 
@@ -120,7 +120,7 @@ class Drives:
         places = servo.targets(target.q, target.v, target.tau)
         self._law.servo_aim(servo.arm, *places)
 
-    def command(self, powered: bool) -> FloatArray:
+    def command(self, powered: bool) -> Array:
         """Return the commands for the period that began with the last measurement, (N,).
 
         Args:

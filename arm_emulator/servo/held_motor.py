@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arm_emulator.base.given import FloatArray
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.products import product
 
 
@@ -94,7 +94,7 @@ def held_motor(
 _AT_ONCE = 1e-6  # of a period: a winding that is faster than this is taken as one at once
 
 
-def _one_period(x: float, y: float) -> FloatArray:
+def _one_period(x: float, y: float) -> Array:
     """Return current, speed and turn (3,) after a period by current, speed, voltage, load (4,)."""
     # Held quantities are states that do not change.
     if y < _AT_ONCE:  # i = v - x w, also before
@@ -119,7 +119,7 @@ def _one_period(x: float, y: float) -> FloatArray:
 _TERMS = 14  # of the series; of a matrix of size 1/2 the rest is below 1e-16
 
 
-def held(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
+def held(A: Array, B: Array, period: float) -> tuple[Array, Array]:
     """Return F and G such that dx/dt = A x + B u, u held, leads to x(T) = F x(0) + G u.
 
     Args:
@@ -134,7 +134,7 @@ def held(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, Float
     return out[:n, :n], out[:n, n:]
 
 
-def exponential(A: FloatArray) -> FloatArray:
+def exponential(A: Array) -> Array:
     """Return exp(A): a series of A / 2**n, and n squarings (Moler and Van Loan 2003, method 3).
 
     Raises:
@@ -147,7 +147,7 @@ def exponential(A: FloatArray) -> FloatArray:
     return out
 
 
-def _exponential(A: FloatArray) -> FloatArray:
+def _exponential(A: Array) -> Array:
     size = float(np.abs(A).sum(axis=1).max())
     squarings = max(0, int(np.frexp(size)[1]) + 1)
     step = A / 2.0**squarings

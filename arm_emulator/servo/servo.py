@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.given import FloatArray
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Turns, in_turn
@@ -142,25 +142,25 @@ class Servo(Turns):
 
     @property
     @in_turn
-    def q_measured(self) -> FloatArray:
+    def q_measured(self) -> Array:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
         return self._at_links(0)
 
     @property
     @in_turn
-    def v_measured(self) -> FloatArray:
+    def v_measured(self) -> Array:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
         return self._at_links(1)
 
     @property
     @in_turn
-    def tau_measured(self) -> FloatArray:
+    def tau_measured(self) -> Array:
         """Loads of the motors by the observer, at the links, (N,) [N m]; NaN before any count."""
         return self._at_links(2)
 
-    def _at_links(self, row: int) -> FloatArray:
+    def _at_links(self, row: int) -> Array:
         self._law.servo_report(self.arm, 1, *self._reported)
-        measured: FloatArray = self._measured[row]
+        measured: Array = self._measured[row]
         return measured.copy() if self._is_known[0] else measured * np.nan
 
     def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
@@ -177,7 +177,7 @@ class Servo(Turns):
         v_target: npt.ArrayLike | None = None,
         tau_feedforward: npt.ArrayLike | None = None,
         applied: npt.ArrayLike | None = None,
-    ) -> FloatArray:
+    ) -> Array:
         """Return the commands for the period that begins now: `observe`, then `control`.
 
         Raises:
@@ -216,7 +216,7 @@ class Servo(Turns):
         q_target: npt.ArrayLike,
         v_target: npt.ArrayLike | None = None,
         tau_feedforward: npt.ArrayLike | None = None,
-    ) -> FloatArray:
+    ) -> Array:
         """Return the commands for the period that began with the last measurement.
 
         Args:
@@ -241,21 +241,21 @@ class Servo(Turns):
         """Report that the motors get no command; control will start without an integral again."""
         self._law.servo_release(self.arm)
 
-    def _control(self, wanted: Places) -> FloatArray:
+    def _control(self, wanted: Places) -> Array:
         self._law.servo_control(self.arm, *wanted, self.places[6])
         return self.command
 
     @property
-    def commanded(self) -> FloatArray:
+    def commanded(self) -> Array:
         """The newest commands (N,), as the memory into which the law writes them."""
-        row: FloatArray = self._rows[5]
+        row: Array = self._rows[5]
         return row
 
     @property
     @in_turn
-    def command(self) -> FloatArray:
+    def command(self) -> Array:
         """The newest commands, (N,) [V, N m, A], as a copy."""
-        command: FloatArray = self._rows[5].copy()
+        command: Array = self._rows[5].copy()
         return command
 
     def measurement(
@@ -289,12 +289,12 @@ class Servo(Turns):
         tau = None if tau_feedforward is None else self.vector(tau_feedforward, _TAU)
         return self._row(2, q), self._row(3, v), self._row(4, tau)
 
-    def _row(self, row: int, values: FloatArray | None) -> CData:
+    def _row(self, row: int, values: Array | None) -> CData:
         if values is None:
             return NULL
         self._rows[row] = values
         return self.places[row + 1]
 
-    def vector(self, values: npt.ArrayLike, bound: Number) -> FloatArray:
+    def vector(self, values: npt.ArrayLike, bound: Number) -> Array:
         """Return `values` as N numbers within the bound."""
         return bound.row("servo", values, self._N)

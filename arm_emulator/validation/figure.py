@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.table import Table
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 
 
 @dataclass(frozen=True)

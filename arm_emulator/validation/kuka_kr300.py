@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.identification.filtered import Filtered, filtered, smooth_motion
 from arm_emulator.identification.free_run import Starts, drift, free_runs, starts
@@ -20,7 +21,6 @@ from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.torque_fit import explained
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.identification.wind_up import WindUp, wind_up
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.validation.figure import Figure, table_of
 

@@ -15,9 +15,9 @@ from rich.progress import track
 from rich.table import Table
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.build.c_header import Header, pointer
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import library_with
 from arm_emulator.machine.core_calls import OK
 from arm_emulator.machine.plant import Plant

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.view.rerun_blueprint import (
@@ -349,7 +350,6 @@ def _path(*parts: str) -> str:
     return rr.new_entity_path(list(parts))
 
 
-Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 

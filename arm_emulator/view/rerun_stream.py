@@ -26,11 +26,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.wheel import need_wheel
-from arm_emulator.view.rerun_batches import QUANTITIES, Array, RerunBatches, SampleQueue
+from arm_emulator.view.rerun_batches import QUANTITIES, RerunBatches, SampleQueue
 
 if TYPE_CHECKING:
     import rerun as rr

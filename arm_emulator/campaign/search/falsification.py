@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.search.method import Course, Finding, Method
 from arm_emulator.campaign.variation import Variation
-from arm_emulator.machine.chain import Array
 
 WORST = -1e9  # margin of a run that diverged
 

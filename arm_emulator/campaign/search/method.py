@@ -13,9 +13,9 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.variation import Variation
-from arm_emulator.machine.chain import Array
 
 
 @dataclass(frozen=True)

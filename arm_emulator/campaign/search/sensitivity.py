@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import special
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.search.method import Course, Finding, Method
 from arm_emulator.campaign.variation import Variation
-from arm_emulator.machine.chain import Array
 
 CONFIDENCE = 0.95
 TAIL = 0.01  # on either side of the quantiles that Morris' steps keep within

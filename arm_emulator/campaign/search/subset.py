@@ -22,12 +22,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import number
 from arm_emulator.base.section import Section
 from arm_emulator.campaign.search.by_levels import ByLevels
 from arm_emulator.campaign.search.method import Course, Finding
 from arm_emulator.campaign.variation import Variation
-from arm_emulator.machine.chain import Array
 
 ACCEPTED = 0.44  # share of candidates at which chains forget soonest
 

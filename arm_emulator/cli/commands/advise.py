@@ -14,6 +14,7 @@ from arm_emulator.analysis.advice import Advice, Judge, Setting, check_error
 from arm_emulator.analysis.advice import advise as settings_for
 from arm_emulator.analysis.judged_motions import FINE, Motion, judged_motions
 from arm_emulator.analysis.true_motion import FINEST
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import check_own, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
@@ -21,7 +22,6 @@ from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER

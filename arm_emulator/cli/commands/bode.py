@@ -12,12 +12,12 @@ from cyclopts import Parameter
 from scipy import signal
 
 from arm_emulator.analysis.linearised import LinearMachine, linearise
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene, load_scene
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)

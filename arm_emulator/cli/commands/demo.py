@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from arm_emulator.analysis.servo_loop import warn_of_loops
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import ROBOTS, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
@@ -31,7 +32,6 @@ from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.kinematics import POSITION_ROWS

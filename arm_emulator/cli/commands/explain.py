@@ -12,12 +12,12 @@ from cyclopts import Parameter
 from arm_emulator.bags.explanation import Explanation, explain_moment
 from arm_emulator.bags.first_difference import first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import RunNumber, SceneName, When
 from arm_emulator.cli.output import output
 from arm_emulator.machine.build_facts import other_builds
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.condition import Condition

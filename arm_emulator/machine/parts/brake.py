@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.registry import register_part

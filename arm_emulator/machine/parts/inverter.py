@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.fault import GROWS, Fault, rise
 from arm_emulator.machine.parts.motor import CxxMotor, Motor

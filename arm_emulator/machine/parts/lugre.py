@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import Extra
 from arm_emulator.machine.parts.fault import Fault, rise, rising

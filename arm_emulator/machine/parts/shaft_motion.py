@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 
 
 @dataclass(frozen=True)

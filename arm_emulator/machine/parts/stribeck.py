@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.part import number

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import Decorator, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import CxxMotor, Motor

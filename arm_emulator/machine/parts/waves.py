@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.key import Key
 
 MOST = 16  # waves of a shaft

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.registry import register_scheme
 from arm_emulator.machine.schemes.rosenbrock import Rosenbrock
 from arm_emulator.machine.schemes.scheme import Scheme

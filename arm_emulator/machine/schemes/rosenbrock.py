@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.registry import register_scheme
 from arm_emulator.machine.schemes.scheme import Scheme
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from arm_emulator.machine.chain import Array
+from arm_emulator.base.arrays import Array
 
 
 class Scheme:

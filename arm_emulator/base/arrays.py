@@ -1,0 +1,8 @@
+"""The type of arrays of doubles."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
