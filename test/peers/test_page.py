@@ -180,7 +180,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
         shows(page, f"tick {tick},")
     go_to(page, 77)
     shows(page, "tick 77,")
-    other = RecordedMachine.of(shown.machine.path, scene)
+    other = RecordedMachine.of(shown.machine.topics.bag.path, scene)
     other.advance(77)
     assert shown.machine.session.plant.save() == other.session.plant.save(), "to the last bit"
     shows(page, f"{other.session.state.q[1]:.4f}")
@@ -219,7 +219,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page.get_by_role("button", name="Play").wait_for()
     assert 0 < tick_of(page) < LAST, "slow enough to be stopped on the way"
     choose(page, "Signal", "current")
-    last = RecordedMachine.of(shown.machine.path, scene)
+    last = RecordedMachine.of(shown.machine.topics.bag.path, scene)
     last.advance(LAST)
     current = last.session.state.current[0]
     until(page, lambda: shown.page.plotted[1][-1] == current)
