@@ -104,7 +104,9 @@ def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
         second = start("arm_emulator", "up", "three_axis")
         printed, complaint = second.communicate(timeout=PATIENCE)
         assert second.returncode == 2, complaint
-        assert printed in ("", "emulator ended with exit code 2; ending the others\n"), printed
+        # Fast DDS prints where another process takes a port of its shared memory at the same time.
+        ours = [line for line in printed.splitlines() if "RTPS_TRANSPORT_SHM" not in line]
+        assert ours in ([], ["emulator ended with exit code 2; ending the others"]), printed
         pids = "|".join(str(child.pid) for child in children)
         rule = rf"^.*(network|emulator) must be the only one .*process ({pids})\b"
         assert re.search(rule, complaint, re.MULTILINE), complaint
