@@ -87,7 +87,8 @@ def _judged(about: str, seed: int) -> Sequence[Verdict]:
 
 def _begin(cache: str) -> None:
     os.environ[CACHE_VARIABLE] = cache
-    # Of compilations; a refusal comes back as an exception. An interrupt is for the one who asked.
+    # The lines of compilations are not shown; a refusal comes back as an exception. Ctrl-C ends the
+    # process that has started this one.
     sys.stderr = open(os.devnull, "w")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -11,9 +11,15 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 
-def unknown_joint(where: str, name: object, joints: Sequence[str]) -> Refusal:
-    """Return the refusal of a name that no joint has."""
-    return Refusal(where, "joint", "be one of the arm", name, ", ".join(joints))
+def check_known_joints(where: str, names: Iterable[object], joints: Sequence[str]) -> None:
+    """Refuse a name that no joint has.
+
+    Raises:
+        Refusal: see above.
+    """
+    for name in names:
+        if name not in joints:
+            raise Refusal(where, "joint", "be one of the arm", name, ", ".join(joints))
 
 
 def check_joint_names(where: str, names: Iterable[object], joints: Sequence[str]) -> None:
@@ -23,9 +29,7 @@ def check_joint_names(where: str, names: Iterable[object], joints: Sequence[str]
         Refusal: a name that no joint has, or a joint that is named twice or not at all.
     """
     given = [str(name) for name in names]
-    for name in given:
-        if name not in joints:
-            raise unknown_joint(where, name, joints)
+    check_known_joints(where, given, joints)
     if len(given) != len(joints) or len(set(given)) != len(given):
         got = ", ".join(given) or "none"
         raise Refusal(where, "joint names", "name every joint once", got, ", ".join(joints))

@@ -209,7 +209,7 @@ def _arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dic
         if entry.file_size > left:
             rule = f"unpack to at most {MOST_BYTES // 2**20} MiB"
             raise Refusal(where, "archive", rule, f"{entry.file_size} bytes of {name}")
-        # Of archives by Python 2, and of numbers of more than 64 bits.
+        # NumPy warns of archives by Python 2, and of numbers of more than 64 bits.
         quiet = warnings.catch_warnings(action="ignore"), np.errstate(over="ignore")
         with archive.open(entry) as packed, quiet[0], quiet[1]:
             values = read_array(packed, allow_pickle=False)

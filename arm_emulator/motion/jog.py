@@ -13,7 +13,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import VELOCITY
-from arm_emulator.base.joint_order import unknown_joint
+from arm_emulator.base.joint_order import check_known_joints
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
@@ -105,9 +105,7 @@ def joint_command(
         Refusal: unknown or repeated joints, another number of speeds, or not finite ones.
     """
     where, known = "delta_joint_cmds", kinematics.joint_names
-    for name in names:
-        if name not in known:
-            raise unknown_joint(where, name, known)
+    check_known_joints(where, names, known)
     if len(set(names)) != len(names) or not names:
         raise Refusal(where, "joint_names", "name joints, each once", list(names))
     given = _SPEED.row(where, velocities, len(names))

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.joint_order import unknown_joint
+from arm_emulator.base.joint_order import check_known_joints
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import beyond
@@ -93,7 +93,7 @@ class JointMotion:
 
     @property
     def durations(self) -> Array:
-        """Of the pieces (S,) [s]."""
+        """Durations of the pieces (S,) [s]."""
         return _seconds_between([*self.starts_ns, self.end_ns])
 
     def asked_ns(self, time_ns: int) -> int:
@@ -312,9 +312,7 @@ def _places(
 ) -> npt.NDArray[np.int64]:
     """Return the index of each name among the arm's joints."""
     known, valid = {name: i for i, name in enumerate(joint_names)}, ", ".join(joint_names)
-    for name in names:
-        if name not in known:
-            raise unknown_joint(WHERE, name, joint_names)
+    check_known_joints(WHERE, names, joint_names)
     if len(set(names)) != len(names) or (needed and not names):
         got = ", ".join(names) or "none"
         raise Refusal(WHERE, "joint_names", "name some joints, each once", got, valid)

@@ -60,7 +60,7 @@ class Instruction:
     """The motion at this moment with all its derivatives, of which `v` is the mean; None: the law
     knows no more than the above."""
     then: Reference | None = None
-    """The same at the end of the period; None: the jerk of `now` lasts until then."""
+    """The motion at the end of the period; None: the jerk of `now` lasts until then."""
 
 
 class NoWay(Refusal):

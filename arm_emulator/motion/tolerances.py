@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.joint_order import unknown_joint
+from arm_emulator.base.joint_order import check_known_joints
 from arm_emulator.base.refusal import Refusal
 
 WHERE = "joint_trajectory"
@@ -54,9 +54,8 @@ class Allowed:
             Refusal: an unknown joint, or another number below 0.
         """
         q, v = self.q.copy(), self.v.copy()
+        check_known_joints(WHERE, given, names)
         for name, values in given.items():
-            if name not in names:
-                raise unknown_joint(WHERE, name, names)
             for table, value, unit in ((q, values[0], "rad"), (v, values[1], "rad/s")):
                 if not (value >= 0.0 or value == -1.0):
                     rule = f"be >= 0 {unit}, or -1 for any"

@@ -119,7 +119,7 @@ FMI_CALL(fmi3SetInt32, fmu::kSettable,
          take(name, references, count, fmu::Type::int32, values, size), REFERENCES,
          const fmi3Int32 values[], size_t size)
 
-// Of types that no variable has.
+// Calls of types that no variable has: they accept an empty list alone.
 #define NONE_OF_TYPE(Name)                                                              \
   FMI_CALL(fmi3Get##Name, fmu::kAnyMode, none(name, count), const fmi3ValueReference[], \
            size_t count, fmi3##Name[], size_t)                                          \
