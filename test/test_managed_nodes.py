@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
-from network import User, assert_same_bits, network, offline_states
+from network import PATIENCE, User, assert_same_bits, network, offline_states
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from test_network import go, pause_at
@@ -30,17 +30,32 @@ LABELS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 
 class Client:
-    """Asks a node for its states and changes them, as `ros2 lifecycle` does."""
+    """Asks a node for its states and changes them, as `ros2 lifecycle` does.
+
+    A server that has not discovered a client yet loses its answer. So the first request to each
+    service is one that may be repeated: one that its server refuses, or that only reads.
+    """
+
+    REFUSED: ClassVar[dict[type, Any]] = {
+        ChangeState: ChangeState.Request(transition=Transition(label="none"))
+    }
 
     def __init__(self, user: User, node: str) -> None:
         self._user, self._node = user, node
+        self._clients: dict[str, Any] = {}
+
+    def client(self, kind: Any, service: str) -> Any:
+        """Return a client that the server of a service has answered before."""
+        if service not in self._clients:
+            name = f"{self._node}/{service}"
+            client = self._clients[service] = self._user.node.create_client(kind, name)
+            first = self.REFUSED.get(kind) or kind.Request()
+            assert self._user.node.ask(client, first, PATIENCE) is not None, name
+        return self._clients[service]
 
     def call(self, kind: Any, service: str, request: Any = None) -> Any:
-        client = self._user.node.create_client(kind, f"{self._node}/{service}")
-        self._user.wait(f"service {service} of {self._node}", client.service_is_ready)
-        future = client.call_async(request or kind.Request())
+        future = self.client(kind, service).call_async(request or kind.Request())
         self._user.wait(f"an answer of {self._node}/{service}", future.done)
-        self._user.node.destroy_client(client)
         return future.result()
 
     @property

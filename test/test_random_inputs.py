@@ -88,10 +88,11 @@ class Strangers:
 
     def _call_now(self, service: str, kind: str) -> Any:
         client = self.node.create_client(class_of(f"rcl_interfaces/srv/{kind}"), service)
-        self._user.wait(service, client.service_is_ready)
-        future = client.call_async(class_of(f"rcl_interfaces/srv/{kind}").Request())
-        self._user.wait(service, future.done)
-        return future.result()
+        answer = self._user.node.ask(
+            client, class_of(f"rcl_interfaces/srv/{kind}").Request(), PATIENCE
+        )
+        assert answer is not None, service
+        return answer
 
     def publish(self, topic: str, message: Any = None) -> None:
         """Publish a message, a random one if it is None."""

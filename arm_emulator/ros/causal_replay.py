@@ -299,8 +299,7 @@ class CausalReplay:
         """Let the node start over, and give it what it needs first."""
         reset = self._node.create_client(Trigger, self._full(f"{self._name}/reset"))
         if self._node.spin_until(reset.service_is_ready, RESEND):
-            called = reset.call_async(Trigger.Request())
-            self._node.spin_until(called.done, PATIENCE)
+            self._node.ask(reset, Trigger.Request(), PATIENCE)
         self._node.destroy_client(reset)
         self._prompts.clear()
         if self._topics.at_first:

@@ -28,6 +28,8 @@ STATES = {
     MotionStatus.STATE_ABORTED: "aborted",
 }
 
+ASK_AGAIN = 2.0  # s, after which a service that has not answered is called once more
+
 
 class NetworkGuest(Node):
     """Keeps the newest message of each subscribed topic.
@@ -65,6 +67,25 @@ class NetworkGuest(Node):
             with CtrlC.after():
                 self._executor.spin_once(timeout_sec=0.05)
         return True
+
+    def ask(self, client: Any, request: Any, patience: float) -> Any:
+        """Call a service and return its answer; None: it gave none within this time [s].
+
+        A server that has not discovered this client yet loses its answer. So the request is sent
+        again every few seconds, and must be one that may be done twice.
+        """
+        deadline = time.monotonic() + patience
+        if not self.spin_until(client.service_is_ready, patience):
+            return None
+        futures: list[Any] = []
+
+        def is_answered() -> bool:
+            return any(future.done() for future in futures)
+
+        while not is_answered() and (left := deadline - time.monotonic()) > 0.0:
+            futures.append(client.call_async(request))
+            self.spin_until(is_answered, min(left, ASK_AGAIN))
+        return next((future.result() for future in futures if future.done()), None)
 
     def is_heard(self, publisher: Publisher, by: str) -> bool:
         """Return whether a message now published gets to all subscribers, and to a certain node.

@@ -220,10 +220,10 @@ class NetworkUnderTest:
         self._wait(f"service {service}", client.service_is_ready)
         # Until then requests are refused: the emulator first looks whether it is the only one.
         self._wait("an active emulator", lambda: "emulator/status" in self._guest.newest)
-        answer = client.call_async(request)
-        self._wait(f"an answer of {service}", answer.done)
+        answer = self._guest.ask(client, request, PATIENCE)
+        assert answer is not None, f"no answer of {service} within {PATIENCE:g} s of wall time"
         self._guest.destroy_client(client)
-        return answer.result()
+        return answer
 
     def _wait(self, what: str, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE

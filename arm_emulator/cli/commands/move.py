@@ -221,19 +221,17 @@ def _tool_target(
 def _tool_now(node: NetworkGuest) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation and position of the motion controller's tool, from the measured angles."""
     asked = node.create_client(GetParameters, "motion_controller/get_parameters")
-    answers: list[GetParameters.Response] = []
 
     def ready() -> bool:
         return "robot_description" in node.newest and asked.service_is_ready()
 
     if not node.spin_until(ready, PATIENCE):
         raise _no_network("robot_description and a motion controller be present")
-    future = asked.call_async(GetParameters.Request(names=["tool"]))
-    future.add_done_callback(lambda done: answers.append(done.result()))
-    if not node.spin_until(lambda: bool(answers), PATIENCE):
+    answer = node.ask(asked, GetParameters.Request(names=["tool"]), PATIENCE)
+    if answer is None:
         raise _no_network("the motion controller answer")
     now = node.newest["joint_states"]
-    tool = answers[0].values[0].string_value
+    tool = answer.values[0].string_value
     kinematics = Kinematics(node.newest["robot_description"].data, list(now.name), tool)
     return kinematics.forward(np.array(now.position))
 
