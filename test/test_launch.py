@@ -333,19 +333,26 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(
     assert (done.stdout, done.stderr) == (words, ""), "what it states"
 
 
-LOCKED_UP = """
+SPOILED_END = """
 import ctypes
 from arm_emulator.ros.end_anyway import end_anyway
 
 print("ended, but for the middleware")
-end_anyway(0.1, {code})
-ctypes.PyDLL(None).sleep(600)  # with Python's lock
+with end_anyway({seconds}, {code}):
+    ctypes.PyDLL(None).{call}  # with Python's lock
 """
 
 
 @pytest.mark.parametrize("code", [0, 1])
-def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
-    command = [sys.executable, "-c", LOCKED_UP.format(code=code)]
+@pytest.mark.parametrize("call", ["sleep(600)", "memset(8, 0, 8)", "abort()"])
+def test_a_middleware_that_locks_up_or_crashes_changes_no_exit_code(code: int, call: str) -> None:
+    command = [sys.executable, "-c", SPOILED_END.format(seconds=0.1, code=code, call=call)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == code, done.stderr
     assert done.stdout == "ended, but for the middleware\n", "what it states"
+
+
+def test_a_crash_after_the_middleware_has_ended_is_one() -> None:
+    crash = SPOILED_END.format(seconds=60.0, code=0, call="getpid()") + "ctypes.memset(8, 0, 8)"
+    done = subprocess.run([sys.executable, "-c", crash], timeout=PATIENCE, check=False)
+    assert done.returncode == -signal.SIGSEGV

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+import rclpy
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from network import PATIENCE, User, assert_same_bits, network, offline_states
@@ -17,6 +18,8 @@ from rclpy.parameter import Parameter
 from test_network import go, pause_at
 
 from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.ros_domain import occupied, own_domain
 from arm_emulator.runs.offline import load_offline_run
 
 NODES = ("motion_controller", "servo", "emulator")
@@ -72,6 +75,19 @@ class Client:
         request = SetParameters.Request(parameters=given)
         (result,) = self.call(SetParameters, "set_parameters", request).results
         return str(result.reason)
+
+
+def test_a_node_that_is_destroyed_has_left_the_network() -> None:
+    """At once, while it is still referred to: none of its ports is open any more."""
+    with own_domain() as domain:
+        rclpy.init()
+        try:
+            node = ManagedNode("one")
+            assert occupied(domain)
+            node.destroy_node()
+            assert not occupied(domain), node
+        finally:
+            rclpy.shutdown()
 
 
 @contextmanager

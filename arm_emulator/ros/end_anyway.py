@@ -1,17 +1,25 @@
-"""A process end that does not wait for the middleware for ever.
+"""A process end that the middleware can neither hold up nor spoil.
 
 Fast DDS 2.14 can deadlock when it removes its participant while another one announces its
 departure, as when Ctrl-C ends several nodes at once: two of its threads wait for each other.
 Python's lock is held meanwhile, so no Python code can step in; a timer of the C library can.
+
+Fast DDS can also crash there. A process that is killed while it writes into a port of this one's
+shared memory leaves the port locked. The removal waits for that lock, the thread that receives does
+so, too, and after a second it unmaps the port, in which the removal still looks.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import signal
 import sys
 import time
+from collections.abc import Iterator
 
 SIGEV_THREAD = 2  # call a function in a thread of its own
+CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT)
 
 
 class _Event(ctypes.Structure):
@@ -35,10 +43,12 @@ class _Times(ctypes.Structure):
     )
 
 
-def end_anyway(seconds: float, code: int) -> None:
+@contextlib.contextmanager
+def end_anyway(seconds: float, code: int) -> Iterator[None]:
     """End this process with the exit code `code` after this many seconds, unless it has ended.
 
-    Nothing is flushed or cleaned up then: call it when all is written.
+    Nothing is flushed or cleaned up then: enter it when all is written. A thread that crashes in
+    the block stands still instead, until the process ends so.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -48,5 +58,18 @@ def end_anyway(seconds: float, code: int) -> None:
     timer = ctypes.c_void_p()
     whole, rest = divmod(seconds, 1.0)
     times = _Times(first=int(whole), first_ns=int(rest * 1e9))
-    if libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) == 0:
-        libc.timer_settime(timer, 0, ctypes.byref(times), None)
+    if libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) != 0:
+        yield
+        return
+    libc.timer_settime(timer, 0, ctypes.byref(times), None)
+    handle = libc.signal
+    handle.argtypes, handle.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
+    # It sleeps for as many seconds as the signal's number states, and again at the next attempt of
+    # what has crashed.
+    stand = ctypes.cast(libc.sleep, ctypes.c_void_p)
+    before = {number: handle(number, stand) for number in CRASHES}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            handle(number, handler)

@@ -138,6 +138,11 @@ class ManagedNode(LifecycleNode):
         self.active = False
         self.cleanup.close()
 
+    def destroy_node(self) -> None:
+        """See `Node`: it has left the network afterwards."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()  # rclpy's, which keeps the node
+
     # Transitions
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -271,12 +271,12 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
             except Refusal as refusal:  # its outputs are incomplete
                 print(refusal, file=sys.stderr)
                 code = 1
-        end_anyway(ENDING, code=code)
-        if node is not None:
-            # Not left to the garbage collector: the middleware may leave its shared memory then.
-            node.destroy_node()
-        with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
-            rclpy.try_shutdown()
+        with end_anyway(ENDING, code):
+            if node is not None:
+                # Not left to the garbage collector: the middleware may leave its shared memory.
+                node.destroy_node()
+            with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come between
+                rclpy.try_shutdown()
         heed_no_more()
     if code:
         sys.exit(code)

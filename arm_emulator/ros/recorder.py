@@ -107,10 +107,10 @@ def record(
         refused = Refusal("record", f"folder {out}", "accept the recorded messages", failure, cure)
     report(Recorded(count, written, bag.seconds, lost, refused))
     code = 2 if failure is not None else 1 if lost else 0
-    end_anyway(ENDING, code)
-    if node is not None:
-        node.destroy_node()
-    rclpy.try_shutdown()
+    with end_anyway(ENDING, code):
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
     if refused is not None:
         raise refused
     return code
