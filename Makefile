@@ -192,8 +192,9 @@ demo: setup $(ROBOTS)
 # Tests start hundreds of processes, so bytecode is kept whatever the environment asks for.
 PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 3 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
+# At -O1, which takes the compiler half of the time and gives the same bits; test-in-full tests -O3.
 test: setup .venv/.robots
-	@$(RUN) && $(PYTEST) $(ARGS)
+	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) $(ARGS)
 
 test-in-full: setup .venv/.robots
 	@$(RUN) && FULL=1 $(PYTEST) $(ARGS)
