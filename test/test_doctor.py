@@ -23,7 +23,16 @@ def found(name: str) -> Finding:
     return next(one for one in findings() if one.name == name)
 
 
-def test_each_finding_is_a_line_and_a_row_of_json(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def few_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trying all of them takes 4 s of processor time; test_json.py runs the whole command."""
+    monkeypatch.setattr(doctor, "NEEDED", ("numpy", "yaml"))
+    monkeypatch.setattr(doctor, "EXTRAS", {})
+
+
+def test_each_finding_is_a_line_and_a_row_of_json(
+    few_imports: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     code = doctor.doctor()
     lines = capsys.readouterr().out.splitlines()
     with output.printed(as_json=True):
@@ -182,7 +191,9 @@ HEARS = 'nodes[1].create_subscription(Int64, "number", print, best)'
         (f"{DEAF}; {TWO_CLOCKS}", "problem", "/cell/two hears nothing of /cell/one"),
     ],
 )
-def test_clocks_and_qos_of_a_running_network(more: str, level: str, words: str) -> None:
+def test_clocks_and_qos_of_a_running_network(
+    more: str, level: str, words: str, few_imports: None
+) -> None:
     with own_domain():
         command = [sys.executable, "-c", NETWORK.format(more=more)]
         network = subprocess.Popen(command, stdout=subprocess.PIPE)
