@@ -12,7 +12,7 @@ help:
 	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
 	@echo 'make page               get the page of look, run --page and up --page (viser)'
 	@echo 'make robots             get the descriptions of ur5 and panda; demo and test do it by themselves'
-	@echo 'make test               run the tests'
+	@echo 'make test               run the tests; PACKAGES="core fmu": those of some packages'
 	@echo 'make test-in-full       run the tests with every case of each class'
 	@echo 'make test-peers         run the tests with masters, compilers and simulators of others'
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
@@ -147,7 +147,7 @@ exec '$(CURDIR)/.venv/bin/python' -m arm_emulator "$$@"
 endef
 export COMMAND
 
-COLCON := colcon --log-base /dev/null build --base-paths . msg
+COLCON := colcon --log-base /dev/null build --base-paths . msg packages/*
 
 install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 	@echo 'setup: messages ...'
@@ -158,19 +158,23 @@ install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 
 # Linked, not copied: edits of Python sources, headers and configuration need no rebuild. A build by
 # hand without --symlink-install removes the linked setup.py, and the next command links again.
-LINKED := build/arm_emulator/setup.py
+BESIDE := $(notdir $(patsubst %/setup.py,%,$(wildcard packages/*/setup.py)))
+PYTHON_PACKAGES := arm_emulator $(BESIDE)
+LINKED := $(foreach name,$(PYTHON_PACKAGES),$(if $(wildcard build/$(name)/setup.py),,$(name)))
 SHARED := $(shell find config launch resource -type f 2>/dev/null)
 # What `pip install .` has left in the environment: a copy of this checkout, and a command that runs it.
-COPIED := $(wildcard .venv/lib/python*/site-packages/arm_emulator-*.dist-info)
+COPIED := $(foreach name,$(PYTHON_PACKAGES),  $(if $(wildcard .venv/lib/python*/site-packages/$(name)-*.dist-info),$(name)))
 LAUNCHER := $(shell grep -ls '$(CURDIR)/install/setup.sh' .venv/bin/arm_emulator 2>/dev/null)
 
 install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
-                  $(if $(wildcard $(LINKED)),,FORCE) $(if $(COPIED),FORCE) $(if $(LAUNCHER),,FORCE)
-	@$(if $(COPIED),echo 'setup: removes the copy of this checkout that pip has installed'; \
-	  $(call quietly,copy,.venv/bin/python -m pip uninstall -y arm_emulator))
+                  $(wildcard packages/*/setup.py packages/*/package.xml) \
+                  $(if $(LINKED),FORCE) $(if $(COPIED),FORCE) $(if $(LAUNCHER),,FORCE)
+	@$(if $(COPIED),echo 'setup: removes the copies of this checkout that pip has installed: $(COPIED)'; \
+	  $(call quietly,copy,.venv/bin/python -m pip uninstall -y $(COPIED)))
 	@echo 'setup: nodes and command line ...'
-	@rm -rf build/arm_emulator install/arm_emulator
-	@$(call quietly,package,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator --symlink-install)
+	@rm -rf $(foreach name,$(PYTHON_PACKAGES),build/$(name) install/$(name))
+	@$(call quietly,package,$(ACTIVATE) && $(COLCON) --packages-select $(PYTHON_PACKAGES) \
+	  --symlink-install)
 	@echo "$$COMMAND" > .venv/bin/arm_emulator && chmod +x .venv/bin/arm_emulator
 	@touch $@
 
@@ -188,22 +192,26 @@ demo: setup $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
 # Three files at a time on two cores, since many tests wait for processes; in the order of
-# test/conftest.py. A worker that dies ends the run: xdist may wait for ever for the one in its place.
+# conftest.py. A worker that dies ends the run: xdist may wait for ever for the one in its place.
 # Tests start hundreds of processes, so bytecode is kept whatever the environment asks for.
 PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 3 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
+# `make test PACKAGES="core fmu"` runs the tests of some packages alone.
+PACKAGES ?=
+TESTS = $(foreach name,$(PACKAGES),$(if $(filter core,$(name)),test,packages/arm_emulator_$(name)/test))
+
 # At -O1, which takes the compiler half of the time and gives the same bits; test-in-full tests -O3.
 test: setup .venv/.robots
-	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) $(ARGS)
+	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) $(TESTS) $(ARGS)
 
 test-in-full: setup .venv/.robots
-	@$(RUN) && FULL=1 $(PYTEST) $(ARGS)
+	@$(RUN) && FULL=1 $(PYTEST) $(TESTS) $(ARGS)
 
 # What it needs beside Python's packages is installed where that is possible, else named in a line; the
 # tests that want it are then skipped.
 test-peers: setup .venv/.robots .venv/.peers
 	@sh test/peers/install.sh
-	@$(RUN) && $(PYTEST) -n 2 test/peers $(ARGS)
+	@$(RUN) && $(PYTEST) -n 2 $(wildcard test/peers packages/test/peers packages/*/test/peers) $(ARGS)
 
 NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 
@@ -227,7 +235,7 @@ docs: setup .venv/.docs
 	@$(call quietly,site,$(RUN) && NO_MKDOCS_2_WARNING=1 mkdocs build)
 	@echo 'docs: out/site/index.html'
 
-CORE := $(shell find arm_emulator arm_emulator_hardware emulator_node servo_node test bench examples -path test/peers/ethercrab_master -prune -o \
+CORE := $(shell find arm_emulator packages emulator_node servo_node test bench examples -path packages/arm_emulator_fieldbus/test/peers/ethercrab_master -prune -o \
   -name '*.[ch]' -print -o -name '*.[ch]pp' -print 2>/dev/null)
 
 lint: setup

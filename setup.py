@@ -10,6 +10,7 @@ from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
 HERE = Path(__file__).resolve().parent  # colcon links this file elsewhere
+BESIDE = ("campaign", "fieldbus", "firmware", "fmu", "identification", "page")  # in packages/
 PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 
 
@@ -29,6 +30,12 @@ def wheels(part: str) -> list[str]:
     return re.findall(r"^([\w.-]+)==", parts[part], re.M)
 
 
+def beside(package: str, extra: str = "") -> list[str]:
+    """Require a package of this checkout."""
+    name = f"{NAME}_{package}"
+    return [f"{name}{extra} @ {(HERE / 'packages' / name).as_uri()}"]
+
+
 VERSION = re.search(r'VERSION = "(.*)"', (HERE / "arm_emulator/version.py").read_text())
 
 setup(
@@ -42,7 +49,6 @@ setup(
     package_data={
         **{name: [f"**/*{end}" for end in (".c", ".h", ".cpp", ".hpp")] for name in PACKAGES},
         "arm_emulator.servo.c": ["template/*"],
-        "arm_emulator.doors.microcontroller": ["examples/*/*"],
         "": ["py.typed"],
     },
     data_files=[
@@ -55,10 +61,9 @@ setup(
     python_requires=">=3.11",
     install_requires=wheels("numbers, robots, files, pictures, command line"),
     extras_require={
-        "dask": wheels("clusters"),
-        "doors": wheels("doors"),
-        "page": wheels("page"),
-        "search": wheels("search of campaigns"),
+        **{package: beside(package) for package in BESIDE},
+        "dask": beside("campaign", "[dask]"),
+        "search": beside("campaign", "[search]"),
         "test": ["pytest"],  # colcon test then knows the runner
     },
     zip_safe=False,

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from arm_emulator.analysis.sensitivities import Sensitivities as Sensitivities
     from arm_emulator.analysis.sensitivities import sensitivities as sensitivities
     from arm_emulator.base.refusal import Refusal as Refusal
-    from arm_emulator.identification.fit_numbers import FittedNumbers as FittedNumbers
-    from arm_emulator.identification.fit_numbers import Sought as Sought
-    from arm_emulator.identification.fit_numbers import fit_numbers as fit_numbers
     from arm_emulator.machine.change import NumberChange as NumberChange
     from arm_emulator.machine.change import PowerChange as PowerChange
     from arm_emulator.machine.change import WrenchChange as WrenchChange
@@ -57,7 +54,6 @@ _MODULES = {
     "Condition": "runs.condition",
     "Diverged": "machine.diverged",
     "ExternalWrench": "machine.external_wrench",
-    "FittedNumbers": "identification.fit_numbers",
     "Fleet": "machine.fleet",
     "FleetControl": "machine.fleet_control",
     "FleetFrame": "machine.fleet_control",
@@ -79,11 +75,9 @@ _MODULES = {
     "Sensitivities": "analysis.sensitivities",
     "Servo": "servo.servo",
     "ServoFleet": "runs.servo_fleet",
-    "Sought": "identification.fit_numbers",
     "Timeline": "runs.timeline",
     "Session": "machine.session",
     "WrenchChange": "machine.change",
-    "fit_numbers": "identification.fit_numbers",
     "linearise": "analysis.linearised",
     "load_gains": "runs.gains",
     "load_scene": "machine.scene",

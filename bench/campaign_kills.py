@@ -27,11 +27,11 @@ import numpy as np
 import yaml
 
 from arm_emulator.base.process import below, runs
-from arm_emulator.campaign.campaign_file import load_campaign
-from arm_emulator.campaign.case import drawn_case
-from arm_emulator.campaign.lanes import runs_of
-from arm_emulator.campaign.outcome import Outcomes
-from arm_emulator.campaign.results import Results, digest_of, write_part
+from arm_emulator_campaign.campaign_file import load_campaign
+from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.lanes import runs_of
+from arm_emulator_campaign.outcome import Outcomes
+from arm_emulator_campaign.results import Results, digest_of, write_part
 
 CAMPAIGN = {
     "scene": "three_axis",

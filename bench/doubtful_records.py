@@ -16,13 +16,6 @@ import numpy as np
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.identification import inertia
-from arm_emulator.identification.found import numbers_found
-from arm_emulator.identification.measured_run import MeasuredRun, check_samples
-from arm_emulator.identification.plausibility import check_fit, looked_over
-from arm_emulator.identification.read_run import read_run
-from arm_emulator.identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
-from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.friction import RotorFriction
@@ -33,7 +26,14 @@ from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
 from arm_emulator.machine.possible import could_vary
 from arm_emulator.machine.varied import of_child
-from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
+from arm_emulator_identification import inertia
+from arm_emulator_identification.found import numbers_found
+from arm_emulator_identification.measured_run import MeasuredRun, check_samples
+from arm_emulator_identification.plausibility import check_fit, looked_over
+from arm_emulator_identification.read_run import read_run
+from arm_emulator_identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
+from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
+from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import ANGLE_NOISE, LOW_PASS, SECONDS, SIGMAS, model_of
 from bench.identification import truth as three_axis
 from bench.measure import progress

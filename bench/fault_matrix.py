@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from arm_emulator.campaign import fault_matrix as matrix
-from arm_emulator.campaign.fault_matrix import NOBODY, Row, fault_matrix, worst_by_kind
+from arm_emulator_campaign import fault_matrix as matrix
+from arm_emulator_campaign.fault_matrix import NOBODY, Row, fault_matrix, worst_by_kind
 from bench.tables import table
 
 

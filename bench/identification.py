@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.identification.filtered import Filtered, filtered
-from arm_emulator.identification.found import numbers_found
-from arm_emulator.identification.torque_fit import fit_torques
-from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied import of_child
+from arm_emulator_identification.filtered import Filtered, filtered
+from arm_emulator_identification.found import numbers_found
+from arm_emulator_identification.torque_fit import fit_torques
+from arm_emulator_identification.torque_model import TorqueModel
 from bench.measure import progress
 from oracles.synthetic_record import make_record
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields
 
 from arm_emulator.base.number import numbers_of
-from arm_emulator.campaign import campaign_file
-from arm_emulator.campaign.distributions import KINDS
-from arm_emulator.campaign.fault import known_faults
-from arm_emulator.campaign.scenario import AT, SECONDS
-from arm_emulator.campaign.search import METHODS
-from arm_emulator.campaign.varying_numbers import CORRELATION
 from arm_emulator.machine.scene import load_scene
+from arm_emulator_campaign import campaign_file
+from arm_emulator_campaign.distributions import KINDS
+from arm_emulator_campaign.fault import known_faults
+from arm_emulator_campaign.scenario import AT, SECONDS
+from arm_emulator_campaign.search import METHODS
+from arm_emulator_campaign.varying_numbers import CORRELATION
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -65,7 +65,7 @@ def _numbers() -> str:
 
 
 def _signals() -> str:
-    from arm_emulator.campaign.signals import units_of_signals
+    from arm_emulator_campaign.signals import units_of_signals
 
     scene = load_scene("three_axis")
     known: dict[str, str] = {}

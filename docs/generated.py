@@ -82,8 +82,8 @@ def _doors(which: str) -> str:
 
 
 def _faults_at_doors(_: str) -> str:
-    """Return what each door does about the same faults, as test/faults_at_doors.json has it."""
-    kept = json.loads((ROOT / "test/faults_at_doors.json").read_text())
+    """Return what each door does about the same faults (packages/test/faults_at_doors.json)."""
+    kept = json.loads((ROOT / "packages/test/faults_at_doors.json").read_text())
     words: dict[str, int] = {}  # of refusals, numbered
 
     def cell(found: str) -> str:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from arm_emulator.base.number import REQUIRED, Number, numbers_of
-from arm_emulator.doors.fieldbus.declared import index_of
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
@@ -24,6 +23,7 @@ from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.parts.sensors import IMU_SENSORS, SENSORS
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
+from arm_emulator_fieldbus.declared import index_of
 from docs import scene_keys as scene_keys_of
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -17,7 +17,7 @@ GLOSSARY = ROOT / "docs" / "contribute" / "glossary.md"
 ROOMS = (
     *("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs", "examples", "arm_emulator", "config"),
     *("emulator_node", "servo_node", "motion_controller_node", "launch", "msg", "oracles", "bench"),
-    *("test", "tools"),
+    *("test", "tools", "packages"),
 )
 # Between the words of a phrase: names have underscores, comments begin their lines anew.
 GAP = r"(?:[\s_#*]|//)+"

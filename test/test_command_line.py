@@ -52,7 +52,10 @@ def test_help_lists_every_command_and_imports_none() -> None:
     assert code == 0 and not errors
     listed = re.findall(r"^  (\S+)", page, re.MULTILINE)
     assert sorted(listed) == command_names()
-    files = (ROOT / "arm_emulator" / "cli" / "commands").glob("[!_]*.py")
+    files = [
+        *(ROOT / "arm_emulator/cli/commands").glob("[!_]*.py"),
+        *(ROOT / "packages").glob("*/*/commands/[!_]*.py"),
+    ]
     assert sorted(file.stem.replace("_", "-") for file in files) == command_names()
 
 

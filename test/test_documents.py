@@ -236,7 +236,7 @@ int main(void) {
 
 def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> None:
     """Addresses and numbers of its headers, as C has them, against board.yaml and ur5."""
-    folder = ROOT / "arm_emulator/doors/microcontroller/examples/stm32f4_like"
+    folder = ROOT / "packages/arm_emulator_firmware/arm_emulator_firmware/examples/stm32f4_like"
     board = yaml.safe_load((folder / "board.yaml").read_text())
     scene = yaml.safe_load((ROOT / "config" / "ur5.yaml").read_text())
     (tmp_path / "reported.c").write_text(REPORTED)

@@ -24,14 +24,14 @@ from arm_emulator.machine.parts.sensors import SENSORS
 ROOT = Path(__file__).resolve().parents[1]
 OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/")
 ROOMS = (
-    "arm_emulator", "arm_emulator_hardware", "bench", "docs", "emulator_node", "examples", "launch",
-    "motion_controller_node", "oracles", "servo_node", "tools",
+    "arm_emulator", "bench", "docs", "emulator_node", "examples", "launch",
+    "motion_controller_node", "oracles", "packages", "servo_node", "tools",
 )  # fmt: skip
 TEXTS = (
     "bench/",
     "examples/",
     "oracles/",
-    "arm_emulator/validation/",
+    "packages/arm_emulator_identification/arm_emulator_identification/validation/",
     "arm_emulator/machine/faults/",
 )
 """Rooms that write scenes, or name numbers of scenes, as users do."""
@@ -101,7 +101,7 @@ def sources() -> Iterator[tuple[str, set[str]]]:
     for room in ROOMS:
         for file in sorted((ROOT / room).rglob("*.*")):
             path = file.relative_to(ROOT).as_posix()
-            if path.startswith(OWN) or "/build/" in path:
+            if path.startswith(OWN) or "/build/" in path or "/test/" in path:
                 continue
             if file.suffix == ".py":
                 yield path, in_python(file.read_text(), not path.startswith(TEXTS))

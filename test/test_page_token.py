@@ -8,7 +8,7 @@ import re
 import pytest
 
 from arm_emulator.page.page_address import VARIABLE, new_token, page_token
-from arm_emulator.page.page_server import is_at_entrance
+from arm_emulator_page.page_server import is_at_entrance
 
 
 def test_every_run_has_a_token_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

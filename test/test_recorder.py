@@ -20,15 +20,12 @@ import numpy as np
 import psutil
 import pytest
 from draws import some
-from test_outputs import everything
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import SUFFIXES, Kept
 from arm_emulator.base.record_file import open_record
 from arm_emulator.cli.command import command_names, load_command
-from arm_emulator.cli.commands.canopen import load_segment
-from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.plant_state import ROWS
 from arm_emulator.machine.real_time import real_time_session
@@ -36,6 +33,9 @@ from arm_emulator.machine.record_row import RecordRow, columns_of
 from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.recorder import Recorder
+from arm_emulator_fieldbus.commands.canopen import load_segment
+from arm_emulator_fieldbus.ethercat import Segment
+from test_outputs import everything
 
 PATIENCE = 60.0  # s
 

@@ -22,18 +22,26 @@ def packages(folder: Path) -> set[str]:
     return {path.parent.name for path in folder.glob("*/__init__.py")} - NO_ROOMS
 
 
+BESIDE = {path.name: path for path in (ROOT / "packages").glob("*/arm_emulator_*") if path.is_dir()}
+
+
 def test_every_package_and_module_has_a_floor() -> None:
     """import-linter checks nothing of a room that no layer names."""
     inside = packages(ROOT / "arm_emulator")
     inside |= {path.stem for path in (ROOT / "arm_emulator").glob("*.py")} - {"__init__"}
-    outside = packages(ROOT) - {"arm_emulator"}
+    outside = packages(ROOT) - {"arm_emulator"} | set(BESIDE)
     assert {f"arm_emulator.{name}" for name in inside} | outside == FLOORS
 
 
 def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -> None:
-    top = packages(ROOT)
-    assert top == set(PROJECT["importlinter"]["root_packages"])
-    assert top <= set(PROJECT["mypy"]["files"]) and top <= set(ROOMS)
+    top, linter, mypy = packages(ROOT), PROJECT["importlinter"], PROJECT["mypy"]
+    assert top | set(BESIDE) == set(linter["root_packages"])
+    folders = {path.relative_to(ROOT).as_posix() for path in BESIDE.values()}
+    assert top | folders <= set(mypy["files"]) and top | {"packages"} <= set(ROOMS)
+    (public,) = (one for one in linter["contracts"] if one["type"] == "forbidden")
+    assert set(public["source_modules"]) == set(BESIDE)
+    rooms = {f"arm_emulator.{name}" for name in packages(ROOT / "arm_emulator")}
+    assert rooms - {"arm_emulator.extension"} <= set(public["forbidden_modules"])
 
 
 def test_every_room_has_a_row_in_the_table() -> None:
@@ -43,7 +51,7 @@ def test_every_room_has_a_row_in_the_table() -> None:
         name.rstrip("/").split("/")[-1] for row in firsts for name in re.findall("`(.+?)`", row)
     }
     rooms = packages(ROOT) - {"arm_emulator"} | packages(ROOT / "arm_emulator")
-    assert named == rooms | {"arm_emulator_hardware"}
+    assert named == rooms | set(BESIDE) | {"arm_emulator_hardware"}
 
 
 def test_no_room_imports_the_public_names() -> None:

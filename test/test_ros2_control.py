@@ -22,7 +22,7 @@ from arm_emulator.design.ros2_control import (
 )
 from oracles.coupled_arms import ARMS, shafts_of
 
-PACKAGE = Path(__file__).resolve().parents[1] / "arm_emulator_hardware"
+PACKAGE = Path(__file__).resolve().parents[1] / "packages/arm_emulator_hardware"
 
 
 @pytest.mark.parametrize("name", some(["three_axis", "kuka_kr300", "ur5", "panda"], 2))

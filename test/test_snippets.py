@@ -79,7 +79,7 @@ MASTERS = {"canopen.md", "ethercat.md", "modbus.md"}
 MAKEFILES = (
     "Makefile",
     "arm_emulator/servo/c/template/Makefile",
-    "arm_emulator/doors/microcontroller/examples/stm32f4_like/Makefile",
+    "packages/arm_emulator_firmware/arm_emulator_firmware/examples/stm32f4_like/Makefile",
 )
 TOP = {path.name for path in ROOT.iterdir() if path.name[0] != "."} - {"out", "build", "log"}
 

@@ -1,24 +1,24 @@
-"""Commands register themselves: a module of `commands` each, imported when it is named."""
+"""Commands register themselves: a module each, which is imported when its command is named.
+
+Those of the core stand in `commands`; packages beside it register theirs as entry points.
+"""
 
 from __future__ import annotations
 
 import importlib
-import os
+import importlib.util
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
-FOLDER = os.path.join(os.path.dirname(__file__), "commands")
+from arm_emulator.base.packages import COMMANDS, registered
+
 GROUPS = {
     "Drive an arm": ("demo", "up", "move", "status", "run"),
     "Records": (
-        "record", "look", "explain", "check-bag", "replay", "fork", "foxglove", "repair",
+        "record", "explain", "check-bag", "replay", "fork", "foxglove", "repair",
     ),
-    "Scenes and servos": ("new", "check-scene", "tune", "bode", "advise", "identify"),
-    "Studies": ("campaign", "faults", "validate"),
-    "Doors": (
-        "tcp", "udp", "unix-socket", "firmware", "servo-header", "ethercat", "canopen", "modbus",
-        "fmu", "ros2-control", "moveit-config",
-    ),
+    "Scenes and servos": ("new", "check-scene", "tune", "bode", "advise"),
+    "Doors": ("tcp", "udp", "unix-socket", "servo-header", "ros2-control", "moveit-config"),
     "This machine": ("doctor", "latency", "compile", "cache", "completion"),
 }  # fmt: skip
 Function = TypeVar("Function", bound=Callable[..., int])
@@ -55,20 +55,41 @@ def command(*, keys: str, until_stopped: bool = False) -> Callable[[Function], F
     return register
 
 
+def command_groups() -> dict[str, tuple[str, ...]]:
+    """Return the names of all commands by heading; imports none of them."""
+    groups = dict(GROUPS)
+    for name, point in registered(COMMANDS).items():
+        package = point.module.partition(".")[0]
+        groups[package] = (*groups.get(package, ()), name)
+    return groups
+
+
 def command_names() -> list[str]:
     """Return the names of all commands, sorted; imports none of them."""
-    return sorted(name for group in GROUPS.values() for name in group)
+    return sorted(name for group in command_groups().values() for name in group)
 
 
 def summary_of(name: str) -> str:
-    """Return the first line of a command's module; imports nothing."""
-    with open(os.path.join(FOLDER, f"{name.replace('-', '_')}.py"), encoding="utf-8") as file:
+    """Return the first line of a command's module, which is not imported."""
+    module = importlib.util.find_spec(_module_of(name))
+    assert module is not None and module.origin is not None, name
+    with open(module.origin, encoding="utf-8") as file:
         return file.readline().strip().strip('"').removesuffix(".")
 
 
 def load_command(name: str) -> Command | None:
     """Import a command and return it, None if it does not exist."""
-    if name not in command_names():
+    if not _is_of_core(name) and name not in registered(COMMANDS):
         return None
-    importlib.import_module(f"{__package__}.commands.{name.replace('-', '_')}")
+    importlib.import_module(_module_of(name))
     return _registered[name]
+
+
+def _is_of_core(name: str) -> bool:
+    return any(name in names for names in GROUPS.values())
+
+
+def _module_of(name: str) -> str:
+    if _is_of_core(name):
+        return f"{__package__}.commands.{name.replace('-', '_')}"
+    return registered(COMMANDS)[name].module

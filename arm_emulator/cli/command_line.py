@@ -14,7 +14,13 @@ from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.standard_files import check_stdout, drop, trouble_of_stdout
 from arm_emulator.base.wheel import missing_module
-from arm_emulator.cli.command import GROUPS, Command, command_names, load_command, summary_of
+from arm_emulator.cli.command import (
+    Command,
+    command_groups,
+    command_names,
+    load_command,
+    summary_of,
+)
 from arm_emulator.cli.output import output
 from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
 
@@ -152,7 +158,7 @@ def _without_command(words: Sequence[str]) -> int:
 def _overview() -> str:
     groups = "\n\n".join(
         "\n".join([f"{group}:", *(f"  {name:<14} {summary_of(name)}" for name in names)])
-        for group, names in GROUPS.items()
+        for group, names in command_groups().items()
     )
     return f"""\
 An industrial arm, emulated.

@@ -6,12 +6,12 @@ import contextlib
 import threading
 from collections.abc import Callable
 
+from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
 from arm_emulator.page.hands import Hands
 from arm_emulator.runs.row_process import RowProcess, dismiss_all
 
-PROCESS = "arm_emulator.page.live_process"
 PATIENCE = 4.0  # s, wall: for the end of the page
 
 
@@ -37,7 +37,7 @@ class Watched:
             that find no room are dropped and counted.
 
     Raises:
-        Refusal: viser is missing, or the port is taken.
+        Refusal: the package of the page or viser is missing, or the port is taken.
     """
 
     def __init__(
@@ -58,8 +58,9 @@ class Watched:
             "hands": hands,
             "varied": dict(plant.parameters),
         }
+        module = registered_as(PAGE, "live", "arm_emulator_page").module
         self._process = RowProcess(
-            plant, PROCESS, task, "page", waits=waits, patience=PATIENCE, files=files
+            plant, module, task, "page", waits=waits, patience=PATIENCE, files=files
         )
         self.url = str(self._process.ready)
 

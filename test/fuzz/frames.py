@@ -18,9 +18,9 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import Header, Library, text
 from arm_emulator.build.unit import library as compiled
 from arm_emulator.core import BOUNDARY
-from arm_emulator.doors.fieldbus.drives_unit import DRIVES_CORE, drives_unit
-from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.servo.c import FOLDER
+from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, drives_unit
+from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 FRAMES = 10_000  # of a batch

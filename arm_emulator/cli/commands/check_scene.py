@@ -13,6 +13,7 @@ from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.packages import MODES, load_all
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import parse_urdf
 from arm_emulator.base.warning import warn
@@ -21,7 +22,6 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
 from arm_emulator.design.inertia_check import check_inertias, doubtful_inertias
-from arm_emulator.doors.fieldbus.object_dictionary import modes as drive_modes
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_file import find_urdf
 from arm_emulator.motion.motion_config import MotionConfig
@@ -117,8 +117,9 @@ def check_scene(name: str) -> Checked:
     check_fit(scene, gains.servo, gains.motion)
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
     warn_of_loops(scene, gains.servo)
-    for text in withheld_words(scene, withheld_modes(scene, gains.servo, drive_modes())):
-        warn(text)
+    for drive_modes in load_all(MODES):
+        for text in withheld_words(scene, withheld_modes(scene, gains.servo, drive_modes())):
+            warn(text)
     warn_of_gravity(scene, gains.motion)
     return checked
 

@@ -7,15 +7,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.base.packages import UNITS, load_all
 from arm_emulator.build.unit import compile_units
-from arm_emulator.campaign.program import judges_unit
-from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.doors.fieldbus.drives_unit import drives_unit
-from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.formula_rows import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
@@ -37,7 +34,7 @@ def compile_scene(
     target: str = "native",
     into: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     fleet: bool = False,
-    fieldbus: bool = False,
+    packages: bool = False,
     servo: bool = False,
 ) -> int:
     """Compile a scene ahead of its first use, and print the libraries.
@@ -47,13 +44,13 @@ def compile_scene(
             a compiler.
         into: folder of the libraries (default: the cache).
         fleet: compile the library of a fleet, too.
-        fieldbus: compile the libraries of field buses, too.
+        packages: compile the libraries of packages beside the core, too, such as field buses.
         servo: compile our servo with the scene's gains, too.
     """
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
     code = [tick_unit(), servo_unit(), way_unit(), servo_step_unit(), record_ring_unit()]
-    code += [formula_unit(), judges_unit(), sampler_unit()]
     code += [
+        formula_unit(),
         middleware_unit(),
         answered_ticks_unit(),
         real_time_ticks_unit(),
@@ -61,8 +58,8 @@ def compile_scene(
     ]
     if servo:
         code.append(servo_data_unit(scene))
-    if fieldbus:
-        code += [drives_unit(), ethercat_unit()]
+    if packages:
+        code += [unit_of() for unit_of in load_all(UNITS)]
     libraries = [*of_scene, *compile_units(code, target, into)]
     for library in libraries:
         output.line(str(library))

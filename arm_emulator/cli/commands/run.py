@@ -3,39 +3,32 @@
 from __future__ import annotations
 
 import contextlib
-import math
-import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-import numpy.typing as npt
 from cyclopts import Parameter
 
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
-from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING, Kept
+from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given, warn
 from arm_emulator.build.c_header import CData
-from arm_emulator.build.flags import ARITHMETIC
-from arm_emulator.cli.case_bag import check_new_bag
 from arm_emulator.cli.command import command
+from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
+from arm_emulator.cli.run_report import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import END_OF_TIME, Session
+from arm_emulator.machine.session import Session
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.goal import last_target, missed_order, missed_target
 from arm_emulator.runs.guarded import guarded
-from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.order import NO_VECTOR, MoveTool
 from arm_emulator.runs.recorder import Recorder, viewer_command
 from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
@@ -82,8 +75,8 @@ def run(
         return _run_table(scene, seconds, targets, servo, kept)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
-    if page is not None:  # a missing package is refused before the run
-        import arm_emulator.page.run_page  # noqa: F401
+    # A missing package is refused before the run.
+    serve = None if page is None else registered_as(PAGE, "run", "arm_emulator_page").load()
     if bag is not None:
         check_new_bag("run", bag)
     one = load_offline_run(scene)
@@ -112,35 +105,9 @@ def run(
 
         write_timeline(line, bag)
         output.line(f"bag               {bag}")
-    if line is not None and page is not None:
-        _serve(line, page)
+    if line is not None and serve is not None:
+        serve(line, page)
     return code
-
-
-def _serve(line: Timeline[OfflineRun], at: str) -> None:
-    """Serve a page with a run until Ctrl-C."""
-    # viser need not be installed for a run.
-    from arm_emulator.page.run_page import RunPage
-    from arm_emulator.page.subject import Subject
-    from arm_emulator.page.what_if import WhatIf
-
-    session = line.run.session
-    terms = TorqueTerms(session.scene)
-
-    def explained() -> tuple[TermsNow, list[str]]:
-        return terms.of(session.plant.save(), session.measured.applied), []
-
-    page = RunPage(Subject.of(line, line.newest), explained, at)
-    try:
-        from arm_emulator.bags.timeline_bag import write_timeline
-    except (ModuleNotFoundError, Refusal):  # without ROS 2
-        WhatIf(page, line)
-    else:
-        WhatIf(page, line, write_timeline)
-    output.line(page.url)
-    with contextlib.suppress(KeyboardInterrupt):
-        threading.Event().wait()
-    page.close()
 
 
 def _run_table(
@@ -187,72 +154,9 @@ def _name_viewer(kept: Kept) -> None:
         output.line(f"moving arm        {viewer_command(str(kept.rerun))}")
 
 
-@contextlib.contextmanager
-def ctrl_c_ends_at_once() -> Iterator[None]:
-    """In this block Ctrl-C needs no Python: hanging control code ends, and gdb gets it."""
-    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def ticks_of(seconds: float, scene: Scene) -> int:
-    """Return a time as a number of servo periods.
-
-    Raises:
-        Refusal: less than one, or beyond the range of logical time.
-    """
-    period, latest = scene.servo_period, END_OF_TIME / 1e9
-    if not (math.isfinite(seconds) and round(seconds / period) >= 1):
-        rule = f"be at least the servo period, {period:g} s"
-        raise Refusal("run", "seconds", rule, f"{seconds:g}")
-    if seconds >= latest:
-        raise Refusal("run", "seconds", f"be less than {latest:g} s", f"{seconds:g}")
-    return round(seconds / period)
-
-
 def _diverged(fault: Diverged, session: Session) -> int:
     """Print that a machine has diverged, and return the exit code."""
     text = explain(fault)
     print(text, file=sys.stderr)
     output.facts({"scene": session.scene.name, "diverged": text})
     return 1
-
-
-def report(
-    session: Session,
-    ticks: int,
-    wall: float,
-    off: npt.NDArray[np.float64] | None,
-) -> None:
-    """Print the outcome of a run.
-
-    Args:
-        session: the machine.
-        ticks: servo periods of the run.
-        wall: their wall time [s].
-        off: target minus tool, in the world (3,) [m]; None: no target.
-    """
-    scene, logical, energy = session.scene, session.logical_ns / 1e9, session.plant.energy
-    output.line(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
-    output.line(
-        f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
-    )
-    if off is not None:
-        x, y, z = off * 1e3
-        output.line(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
-    output.line(f"energy            {energy:.6g} J")
-    output.facts(
-        {
-            "scene": scene.name,
-            "arithmetic": ARITHMETIC,
-            "logical_time": logical,
-            "wall_time": wall,
-            "ticks": ticks,
-            "tool_off": off,
-            "energy": energy,
-            "q": dict(zip(scene.joint_names, session.state.q, strict=True)),
-            "diverged": None,
-        }
-    )

@@ -1,1 +1,0 @@
-"""The machine as a functional mock-up unit, for simulators that speak FMI."""

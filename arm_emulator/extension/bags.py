@@ -1,0 +1,23 @@
+"""Recorded bags; they need ROS 2."""
+
+from arm_emulator.bags.explanation import explain_moment
+from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.repetition import KINDS as EVENT_KINDS
+from arm_emulator.bags.run_bag import KINDS as CHANGE_KINDS
+from arm_emulator.bags.run_bag import RunBag
+from arm_emulator.bags.timeline_bag import write_timeline
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag_metadata import SCENE as BAG_SCENE_FILE
+
+__all__ = [
+    "BAG_SCENE_FILE",
+    "CHANGE_KINDS",
+    "EVENT_KINDS",
+    "Bag",
+    "RecordedMachine",
+    "RecordedTopics",
+    "RunBag",
+    "explain_moment",
+    "write_timeline",
+]

@@ -1,0 +1,122 @@
+"""Refusals, declared numbers, files, formulas: what every package needs."""
+
+from arm_emulator.base.address import host_and_port, not_free
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.bound import (
+    ANY_COMMANDS,
+    ANY_STATE,
+    EFFORT,
+    FORCE,
+    MOMENT,
+    POINT,
+    POSITION,
+    TOOL_POSITION,
+    VELOCITY,
+)
+from arm_emulator.base.column import Column
+from arm_emulator.base.column import Rows as ColumnRows
+from arm_emulator.base.config_files import check_own, config_folder, find_beside, find_scene
+from arm_emulator.base.count import check_count
+from arm_emulator.base.escape import c_string, html_text, markdown_text, one_line, xml_text
+from arm_emulator.base.formula import (
+    Combined,
+    Constant,
+    Expression,
+    Formula,
+    Margin,
+    Operation,
+    Signal,
+    Window,
+    bound_to,
+    fold,
+    meant_by,
+    parse_expression,
+    parse_formula,
+)
+from arm_emulator.base.given import array_of
+from arm_emulator.base.kept import NOTHING as KEEP_NOTHING
+from arm_emulator.base.kept import Kept
+from arm_emulator.base.number import LARGEST as LARGEST_NUMBER
+from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.registry import Registry
+from arm_emulator.base.section import Section
+from arm_emulator.base.shafts import Shafts, shaft_limits
+from arm_emulator.base.table_file import read_table
+from arm_emulator.base.text_file import open_file, read_bytes, read_text
+from arm_emulator.base.warning import given as given_warnings
+from arm_emulator.base.warning import warn
+from arm_emulator.base.wheel import need_wheel
+from arm_emulator.base.whole_file import hidden_beside, write_whole
+from arm_emulator.base.yaml_file import MOST_BYTES as LARGEST_YAML_FILE
+from arm_emulator.base.yaml_file import edited as edited_yaml
+from arm_emulator.base.yaml_file import nodes_of as yaml_nodes
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.version import VERSION
+
+__all__ = [
+    "ANY_COMMANDS",
+    "ANY_STATE",
+    "EFFORT",
+    "FORCE",
+    "KEEP_NOTHING",
+    "LARGEST_NUMBER",
+    "LARGEST_YAML_FILE",
+    "MOMENT",
+    "POINT",
+    "POSITION",
+    "REQUIRED",
+    "TOOL_POSITION",
+    "VELOCITY",
+    "VERSION",
+    "Array",
+    "Column",
+    "ColumnRows",
+    "Combined",
+    "Constant",
+    "Expression",
+    "Formula",
+    "Kept",
+    "Margin",
+    "Number",
+    "Operation",
+    "Refusal",
+    "Registry",
+    "Section",
+    "Shafts",
+    "Signal",
+    "Window",
+    "array_of",
+    "bound_to",
+    "c_string",
+    "check_count",
+    "check_own",
+    "config_folder",
+    "edited_yaml",
+    "find_beside",
+    "find_scene",
+    "fold",
+    "given_warnings",
+    "hidden_beside",
+    "host_and_port",
+    "html_text",
+    "markdown_text",
+    "meant_by",
+    "need_wheel",
+    "not_free",
+    "number",
+    "numbers_of",
+    "one_line",
+    "open_file",
+    "parse_expression",
+    "parse_formula",
+    "read_bytes",
+    "read_table",
+    "read_text",
+    "read_yaml",
+    "shaft_limits",
+    "warn",
+    "write_whole",
+    "xml_text",
+    "yaml_nodes",
+]

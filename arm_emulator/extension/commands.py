@@ -1,0 +1,42 @@
+"""Commands of the command line: their registration, options, output, recorder and page."""
+
+from arm_emulator.cli.command import command
+from arm_emulator.cli.new_bag import check_new_bag
+from arm_emulator.cli.options import (
+    Clock,
+    Keep,
+    PageAt,
+    RunNumber,
+    SceneName,
+    Seconds,
+    TargetFile,
+    When,
+)
+from arm_emulator.cli.output import output, plain
+from arm_emulator.cli.run_report import ctrl_c_ends_at_once, ticks_of
+from arm_emulator.cli.run_report import report as report_run
+from arm_emulator.cli.served import served_session
+from arm_emulator.page.desk import watched
+from arm_emulator.page.watched import Watched, stay
+
+__all__ = [
+    "Clock",
+    "Keep",
+    "PageAt",
+    "RunNumber",
+    "SceneName",
+    "Seconds",
+    "TargetFile",
+    "Watched",
+    "When",
+    "check_new_bag",
+    "command",
+    "ctrl_c_ends_at_once",
+    "output",
+    "plain",
+    "report_run",
+    "served_session",
+    "stay",
+    "ticks_of",
+    "watched",
+]

@@ -1,0 +1,133 @@
+"""Scenes and machines: parts, inputs, outputs, plant, session, fleet, small-motion analysis."""
+
+from arm_emulator.analysis.linear_servo import Loop as ServoLoop
+from arm_emulator.analysis.mode_loops import Mode as LoopMode
+from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
+from arm_emulator.analysis.stability import explain as explain_divergence
+from arm_emulator.design.assumed_bodies import inertial_of
+from arm_emulator.machine.answers import Needless
+from arm_emulator.machine.call_arguments import truth_at
+from arm_emulator.machine.chain import Body, ChainJoint, Frame
+from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
+from arm_emulator.machine.compiler import library_with, machine_unit
+from arm_emulator.machine.control_code import ControlCode
+from arm_emulator.machine.core_calls import ARM as ARM_HEADER
+from arm_emulator.machine.core_calls import FLEET as FLEET_HEADER
+from arm_emulator.machine.core_calls import OK as ARM_OK
+from arm_emulator.machine.core_calls import PLACES as WRENCH_PLACES
+from arm_emulator.machine.cxx_literals import number as cxx_number
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.external_wrench import AXES as WRENCH_AXES
+from arm_emulator.machine.external_wrench import NONE as NO_WRENCH
+from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
+from arm_emulator.machine.faults.scene_faults import SceneFault
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.fleet_way import FleetWay
+from arm_emulator.machine.formula_rows import FORMULA as FORMULA_HEADER
+from arm_emulator.machine.formula_rows import FormulaRows, is_at_one_instant
+from arm_emulator.machine.inputs import further_inputs, input_at, input_units, modes_of
+from arm_emulator.machine.joint import Joint
+from arm_emulator.machine.measured import MeasuredPlace, rows_of
+from arm_emulator.machine.outputs import ALWAYS as ALWAYS_OUTPUTS
+from arm_emulator.machine.outputs import KNOWN as KNOWN_OUTPUTS
+from arm_emulator.machine.outputs import outputs_of, readings_of, units_of
+from arm_emulator.machine.overrides import override
+from arm_emulator.machine.parts.input import VOLTAGE as VOLTAGE_INPUT
+from arm_emulator.machine.parts.input import Input
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.output import AXES as OUTPUT_AXES
+from arm_emulator.machine.parts.output import COMMAND as COMMAND_OUTPUT
+from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import ROWS as STATE_ROWS
+from arm_emulator.machine.plant_state import largest_position, link_angle_per_count
+from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.record_row import RecordRow, columns_of, values_of
+from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene, scene_of
+from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator.machine.session import Session
+from arm_emulator.machine.tool_chain import TOOL as TOOL_SIGNALS_NAME
+from arm_emulator.machine.tool_chain import ToolChain, tool_signals
+from arm_emulator.machine.varied import NAMES as VARIED_NAMES
+from arm_emulator.machine.varied import Varied
+from arm_emulator.machine.varied import of_child as varied_of_child
+
+__all__ = [
+    "ALWAYS_OUTPUTS",
+    "ARM_HEADER",
+    "ARM_OK",
+    "COMMAND_OUTPUT",
+    "FLEET_HEADER",
+    "FORMULA_HEADER",
+    "KNOWN_OUTPUTS",
+    "LARGEST_SEED",
+    "NO_WRENCH",
+    "OUTPUT_AXES",
+    "PARTS",
+    "SCHEMES",
+    "STATE_ROWS",
+    "TOOL_SIGNALS_NAME",
+    "VARIED_NAMES",
+    "VOLTAGE_INPUT",
+    "WRENCH_AXES",
+    "WRENCH_PLACES",
+    "Body",
+    "ChainJoint",
+    "Change",
+    "ControlCode",
+    "Diverged",
+    "ExternalWrench",
+    "Fleet",
+    "FleetWay",
+    "FormulaRows",
+    "Frame",
+    "Input",
+    "Joint",
+    "LoopMode",
+    "MeasuredPlace",
+    "Needless",
+    "NumberChange",
+    "Output",
+    "Part",
+    "Plant",
+    "PowerChange",
+    "RecordRow",
+    "Scene",
+    "SceneFault",
+    "ServoLoop",
+    "Session",
+    "ShaftMotion",
+    "ToolChain",
+    "Varied",
+    "WrenchChange",
+    "columns_of",
+    "could_vary",
+    "cxx_number",
+    "explain_divergence",
+    "further_inputs",
+    "inertial_of",
+    "input_at",
+    "input_units",
+    "is_at_one_instant",
+    "largest_position",
+    "library_with",
+    "link_angle_per_count",
+    "load_scene",
+    "machine_unit",
+    "modes_of",
+    "on_moving_link",
+    "outputs_of",
+    "override",
+    "readings_of",
+    "rows_of",
+    "scene_of",
+    "tool_signals",
+    "truth_at",
+    "units_of",
+    "values_of",
+    "varied_of_child",
+    "withheld_modes",
+    "withheld_words",
+]

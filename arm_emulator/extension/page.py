@@ -1,0 +1,41 @@
+"""A page in the browser: rows of a run, its timeline, controls of the machine."""
+
+from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
+from arm_emulator.machine.record_ring import SharedRing
+from arm_emulator.motion.mesh_units import in_metres, package_folders
+from arm_emulator.page.hands import Hands, Vector
+from arm_emulator.page.page_address import PageAddress, page_token
+from arm_emulator.runs.condition import Condition
+from arm_emulator.runs.order import (
+    NO_VECTOR,
+    MoveTool,
+    Order,
+    Push,
+    ScaleGains,
+    SetVaried,
+    SwitchPower,
+)
+from arm_emulator.runs.row_end import RowEnd
+from arm_emulator.runs.timeline import Timeline
+
+__all__ = [
+    "NO_VECTOR",
+    "Condition",
+    "Hands",
+    "MoveTool",
+    "Order",
+    "PageAddress",
+    "Push",
+    "RowEnd",
+    "ScaleGains",
+    "SetVaried",
+    "SharedRing",
+    "SwitchPower",
+    "TermsNow",
+    "Timeline",
+    "TorqueTerms",
+    "Vector",
+    "in_metres",
+    "package_folders",
+    "page_token",
+]

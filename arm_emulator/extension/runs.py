@@ -1,0 +1,46 @@
+"""Machine, servo and motion controller in one process, targets, gains, recorders."""
+
+from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
+from arm_emulator.motion.motion_report import State as MotionState
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.breakpoint import Breakpoint
+from arm_emulator.runs.gains import check_fit, check_servo, load_gains
+from arm_emulator.runs.goal import last_target, missed_target
+from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.recorder import Recorder
+from arm_emulator.runs.servo_fleet import ServoFleet
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.table_run import TableRun, off_target
+from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
+from arm_emulator.servo.drives import Drives as ServoDrives
+from arm_emulator.servo.servo_config import ServoConfig, check_rates, load_servo_config
+from arm_emulator.servo.servo_law import Rows as ServoRows
+from arm_emulator.servo.servo_numbers import servo_numbers
+
+__all__ = [
+    "Breakpoint",
+    "MotionConfig",
+    "MotionState",
+    "OfflineRun",
+    "Pose",
+    "Recorder",
+    "ServoConfig",
+    "ServoDrives",
+    "ServoFleet",
+    "ServoRows",
+    "ServoStep",
+    "TableRun",
+    "TargetTable",
+    "check_fit",
+    "check_rates",
+    "check_servo",
+    "check_targets",
+    "last_target",
+    "load_gains",
+    "load_motion_config",
+    "load_servo_config",
+    "load_target_table",
+    "missed_target",
+    "off_target",
+    "servo_numbers",
+]

@@ -1,1 +1,0 @@
-"""Identification of a machine's numbers from records of its motion."""

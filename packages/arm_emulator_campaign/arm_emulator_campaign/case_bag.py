@@ -1,0 +1,66 @@
+"""A run of a campaign as a bag with its scene, which all commands that read bags take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from arm_emulator.extension.base import read_yaml
+from arm_emulator.extension.machine import Change, Diverged, override
+from arm_emulator_campaign.campaign_file import Campaign, used_files
+from arm_emulator_campaign.case import Case
+from arm_emulator_campaign.shrinking import path_from
+from arm_emulator_campaign.simulator import Simulator
+
+
+def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder: Path) -> None:
+    """Simulate a run tick by tick into a new bag; a machine that diverges ends it.
+
+    Args:
+        campaign: whose run it is.
+        simulator: of the campaign.
+        case: the run.
+        folder: the bag; its file `scene.yaml` is the campaign's scene.
+    """
+    # ROS 2 need not be installed for a campaign.
+    from arm_emulator.extension.bags import BAG_SCENE_FILE as SCENE
+    from arm_emulator.extension.bags import CHANGE_KINDS as KINDS
+    from arm_emulator.extension.bags import RunBag
+
+    def changed(change: Change) -> None:
+        bag.changed(KINDS[type(change)])
+
+    pieces = simulator.drive(case, 1, changed)
+    next(pieces)
+    with RunBag(
+        folder, simulator.session, {"campaign": f"run {case.index} of {campaign.file}"}
+    ) as bag:
+        data = _scene_data(campaign, campaign.overrides, folder)
+        (folder / SCENE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
+        try:
+            for _ in pieces:
+                bag.report()
+        except Diverged:
+            pass  # `check-bag` reports the same
+
+
+def _scene_data(campaign: Campaign, overrides: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a campaign's scene as it stands in a file.
+
+    Args:
+        campaign: which one.
+        overrides: values in place of those of its scene's file, as `load_scene` takes them.
+        folder: where the file will be, from which others are named.
+    """
+    used = used_files(campaign.data, campaign.file)
+    data, file = read_yaml(used["scene"]), used["scene"]
+    for name, value in overrides.items():
+        if name == "payload.mass" and not isinstance(data.get("payload"), dict):
+            name = "payload"  # a scene's short form
+        override(data, name, value, file.name)
+    if (file.parent / data["urdf"]).is_file():
+        data["urdf"] = path_from(folder, file.parent / data["urdf"])
+    return data | {key: path_from(folder, used[key]) for key in ("servo", "motion")}

@@ -1,0 +1,381 @@
+"""Simulate many varied runs of one scenario, and count how often its requirements fail."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
+from arm_emulator.extension.base import Kept, Refusal, check_count, warn
+from arm_emulator.extension.commands import (
+    Keep,
+    PageAt,
+    Watched,
+    check_new_bag,
+    command,
+    output,
+    stay,
+)
+from arm_emulator.extension.compiler import ARITHMETIC
+from arm_emulator.extension.machine import Diverged
+from arm_emulator.extension.runs import Recorder
+from arm_emulator_campaign.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.case import Case, case_with, drawn_case
+from arm_emulator_campaign.case_bag import write_case_bag
+from arm_emulator_campaign.crew import Crew, Pool, Progress
+from arm_emulator_campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
+from arm_emulator_campaign.forking import forked_case
+from arm_emulator_campaign.judges import statements_about_the_start
+from arm_emulator_campaign.lanes import runs_of
+from arm_emulator_campaign.outcome import Outcome
+from arm_emulator_campaign.report import write_report
+from arm_emulator_campaign.results import ABOUT, INDEX, Results, column_units, digest_of
+from arm_emulator_campaign.search.method import Finding
+from arm_emulator_campaign.searcher import Searcher
+from arm_emulator_campaign.shrinking import shrink, write_shrunk
+from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_campaign.splitter import Splitter, failed_forks
+from arm_emulator_campaign.summary import Summary, summary_of
+
+PATIENCE = 10.0  # s that a Dask scheduler may take to answer
+BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink
+
+
+@command(
+    keys=(
+        "`count`, `per_run`, `estimate` (s of all runs), `bytes`; after the runs `shares`, "
+        "`quantiles`, `confidence`, `digest`, `results`, `arithmetic`; with the option "
+        "replay `index`, `values`, `robustness`, `measures`, `failed`, `missed`; with shrink "
+        "`index`, `requirement`, `changes`, `faults`, `seconds`, `margin`, `runs`, `campaign`"
+    ),
+)
+def campaign(
+    file: Annotated[Path, Parameter(metavar="FILE")],
+    /,
+    *,
+    into: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    count: Annotated[int | None, Parameter(metavar="N")] = None,
+    workers: Annotated[int | None, Parameter(metavar="N")] = None,
+    dask: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
+    dry: bool = False,
+    replay: Annotated[int | None, Parameter(metavar="INDEX")] = None,
+    shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
+    page: PageAt = None,
+    bag: Path | None = None,
+    kept: Keep = NOTHING,
+) -> int:
+    """Simulate the runs of a campaign and report how often its requirements fail.
+
+    The exit code is 1 where the only run, or that of --replay, fails a requirement, and where no
+    run was simulated. Ctrl-C keeps all that is done; the same command goes on with what is missing.
+
+    Args:
+        file: the campaign, YAML.
+        into: results and report (default: out/campaigns/NAME).
+        count: runs in all, in the place of the file's count.
+        workers: processes (default: one for each processor core, or all threads of the cluster).
+        dask: scheduler of a Dask cluster, whose workers see the same files.
+        dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
+        replay: simulate one run again, for --record, --bag, --rerun and --page.
+        shrink: find the fewest changes and the shortest time with which a run still fails, and
+            write them beside the results as a campaign.
+        bag: new bag with the run of --replay and its scene; needs ROS 2.
+    """
+    kept.check("campaign")
+    if (kept != NOTHING or page is not None or bag is not None) and replay is None:
+        rule = "come with --replay INDEX, which names the run"
+        raise Refusal("campaign", "--record, --bag, --rerun and --page", rule, "no --replay")
+    if bag is not None:
+        check_new_bag("campaign", bag)
+    one = load_campaign(file)
+    if one.search is not None and count is not None:
+        raise Refusal(
+            "campaign", "--count", "be absent beside search, which counts its runs", count
+        )
+    if count is not None:
+        one = dataclasses.replace(one, count=check_count("campaign", "--count", count, 1, 10**12))
+    if workers is not None:
+        check_count("campaign", "--workers", workers, 1, 100_000 if dask else 4096)
+    into = into or Path("out") / "campaigns" / file.stem
+    if replay is not None:
+        return _replay(one, case_of(one, into, replay, "--replay"), kept, page, bag)
+    if shrink is not None:
+        return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
+    for text in statements_about_the_start(one):
+        warn(text)
+    seconds, ready = seconds_per_run(one)
+    _preview(one, seconds, ready, workers or _all_of(dask))
+    if dry:
+        return 0
+    results = Results(into, one)
+    interrupted, findings = _simulate(one, results, dask, workers, seconds)
+    columns = results.columns()
+    summary = summary_of(one, columns)
+    if one.search is None:
+        _print(summary, digest_of(columns), results.folder)
+    else:
+        print_findings(findings, digest_of(columns), summary.count, results.folder)
+    if summary.count or findings:
+        output.line(f"report  {write_report(one, results, columns, summary, findings)}")
+    if interrupted:
+        output.line("interrupted: the same command goes on with what is missing")
+        return 130
+    fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
+    missed = f"the only run fails {', '.join(fails)}" if fails and one.search is None else ""
+    if not summary.count and not findings:
+        missed = "it has ended before the first run"
+    return output.judge("campaign", missed)
+
+
+def _all_of(dask: str | None) -> int:
+    """Return the number of workers that are at hand."""
+    if dask is None:
+        return len(os.sched_getaffinity(0))
+    cluster = DaskPool(dask, PATIENCE)
+    try:
+        return cluster.workers
+    finally:
+        cluster.end()
+
+
+def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
+    scenario = one.nominal[0]
+    most = "" if one.search is None else "at most "
+    count = one.count if one.search is None else one.search.runs(len(one.variation.numbers))
+    size = count * len(column_units(one)) * BYTES_PER_NUMBER
+    wall = count * seconds / workers + ready
+    output.facts({"count": count, "per_run": seconds, "estimate": wall, "bytes": size})
+    output.line(
+        f"campaign {one.file.name}: {most}{count} runs of {scenario.seconds:g} s of "
+        f"{one.scene.name}, {len(one.variation.numbers)} numbers vary, "
+        f"{len(one.requirements)} requirements"
+    )
+    output.line(
+        f"a run takes {_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "
+        f"all with {workers} workers {most}{_time(wall)}, {_bytes(size)}"
+    )
+
+
+def _simulate(
+    one: Campaign, results: Results, dask: str | None, workers: int | None, seconds: float
+) -> tuple[bool, list[Finding]]:
+    """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
+    # One that was killed may take its time to be there again.
+    patience = itertools.chain([PATIENCE], itertools.repeat(60.0))
+
+    def pool() -> Pool:
+        if dask is None:
+            return LocalPool(workers or _all_of(dask))
+        return DaskPool(dask, next(patience), workers)
+
+    with _shown() as report:
+        crew = Crew(pool, seconds, report)
+        try:
+            if one.search is not None and one.search.forks:
+                return False, Splitter(one, results, crew).run()
+            if one.search is not None:
+                return False, Searcher(one, results, crew).run()
+            run_campaign(one, results, crew)
+        except KeyboardInterrupt:
+            return True, []
+    return False, []
+
+
+@contextmanager
+def _shown() -> Iterator[Callable[[Progress], None]]:
+    """Within, the progress is shown: a bar in a terminal, else a line now and then."""
+    console = output.console()
+    if not console.is_terminal:
+        yield _lines()
+        return
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    columns = "{task.completed}/{task.total} runs", "{task.fields[facts]}"
+    with Bar(BarColumn(), *map(TextColumn, columns), console=console, transient=True) as bar:
+        task = bar.add_task("", facts="")
+
+        def show(now: Progress) -> None:
+            done = now.before + now.done
+            bar.update(task, total=now.count, completed=done, facts=_facts(now))
+
+        yield show
+
+
+def _lines() -> Callable[[Progress], None]:
+    last = [time.monotonic()]
+
+    def show(now: Progress) -> None:
+        if time.monotonic() - last[0] >= 10.0:
+            last[0] = time.monotonic()
+            output.line(f"{now.before + now.done} of {now.count} runs, {_facts(now)}")
+
+    return show
+
+
+def _facts(now: Progress) -> str:
+    left = f"{_time(now.left)} left" if math.isfinite(now.left) else "time left unknown"
+    return f"{now.rate:.0f} runs/s, {now.failures[-1]} failed, {left}"
+
+
+def _print(summary: Summary, digest: str, folder: Path) -> None:
+    percent = f"{100 * summary.confidence:g} %"
+    for one in summary.shares if summary.count else ():
+        output.line(
+            f"{one.name:<20} fails in {one.hits} of {summary.count}: {100 * one.share:.4g} %, "
+            f"within {100 * one.low:.4g} and {100 * one.high:.4g} % ({percent} confidence)"
+        )
+    output.line(f"digest  {digest}")
+    output.facts({
+        "count": summary.count, "shares": summary.shares, "quantiles": summary.quantiles,
+        "confidence": summary.confidence, "digest": digest, "results": str(folder),
+        "arithmetic": ARITHMETIC,
+    })  # fmt: skip
+
+
+def _replay(one: Campaign, case: Case, kept: Kept, page: str | None, bag: Path | None) -> int:
+    """Simulate a run again: judged as in the campaign, then once more for who records it."""
+    outcome = runs_of(one).run(case)
+    for name, value in outcome.values.items():
+        output.line(f"{name:<44} {value!r}")
+    for name, value in outcome.robustness.items():
+        output.line(f"{name:<44} {'holds' if value >= 0.0 else 'FAILS'} by {abs(value):.6g}")
+    for name, value in outcome.measures.items():
+        output.line(f"{name:<44} {value:.6g}")
+    output.facts({
+        "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
+        "measures": outcome.measures, "failed": outcome.failed,
+    })  # fmt: skip
+    recorded = kept != NOTHING or page is not None
+    code = output.judge("campaign", _failures(outcome))
+    if bag is None and not recorded:
+        return code
+    simulator = Simulator(one)
+    if bag is not None:
+        write_case_bag(one, simulator, case, bag)
+        output.line(f"wrote   {bag}")
+    if recorded:
+        record_case(simulator, case, kept, page)
+    return code
+
+
+def _failures(outcome: Outcome) -> str:
+    """Return as text what failed in a run; empty: nothing."""
+    if math.isfinite(outcome.diverged):
+        return f"run {outcome.index} diverged at {outcome.diverged:g} s"
+    names = [name for name, value in outcome.robustness.items() if not value >= 0.0]
+    return f"run {outcome.index} fails {', '.join(names)}" if names else ""
+
+
+def _time(seconds: float) -> str:
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.3g} min" if seconds < 7200.0 else f"{seconds / 3600:.3g} h"
+
+
+def _bytes(size: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 1000.0:
+            return f"{size:.3g} {unit}"
+        size /= 1000.0
+    return f"{size:.3g} TB"
+
+
+def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
+    """Return a run by its index: drawn again, or of a search, from its results.
+
+    Raises:
+        Refusal: a search has no such run.
+    """
+    check_count("campaign", option, index, 0, 10**12)
+    if one.search is None:
+        return drawn_case(one.variation, index)
+    if not (into / ABOUT).is_file():
+        rule = "have the search's runs, from which one is taken"
+        raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
+    results = Results(into, one)
+    if one.search.forks:
+        failures = failed_forks(results)
+        if index >= len(failures):
+            valid = f"0 to {len(failures) - 1}" if failures else None
+            raise Refusal("campaign", option, "be a failure of the search", index, valid)
+        return replace(forked_case(one, failures[index]), index=index)
+    columns = results.columns()
+    places = np.flatnonzero(columns[INDEX] == index)
+    if not len(places):
+        count = len(columns[INDEX])
+        raise Refusal("campaign", option, "be a run of the search", index, f"0 to {count - 1}")
+    values = {name.name: float(columns[name.name][places[0]]) for name in one.variation.numbers}
+    return case_with(one.variation, index, values)
+
+
+def record_case(simulator: Simulator, case: Case, kept: Kept, page: str | None = None) -> None:
+    """Simulate a run for who records it, or looks at its page at a port."""
+    pieces = simulator.drive(case)
+    next(pieces)
+    plant = simulator.session.plant
+    with (
+        Recorder(plant, kept, waits=True, stays=page is None),
+        Watched(plant, page, waits=True) as watched,
+    ):
+        if page is not None:
+            print(f"page: {watched.url}", flush=True)
+        try:
+            for _ in pieces:
+                pass
+        except Diverged as fault:
+            output.line(str(fault))
+        if page is not None:
+            stay()
+
+
+def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:
+    """Print what a search found."""
+    for one in findings:
+        output.line(one.about)
+        if one.rows:
+            output.table(one.head, one.texts(), left=len(one.head))
+    output.line(f"digest  {digest}")
+    output.facts({
+        "findings": [asdict(one) for one in findings], "count": count, "digest": digest,
+        "results": str(folder),
+    })  # fmt: skip
+
+
+def print_shrunk(one: Campaign, case: Case, into: Path) -> int:
+    """Shrink a run that fails, write it, and print what is left of it."""
+    found = shrink(one, case)
+    output.line(f"run {case.index} fails {found.requirement} by {-found.before:.6g}")
+    for name, value in found.changes.items():
+        nominal = next(number.nominal for number in one.variation.numbers if number.name == name)
+        output.line(f"  {name:<42} {value:.6g} in the place of {nominal:.6g}")
+    for name in found.faults:
+        output.line(f"  fault {name}")
+    if not found.changes and not found.faults:
+        output.line("  it fails without any change")
+    output.line(f"  {found.seconds:.6g} s, fails by {-found.margin:.6g}, {found.runs} runs tried")
+    file = write_shrunk(one, found, into / f"shrunk_{case.index}")
+    margin = Simulator(load_campaign(file)).run(0).robustness[found.requirement]
+    if margin >= 0.0:
+        rule = f"fail {found.requirement} when it is simulated again"
+        raise Refusal("campaign", str(file), rule, f"holds by {margin:g}")
+    output.line(f"wrote   {file}")
+    output.facts({
+        "index": case.index, "requirement": found.requirement, "changes": found.changes,
+        "faults": found.faults, "seconds": found.seconds, "margin": margin,
+        "runs": found.runs, "campaign": file,
+    })  # fmt: skip
+    return 0

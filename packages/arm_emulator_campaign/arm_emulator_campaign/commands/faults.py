@@ -1,0 +1,76 @@
+"""List the faults that a scene may have, or try each of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.extension.commands import SceneName, command, output
+from arm_emulator.extension.machine import load_scene
+from arm_emulator_campaign.fault_matrix import draw, fault_matrix, worst_by_kind, write_csv
+
+
+@command(keys="`scene`, `faults`; with the option matrix `matrix`")
+def faults(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    matrix: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+) -> int:
+    """List the faults that a scene may have, and which of them it lists.
+
+    Args:
+        matrix: try each fault in a move of the tool; write who detects it, after how long, and how
+            far the tool leaves its way meanwhile, as CSV and as a picture.
+    """
+    if matrix is not None:
+        return _try_faults(scene, matrix)
+    machine = load_scene(scene)
+    if not machine.faults:
+        machine = load_scene(scene, {"faults": []})
+    listed = {one.name for one in machine.faults}
+    rows = [("fault", "listed", "magnitude", "range", "effect")]
+    for one in machine.possible_faults:
+        number = one.varied.number
+        there = "yes" if one.name in listed else ""
+        well = f"{number.default:g} {number.unit.removesuffix('1')}".rstrip()
+        low, high = number.ends
+        rows.append((one.name, there, well, f"{low:g} to {high:g}", one.kind.text))
+    output.line(f"faults of {machine.name}; {len(listed)} are listed in {machine.where}")
+    # Without a table's frame and folding: for `grep`, and for narrow terminals.
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        output.line("  ".join(cells).rstrip())
+    output.facts(
+        {
+            "scene": machine.name,
+            "faults": [
+                {
+                    "name": one.varied.name, "listed": one.name in listed, "text": one.kind.text,
+                    "unit": one.varied.number.unit, "shows_well": one.varied.number.default,
+                    "range": one.varied.number.ends,
+                    "changes": {change.number: change.expression for change in one.changes},
+                }
+                for one in machine.possible_faults
+            ],
+        }
+    )  # fmt: skip
+    return 0
+
+
+def _try_faults(scene: str, folder: Path) -> int:
+    """Try each fault, write the matrix, and print the worst joint of each kind."""
+    rows = fault_matrix(scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_csv(rows, folder / "faults.csv")
+    draw(rows, f"Faults of {Path(scene).stem} in a move of 71 mm", folder / "faults.png")
+    for one in worst_by_kind(rows):
+        after = "" if one.after != one.after else f" after {1e3 * one.after:.0f} ms"
+        found = f"{one.detected_by}{after}"
+        output.line(f"{one.fault:<40} {found:<32} tool {1e3 * one.travel:.3g} mm off its way")
+    output.line(f"matrix  {folder / 'faults.csv'}, {folder / 'faults.png'}")
+    output.facts({"scene": scene, "matrix": rows})
+    return 0

@@ -1,0 +1,304 @@
+"""Distributions as text, each as its quantile function: a number of (0, 1) gives the value.
+
+So one point of the unit cube, random, of Sobol or of a Latin hypercube, gives all values of a run.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from scipy import special
+
+from arm_emulator.extension.base import LARGEST_NUMBER as LARGEST
+from arm_emulator.extension.base import Refusal
+
+Quantile = Callable[[float], float]
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A quantile function.
+
+    Attributes:
+        text: as it was written.
+        quantile: value of a number within (0, 1).
+        share: what part of the values lies below one; None: they are single values.
+        levels: how many values a grid has; 0: it is not a grid.
+        factor, offset: of the nominal value of the scene, with which it goes on:
+            nominal * value, or nominal + value.
+    """
+
+    text: str
+    quantile: Quantile
+    share: Callable[[float], float] | None = None
+    levels: int = 0
+    relative: str = ""
+
+    def at(self, u: float, nominal: float) -> float:
+        """Return the value for a number within (0, 1)."""
+        value = self.quantile(u)
+        if not self.relative:
+            return value
+        return nominal * value if self.relative == "*" else nominal + value
+
+
+class _Bad(Exception):
+    """A rule that is broken, and by what."""
+
+    def __init__(self, rule: str, got: object, valid: str | None = None) -> None:
+        super().__init__(rule)
+        self.rule, self.got, self.valid = rule, got, valid
+
+
+def _inverse_of_normal(u: float) -> float:
+    return float(special.ndtri(u))
+
+
+def _below_of_normal(x: float) -> float:
+    return float(special.ndtr(x))
+
+
+def _within(share: float) -> float:
+    """Return a share of the values, which is from 0 to 1 beyond their ends, too."""
+    return min(1.0, max(0.0, share))
+
+
+def _above(name: str, value: float, least: float = 0.0) -> float:
+    if not value > least:
+        raise _Bad(f"have {name} > {least:g}", value)
+    return value
+
+
+def _ordered(low: float, high: float) -> None:
+    if not low < high:
+        raise _Bad("have its low end below its high end", f"{low:g}, {high:g}")
+
+
+def uniform(low: float, high: float) -> Distribution:
+    """Evenly between two ends."""
+    _ordered(low, high)
+    width = high - low
+    return Distribution("", lambda u: low + width * u, lambda x: _within((x - low) / width))
+
+
+def loguniform(low: float, high: float) -> Distribution:
+    """The logarithm evenly between those of two ends."""
+    _above("low", low)
+    _ordered(low, high)
+    a, width = math.log(low), math.log(high / low)
+    return Distribution(
+        "",
+        lambda u: math.exp(a + width * u),
+        lambda x: _within((math.log(x) - a) / width) if x > 0.0 else 0.0,
+    )
+
+
+def normal(mean: float, sigma: float) -> Distribution:
+    """Mean and standard deviation."""
+    _above("sigma", sigma)
+    return Distribution(
+        "",
+        lambda u: mean + sigma * _inverse_of_normal(u),
+        lambda x: _below_of_normal((x - mean) / sigma),
+    )
+
+
+def lognormal(mean: float, sigma: float) -> Distribution:
+    """Mean of the values, and standard deviation of their logarithms."""
+    _above("mean", mean)
+    _above("sigma", sigma)
+    mu = math.log(mean) - 0.5 * sigma * sigma
+    return Distribution(
+        "",
+        lambda u: math.exp(mu + sigma * _inverse_of_normal(u)),
+        lambda x: _below_of_normal((math.log(x) - mu) / sigma) if x > 0.0 else 0.0,
+    )
+
+
+def triangular(low: float, mode: float, high: float) -> Distribution:
+    """Density of a triangle."""
+    _ordered(low, high)
+    if not low <= mode <= high:
+        raise _Bad("have its mode between its ends", mode)
+    width, left, right = high - low, mode - low, high - mode
+
+    def quantile(u: float) -> float:
+        if u * width < left:
+            return low + math.sqrt(u * width * left)
+        return high - math.sqrt((1.0 - u) * width * right)
+
+    def share(x: float) -> float:
+        if x <= mode:
+            return max(0.0, x - low) ** 2 / (width * left) if left else 0.0
+        return 1.0 - (high - x) ** 2 / (width * right) if x < high else 1.0
+
+    return Distribution("", quantile, share)
+
+
+def exponential(mean: float) -> Distribution:
+    """Mean of the values, which begin at 0."""
+    _above("mean", mean)
+    return Distribution(
+        "", lambda u: -mean * math.log1p(-u), lambda x: -math.expm1(-max(0.0, x) / mean)
+    )
+
+
+def weibull(shape: float, scale: float) -> Distribution:
+    """Shape and scale."""
+    _above("shape", shape)
+    _above("scale", scale)
+    return Distribution(
+        "",
+        lambda u: scale * (-math.log1p(-u)) ** (1.0 / shape),
+        lambda x: -math.expm1(-((max(0.0, x) / scale) ** shape)),
+    )
+
+
+def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distribution:
+    """Beta distribution between two ends."""
+    _above("a", a)
+    _above("b", b)
+    _ordered(low, high)
+    width = high - low
+    return Distribution(
+        "",
+        lambda u: low + width * float(special.betaincinv(a, b, u)),
+        lambda x: float(special.betainc(a, b, _within((x - low) / width))),
+    )
+
+
+def truncated(of: Distribution, low: float, high: float) -> Distribution:
+    """Part of a distribution between two ends."""
+    _ordered(low, high)
+    if of.share is None:
+        raise _Bad("truncate a distribution with a density", of.text)
+    first, last = of.share(low), of.share(high)
+    if not last - first > 1e-12:
+        rule = "have probability between its bounds"
+        raise _Bad(rule, f"{of.text} within {low:g} and {high:g}")
+    width, share = last - first, of.share
+
+    def quantile(u: float) -> float:
+        return min(high, max(low, of.quantile(first + width * u)))
+
+    return Distribution("", quantile, lambda x: _within((share(x) - first) / width))
+
+
+def choice(*values: float) -> Distribution:
+    """One of some values, each as often."""
+    if not values:
+        raise _Bad("have a value", "none")
+    return Distribution("", lambda u: values[min(int(u * len(values)), len(values) - 1)])
+
+
+def mixture(*pairs: float | Distribution) -> Distribution:
+    """Weights, each followed by its distribution."""
+    weights, parts = pairs[::2], pairs[1::2]
+    if not len(weights) == len(parts) > 0:
+        raise _Bad("be weights, each followed by a distribution", f"{len(pairs)} arguments")
+    sizes = [_above("weights", one) for one in weights if isinstance(one, float)]
+    shares = [one / math.fsum(sizes) for one in sizes]
+
+    def quantile(u: float) -> float:
+        left = u
+        for weight, part in zip(shares[:-1], parts[:-1], strict=True):
+            if left < weight:
+                return part.quantile(left / weight)  # type: ignore[union-attr]
+            left -= weight
+        inside = min(max(left / shares[-1], 2.0**-53), 1.0 - 2.0**-53)
+        return parts[-1].quantile(inside)  # type: ignore[union-attr]
+
+    return Distribution("", quantile)
+
+
+def grid(low: float, high: float, count: float) -> Distribution:
+    """Evenly spaced values from end to end, each combined with those of all other grids."""
+    if not (count >= 2 and count == int(count) and count <= 10**6):
+        raise _Bad("have a whole number of values from 2 to 1e6", count)
+    _ordered(low, high)
+    levels = int(count)
+    width = high - low
+    return Distribution(
+        "",
+        lambda u: low + width * (min(int(u * levels), levels - 1) / (levels - 1)),
+        levels=levels,
+    )
+
+
+KINDS: dict[str, Callable[..., Distribution]] = {
+    one.__name__: one
+    for one in (
+        uniform, loguniform, normal, lognormal, triangular, exponential, weibull, beta,
+        truncated, choice, mixture, grid,
+    )
+}  # fmt: skip
+
+
+def parse_distribution(given: object, where: str, quantity: str) -> Distribution:
+    """Return the distribution that a text such as ``lognormal(0.5, 0.2)`` states.
+
+    ``nominal * ...`` and ``nominal + ...`` begin at the value of the scene.
+
+    Raises:
+        Refusal: it is not a distribution.
+    """
+    text = f"choice({given!r})" if isinstance(given, int | float) else given
+    valid = ", ".join(KINDS)
+    if isinstance(given, bool) or not isinstance(text, str) or len(text) > 1000:
+        raise Refusal(where, quantity, "be a distribution", repr(given), valid)
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        relative = ""
+        if isinstance(tree, ast.BinOp) and isinstance(tree.left, ast.Name):
+            if tree.left.id != "nominal" or not isinstance(tree.op, ast.Mult | ast.Add):
+                raise _Bad("begin with nominal * or nominal +", text)
+            relative = "*" if isinstance(tree.op, ast.Mult) else "+"
+            tree = tree.right
+        found = _read(tree)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise Refusal(where, quantity, "be a distribution", text, valid) from None
+    except _Bad as no:
+        raise Refusal(where, quantity, no.rule, no.got, no.valid) from None
+    if not isinstance(found, Distribution):
+        raise Refusal(where, quantity, "be a distribution", text, valid)
+    return replace(found, text=text, relative=relative)
+
+
+def _read(tree: ast.expr) -> float | Distribution:
+    if isinstance(tree, ast.Constant) and type(tree.value) in (int, float):
+        if not abs(tree.value) <= LARGEST:  # type: ignore[arg-type]
+            raise _Bad(f"have numbers within +-{LARGEST:g}", tree.value)
+        return float(tree.value)  # type: ignore[arg-type]
+    if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
+        inner = _read(tree.operand)
+        if isinstance(inner, float):
+            return -inner
+    if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name):
+        return _called(tree.func.id, tree)
+    raise _Bad("be a distribution", ast.unparse(tree), ", ".join(KINDS))
+
+
+def _called(name: str, tree: ast.Call) -> Distribution:
+    if name not in KINDS:
+        raise _Bad("be a known distribution", name, ", ".join(KINDS))
+    if any(one.arg is None for one in tree.keywords):
+        raise _Bad("have the arguments of its kind", ast.unparse(tree))
+    of: Sequence[Any] = [_read(one) for one in tree.args]
+    named = {str(one.arg): _read(one.value) for one in tree.keywords}
+    expects = {"truncated": (0,), "mixture": tuple(range(1, len(of), 2))}.get(name, ())
+    for place, one in enumerate(of):
+        if isinstance(one, Distribution) != (place in expects):
+            kind = "a distribution" if place in expects else "a number"
+            raise _Bad(f"have {kind} as argument {place + 1} of {name}", ast.unparse(tree))
+    try:
+        return replace(KINDS[name](*of, **named), text=ast.unparse(tree))
+    except TypeError:
+        import inspect
+
+        takes = f"{name}{inspect.signature(KINDS[name])}".partition(" ->")[0]
+        takes = takes.replace(": float", "").replace(": 'float'", "")
+        raise _Bad("have the arguments of its kind", ast.unparse(tree), takes) from None

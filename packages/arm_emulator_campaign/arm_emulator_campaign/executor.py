@@ -1,0 +1,208 @@
+"""Runs of a campaign by several processes; finished runs outlive any killed process."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import itertools
+import math
+import multiprocessing as mp
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Refusal, need_wheel
+from arm_emulator_campaign.campaign_file import Campaign
+from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.crew import Crew, Pool, Progress, Work
+from arm_emulator_campaign.lanes import WIDTH
+from arm_emulator_campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
+from arm_emulator_campaign.worker import Done, end_with, simulate, simulator_of
+
+ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
+FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
+
+
+class LocalPool(cf.ProcessPoolExecutor):
+    """Processes on this machine, which end with this one."""
+
+    breaks: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        spawned = mp.get_context("spawn")
+        super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
+
+    def end(self) -> None:
+        """Let all workers write finished runs, and end them."""
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            processes = list((self._processes or {}).values())
+            for process in processes:
+                process.terminate()
+            self.shutdown(wait=True, cancel_futures=True)
+            for process in processes:
+                process.join(30.0)
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+
+class DaskPool:
+    """The workers of a Dask cluster, which must see the same files.
+
+    Args:
+        address: of the scheduler.
+        patience: for so long it may not answer [s].
+        workers: chunks are for so many; None: for all that the cluster has, come and gone ones too.
+
+    Raises:
+        Refusal: Dask is not installed, or no scheduler answers.
+    """
+
+    def __init__(self, address: str, patience: float, workers: int | None = None) -> None:
+        need_wheel("campaign", "distributed", "distributed")
+        from distributed import Client
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+
+        # A scheduler that ends cancels its tasks.
+        self.breaks: tuple[type[BaseException], ...] = (
+            cf.CancelledError, CommClosedError, KilledWorker
+        )  # fmt: skip
+        try:
+            self._client = Client(address, timeout=patience)
+        except (OSError, ValueError) as error:
+            rule = "be the address of a Dask scheduler"
+            raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
+        self._executor = self._client.get_executor(pure=False, retries=3)
+        self._given, self._asked, self._threads = workers, -math.inf, 1
+
+    @property
+    def workers(self) -> int:
+        """Number given, or of the cluster's threads, asked now and then; at least 1."""
+        if self._given is not None:
+            return self._given
+        if time.monotonic() - self._asked >= ASKED_EVERY:
+            threads: dict[str, int] = self._client.nthreads()
+            self._asked, self._threads = time.monotonic(), max(1, sum(threads.values()))
+        return self._threads
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
+        """Submit a call."""
+        future: cf.Future[Any] = self._executor.submit(function, *arguments)
+        return future
+
+    def end(self) -> None:
+        """Leave the cluster."""
+        self._executor.shutdown(wait=False)
+        self._client.close()
+
+
+def run_campaign(campaign: Campaign, results: Results, crew: Crew) -> None:
+    """Simulate what is missing, to the end or until the campaign may stop.
+
+    Raises:
+        Refusal: a run that is not taken, or workers that end again and again.
+        KeyboardInterrupt: after what was done has been written.
+    """
+    columns = results.columns()
+    failures = failures_in(campaign, columns, campaign.count)
+    progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
+    for count in stages_of(campaign):
+        _complete(campaign, results, crew, progress, count)
+        if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
+            return
+
+
+def _complete(
+    campaign: Campaign, results: Results, crew: Crew, progress: Progress, count: int
+) -> None:
+    """Simulate what is missing among the first `count` runs."""
+
+    def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
+        left = sum(end - first for first, end in missing)
+        size = chunk_of(left, pool.workers, max(1, crew.largest >> killed))
+        _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
+
+    with Work(campaign, crew, progress) as all_of_it:
+        all_of_it.complete(lambda _: results.missing(count), work)
+
+
+def _work(
+    campaign: Campaign,
+    results: Results,
+    crew: Crew,
+    pool: Pool,
+    chunks: Iterable[tuple[int, int]],
+    progress: Progress,
+) -> None:
+    """Work on chunks, two under way for each worker, until all are done or the time is over."""
+    of_all = str(campaign.file.absolute()), campaign.key, str(results.folder.absolute())
+    todo, waiting = iter(chunks), set[cf.Future[Done]]()
+    while True:
+        for first, end in itertools.islice(todo, max(0, 2 * pool.workers - len(waiting))):
+            waiting.add(pool.submit(simulate, *of_all, first, end))
+        if not waiting:
+            return
+        done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
+        for one in done:
+            progress.add(one.result())
+        crew.report(progress)
+        if progress.late(campaign.stop.seconds):
+            return
+
+
+def chunk_of(runs: int, workers: int, largest: int) -> int:
+    """Return the size of chunks that end with all workers busy, at least two for each."""
+    rounds = max(2, math.ceil(runs / (largest * workers)))
+    size = math.ceil(runs / (rounds * workers))
+    return size if size < WIDTH else min(largest, size + -size % WIDTH)  # lanes are full
+
+
+def stages_of(campaign: Campaign) -> Iterator[int]:
+    """Yield the counts of runs after which a campaign may stop: the same however it is divided."""
+    count = FIRST_STAGE
+    while campaign.stop.width > 0.0 and count < campaign.count:
+        yield count
+        count = math.ceil(GROWTH * count)
+    yield campaign.count
+
+
+def failures_in(campaign: Campaign, columns: dict[str, NDArray[Any]], count: int) -> list[int]:
+    """Return how often each requirement, and any of them last, failed in the first runs."""
+    first = columns[INDEX] < count
+    failed = [
+        int(np.count_nonzero(~(columns[f"{ROBUSTNESS}{name}"][first] >= 0.0)))
+        for name in campaign.requirements
+    ]
+    return [*failed, int(np.count_nonzero(columns[FAILED][first]))]
+
+
+def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
+    """Return whether the shares of failures are known well enough from the first runs."""
+    stop = campaign.stop
+    if stop.width <= 0.0:
+        return False
+    found = failures_in(campaign, results.columns(), count)
+    intervals = (stop.interval(failed, count) for failed in found)
+    return all(high - low <= stop.width for low, high in intervals)
+
+
+def seconds_per_run(campaign: Campaign) -> tuple[float, float]:
+    """Return the processor time of a run and that of a start [s], measured."""
+    began = time.process_time()
+    _, simulator = simulator_of(str(campaign.file.absolute()), campaign.key)
+    some = [drawn_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
+    list(simulator.runs(some[:1]))
+    ready, runs = time.process_time(), 0
+    while runs < 3 or time.process_time() - ready < 0.2:
+        runs += len(some)
+        list(simulator.runs(some))
+        if time.process_time() - ready > 5.0:
+            break
+    return (time.process_time() - ready) / runs, ready - began

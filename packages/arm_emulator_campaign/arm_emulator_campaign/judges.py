@@ -1,0 +1,250 @@
+"""Judges of a run: requirements, measures, and functions of Python over the whole trace."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import (
+    Array,
+    Combined,
+    Expression,
+    Formula,
+    Refusal,
+    Section,
+    Signal,
+    array_of,
+    bound_to,
+    meant_by,
+    parse_expression,
+    parse_formula,
+)
+from arm_emulator.extension.machine import is_at_one_instant
+from arm_emulator_campaign.campaign_file import Campaign
+from arm_emulator_campaign.program import Program, Rows, Targets, judges
+from arm_emulator_campaign.requirement import Robustness
+from arm_emulator_campaign.scenario import ticks_of
+from arm_emulator_campaign.signals import units_of_signals
+
+Signals = Mapping[str, Array]
+REDUCTIONS = ("max", "min", "mean", "rms", "last")
+_MEASURE = re.compile(r"\s*(\w+)\s*\((.*)\)\s*", re.DOTALL)
+
+
+class Measure:
+    """A number of a run: the maximum, minimum, mean, root mean square or last value of arithmetic.
+
+    Args:
+        text: such as ``max(abs(measured.current.elbow))``; a ``*`` takes the largest, or for
+            ``min`` the smallest, of all that it means.
+        known: signals.
+        where: for refusals.
+        quantity: for refusals.
+
+    Raises:
+        Refusal: an unknown form.
+    """
+
+    def __init__(self, text: str, known: list[str], where: str, quantity: str) -> None:
+        found = _MEASURE.fullmatch(text)
+        if found is None or found[1] not in REDUCTIONS:
+            valid = ", ".join(f"{one}(...)" for one in REDUCTIONS)
+            raise Refusal(where, quantity, "be a measure", repr(text), valid)
+        self.kind = found[1]
+        whole = parse_expression(found[2], where, quantity)
+        self.of: list[Expression] = meant_by(whole, known, where, quantity)
+
+    def end(self, values: Array) -> Array:
+        """Return the measure of several signals (runs,) from that of each (runs, signals)."""
+        of_all: Array = values.min(axis=1) if self.kind == "min" else values.max(axis=1)
+        return of_all
+
+
+class Checked:
+    """A Python function that judges a whole trace and returns its robustness.
+
+    Args:
+        section: ``python: FILE:FUNCTION`` and ``signals``, the names that it gets.
+        known: signals.
+        folder: the campaign's. The file is code, so that it must be in this folder or below it,
+            links followed.
+
+    Raises:
+        Refusal: no such file or function there, or signals that are not known.
+    """
+
+    def __init__(self, section: Section, known: list[str], folder: Path) -> None:
+        file, _, name = section.text("python").partition(":")
+        wanted = [str(one) for one in section.entries("signals")]
+        self.names: list[str] = []
+        import fnmatch
+
+        for pattern in wanted:
+            found = fnmatch.filter(known, pattern)
+            if not found:
+                valid = ", ".join(known)
+                raise section.refusal("signals", "name signals of the run", pattern, valid)
+            self.names += found
+        self.names.append("t")
+        section.finish()
+        code = (folder / file).resolve()
+        if not name or not code.is_file() or not code.is_relative_to(folder.resolve()):
+            rule = "be FILE:FUNCTION, a file beside the campaign's or below its folder"
+            raise section.refusal("python", rule, section.text("python"))
+        self._function, self._section = _function(code, name, section), section
+
+    def judge(self, trace: Sequence[Array]) -> float:
+        """Return the function's result for pieces (names, n) of a run.
+
+        Raises:
+            Refusal: the function raises something, or returns no number.
+        """
+        whole = np.concatenate(trace, axis=1)
+        try:
+            margin = self._function(dict(zip(self.names, whole, strict=True)))
+        except (Exception, SystemExit) as error:
+            line = traceback.extract_tb(error.__traceback__)[-1]
+            got = f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"
+            raise self._section.refusal("python", "return a margin", got) from None
+        number = array_of(margin)
+        if number is None or number.ndim:
+            raise self._section.refusal("python", "return a margin, one number", margin)
+        return float(number)
+
+
+def _function(file: Path, name: str, section: Section) -> Callable[[Signals], Any]:
+    spec = importlib.util.spec_from_file_location(f"campaign_{file.stem}", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        got = f"{type(error).__name__}: {error}"
+        raise section.refusal("python", "be a file that Python can run", got) from None
+    function = getattr(module, name, None)
+    if not callable(function):
+        valid = ", ".join(key for key, one in vars(module).items() if callable(one))
+        raise section.refusal("python", "name a function of the file", name, valid or "none")
+    return function  # type: ignore[no-any-return]
+
+
+def statements_about_the_start(campaign: Campaign) -> Iterator[str]:
+    """Yield a line for each requirement that judges only the first sample of a run, in all or part.
+
+    It is a part that the whole needs: of an `implies` or `or` it may be meant so.
+    """
+    for name, text in campaign.requirements.items():
+        if not isinstance(text, str):
+            continue
+        formula = parse_formula(text, campaign.where, f"requirements.{name}")
+        parts: tuple[Formula, ...] = (formula,)
+        if isinstance(formula, Combined) and formula.sign == "and":
+            parts = formula.of
+        at_start = [is_at_one_instant(part) for part in parts]
+        if all(at_start):
+            valid = f"always ({text}) judges the whole run, always[0, 0] ({text}) its start"
+            yield f"{campaign.where}: requirements.{name} judges the first sample alone; {valid}"
+        elif any(at_start):
+            rule = "a part without always, eventually or until judges the first sample alone"
+            yield f"{campaign.where}: requirements.{name}: {rule}; always (...) the whole run"
+
+
+class Judges:
+    """All judges of runs.
+
+    Attributes:
+        samples: signals that they need, in the order of their rows.
+
+    Args:
+        campaign: that states them.
+        room: samples in a piece at most.
+        runs: that are judged at the same time.
+    """
+
+    def __init__(self, campaign: Campaign, room: int, runs: int = 1) -> None:
+        scene, where = campaign.scene, campaign.where
+        known = list(units_of_signals(scene))
+        rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
+        section = Section({"requirements": dict(campaign.requirements)}, where)
+        given = section.required_section("requirements")
+        formulas: dict[str, Formula] = {}
+        self._checked: dict[str, Checked] = {}
+        for name, text in campaign.requirements.items():
+            if isinstance(text, str):
+                quantity = f"requirements.{name}"
+                formula = parse_formula(text, where, quantity)
+                formulas[name] = bound_to(formula, known, where, quantity)
+            else:
+                below = given.required_section(name)
+                self._checked[name] = Checked(below, known, campaign.file.parent)
+        self._measures = [
+            Measure(text, known, where, f"measures.{name}")
+            for name, text in campaign.measures.items()
+        ]
+        names = list(campaign.requirements)
+        self._of_formulas = [names.index(name) for name in formulas]
+        self._of_checked = [names.index(name) for name in self._checked]
+        longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, scene.servo_period))
+        if any(one.name == "scenario.seconds" for one in campaign.variation.numbers):
+            longest = 2**40
+        period = scene.servo_period
+        requirements = [
+            [
+                Robustness(
+                    judges(), one, rows.of_formula, period, longest, where, f"requirements.{name}"
+                )
+                for name, one in formulas.items()
+            ]
+            for _ in range(runs)
+        ]
+        kept = [rows.of(Signal(name)) for one in self._checked.values() for name in one.names]
+        reduced = [(one.kind, rows.of(each)) for one in self._measures for each in one.of]
+        self._program = Program(rows, requirements, reduced, kept, room)
+        self._traces: list[list[Array]] = [[] for _ in range(runs)]  # for functions of Python
+        self.samples = rows.samples
+
+    def begin(self) -> None:
+        """Begin all runs."""
+        self._program.begin()
+        for trace in self._traces:
+            trace.clear()
+
+    def take(self, samples: Array, counts: NDArray[np.int64], targets: Targets) -> None:
+        """Go on with samples (runs, S, room), of which there are so many (runs,)."""
+        self._program.take(samples, counts, targets)
+        if self._checked:
+            for trace, rows, count in zip(self._traces, self._program.kept, counts, strict=False):
+                trace.append(rows[:, :count].copy())
+
+    def end(self, diverged: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """End the runs (runs,); return robustness and measures, a row for each.
+
+        They are -inf and NaN in runs that diverged; robustness that is not a number is -inf, too.
+        """
+        values, reduced = self._program.end()
+        runs = len(diverged)
+        robustness = np.full((runs, len(self._of_formulas) + len(self._of_checked)), -math.inf)
+        measures = np.full((runs, len(self._measures)), math.nan)
+        sound = np.flatnonzero(~diverged)
+        robustness[sound[:, None], self._of_formulas] = values[sound]
+        for run in sound if self._checked else ():
+            first = 0
+            for place, one in zip(self._of_checked, self._checked.values(), strict=True):
+                end = first + len(one.names)
+                trace = [rows[first:end] for rows in self._traces[run]]
+                robustness[run, place], first = one.judge(trace), end
+        robustness[np.isnan(robustness)] = -math.inf
+        first = 0
+        for place, measure in enumerate(self._measures):
+            end = first + len(measure.of)
+            measures[sound, place] = measure.end(reduced[sound, first:end])
+            first = end
+        return robustness, measures

@@ -1,0 +1,188 @@
+"""Runs of a campaign side by side: each is an arm of a fleet, its servo in the same lanes.
+
+What varies is bound once for the campaign: a run is then a row of numbers, rows of targets, and
+changes at their ticks, and its whole way is C.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from arm_emulator.extension.base import Array, Refusal
+from arm_emulator.extension.machine import Fleet, FleetWay
+from arm_emulator.extension.runs import ServoFleet
+from arm_emulator_campaign.campaign_file import Campaign
+from arm_emulator_campaign.case import Case
+from arm_emulator_campaign.judges import Judges
+from arm_emulator_campaign.outcome import Outcome, Outcomes
+from arm_emulator_campaign.program import BLOCK, Targets
+from arm_emulator_campaign.scenario import Scenario
+from arm_emulator_campaign.signals import FleetSampler
+from arm_emulator_campaign.simulator import BoundCase, Simulator, bound
+
+WIDTH = 64  # runs at a time
+# Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power
+# of two would all begin in the same set of that cache.
+ROOM = 7 * BLOCK
+
+
+class _Run(NamedTuple):
+    """A run as its arm gets it, with the numbers of the arm."""
+
+    numbers: Array
+    bound: BoundCase
+
+
+class RunsInLanes:
+    """Simulates runs of a campaign whose targets go to the servo, many at a time.
+
+    A run is the same to the last bit whatever runs are beside it, and equals that of a `Simulator`
+    but for the rounding of lanes, some 1e-16 a step.
+
+    Attributes:
+        width: runs at a time.
+
+    Args:
+        campaign: which one.
+    """
+
+    width = WIDTH
+
+    def __init__(self, campaign: Campaign) -> None:
+        self._campaign = campaign
+        self._judges = Judges(campaign, ROOM, WIDTH)  # first: its refusals need no compiler
+        scenario, _, servo = campaign.nominal
+        self._scene = scene = campaign.scene
+        self._names = [one.name for one in campaign.variation.numbers]
+        self._numbers = {one.name: (k, one.number) for k, one in enumerate(scene.varied)}
+        self._seed = self._numbers["seed"][0] if scene.sensed else None
+        self._own = np.array([one.value for one in scene.varied], np.float64)
+        self._fleet = Fleet(scene, WIDTH, workers=1)
+        self._servos = ServoFleet(self._fleet, servo)
+        self._tuned = [servo] * WIDTH
+        self._sampler = FleetSampler(self._fleet, self._judges.samples, ROOM)
+        self._way = FleetWay(scene, WIDTH, self._sampler.look, self._sampler.with_)
+        self._frame = self._fleet.frame()
+        self._aimed: list[Scenario] = []
+        self._aim([scenario])
+
+    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
+        """Simulate runs and judge them; yield some after the other.
+
+        Raises:
+            Refusal: values of a run that are out of range; those before it have been yielded.
+        """
+        for first in range(0, len(cases), WIDTH):
+            runs: list[_Run] = []
+            refused = None
+            for case in cases[first : first + WIDTH]:
+                try:
+                    runs.append(self._bind(case))
+                except Refusal as no:
+                    where = f"{self._campaign.where}, run {case.index}"
+                    refused = Refusal(where, no.quantity, no.rule, no.got, no.valid)
+                    break
+            if runs:
+                yield self._run(cases[first : first + len(runs)], runs)
+            if refused is not None:
+                raise refused
+
+    def run(self, case: Case) -> Outcome:
+        """Simulate one run and judge it: to the last bit as beside others.
+
+        Raises:
+            Refusal: values of this run that are out of range.
+        """
+        (found,) = self.runs([case])
+        return Outcome(
+            case.index,
+            case.values,
+            dict(zip(self._campaign.requirements, found.robustness[0].tolist(), strict=True)),
+            dict(zip(self._campaign.measures, found.measures[0].tolist(), strict=True)),
+            float(found.diverged[0]),
+        )
+
+    def _bind(self, case: Case) -> _Run:
+        """Return a run as its arm gets it.
+
+        Raises:
+            Refusal: a value that is out of range.
+        """
+        found, numbers = bound(self._campaign, case), self._own.copy()
+        for name, value in case.values.items():
+            if name in self._numbers:
+                place, number = self._numbers[name]
+                numbers[place] = number.take("", value)
+        if self._seed is not None and "seed" not in case.values:
+            numbers[self._seed] = case.seed
+        return _Run(numbers, found)
+
+    def _run(self, cases: Sequence[Case], runs: Sequence[_Run]) -> Outcomes:
+        self._begin(runs)
+        judges, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
+        count, last = len(runs), np.array([one.bound.last for one in runs])
+        judges.begin()
+        sampler.begin()
+        taken = np.zeros(count, np.int64)
+        while True:
+            some = int(min(ROOM - (taken[0] == 0), last.max() + 1 - max(1, taken.max())))
+            fleet.follow(self._servos, some, frame, way=self._way, arms=count)
+            samples, counts = sampler.take()
+            fresh = np.maximum(np.minimum(last + 1 - taken, counts[:count]), 0)
+            judges.take(samples, fresh, self._targets)
+            taken += counts[:count]
+            # An arm stands still where it diverged; one whose run has ended goes on for nothing.
+            ended = taken > last
+            diverged = (frame.faults[:count] >= 0) & (
+                frame.t[:count] < (last - 0.5) * self._scene.servo_period
+            )
+            if np.all(ended | diverged):
+                break
+        robustness, measures = judges.end(diverged)
+        values = [[case.values[name] for name in self._names] for case in cases]
+        return Outcomes(
+            np.array([case.index for case in cases], np.int64),
+            np.array(values, np.float64).reshape(count, len(self._names)),
+            robustness,
+            measures,
+            np.where(diverged, frame.t[:count], np.nan),
+        )
+
+    def _begin(self, runs: Sequence[_Run]) -> None:
+        """Set arms and servos to the starts of runs; further arms begin as the last one."""
+        fleet, servos = self._fleet, self._servos
+        rows = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
+        every = [one.bound for one in rows]
+        fleet.powered = True
+        fleet.set_parameters(np.array([one.numbers for one in rows]))
+        fleet.reset(q=np.array([one.scenario.start for one in every]))
+        for arm, one in enumerate(every):
+            if one.servo is not self._tuned[arm]:
+                servos.retune(arm, one.servo)
+                self._tuned[arm] = one.servo
+        self._way.set_changes([one.changes for one in every])
+        self._aim([one.scenario for one in every])
+        servos.reset()
+
+    def _aim(self, scenarios: Sequence[Scenario]) -> None:
+        """Give the servos the targets of each arm; one scenario is that of all."""
+        every = [*scenarios] * (WIDTH if len(scenarios) == 1 else 1)
+        if len(self._aimed) == len(every) and all(map(operator.is_, self._aimed, every)):
+            return
+        period = self._scene.servo_period
+        tables = [one.table for one in every]
+        self._targets = Targets.of([(one.ticks(period), one.q) for one in tables])
+        self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
+        self._aimed = every
+
+
+def runs_of(campaign: Campaign) -> Simulator | RunsInLanes:
+    """Return what simulates a campaign's runs.
+
+    In lanes, but for moves of the tool: the motion controller that leads them is Python.
+    """
+    return Simulator(campaign) if campaign.nominal[0].moves else RunsInLanes(campaign)

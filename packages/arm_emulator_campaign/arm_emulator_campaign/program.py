@@ -1,0 +1,203 @@
+"""All that judges the runs of a campaign as one program in C: judges.c."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Array, Constant, Operation, Signal
+from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
+from arm_emulator.extension.compiler import C_FLAGS, Header, Unit, compiled_once
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import c_pointer as pointer
+from arm_emulator.extension.machine import FORMULA_HEADER as FORMULA
+from arm_emulator.extension.machine import FormulaRows
+from arm_emulator_campaign.requirement import Robustness
+
+HERE = Path(__file__).resolve().parent
+JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY))
+BLOCK = FORMULA.constant("FORMULA_BLOCK")
+
+
+def judges_unit() -> Unit:
+    """Return the sources of the program."""
+    parts = "formula.c", "robustness.c", "judges.c"
+    source = "".join(f'#include "{part}"\n' for part in parts)
+    headers = (JUDGES, Header(HERE / "robustness.h"))
+    about = "the judges of campaigns"
+    return Unit("judges", source, C_FLAGS, (HERE, BOUNDARY), headers, "campaign", about, parts[1])
+
+
+judges = compiled_once(judges_unit)
+
+
+class Rows(FormulaRows):
+    """Rows of values over time, from samples, targets and the tick.
+
+    Attributes:
+        samples: signals that are sampled, in the order of their rows.
+
+    Args:
+        joints: of which there are targets.
+        step: of the integrator [s].
+        steps: from a sample to the next.
+    """
+
+    def __init__(self, joints: Sequence[str], step: float, steps: int = 1) -> None:
+        super().__init__(self._row_of_name)
+        self.samples: list[str] = []
+        self._joints = list(joints)
+        # Time as the machine computes it, which rounds the product of all steps and their size.
+        count = Operation("*", (Signal("tick"), Constant(float(steps))))
+        self._time = Operation("*", (count, Constant(step)))
+        self._inputs: list[tuple[str, int]] = []
+
+    def inputs(self) -> NDArray[Any]:
+        """Return ``judges_input``, one at least."""
+        inputs = JUDGES.rows("judges_input", max(1, len(self._inputs)))
+        for row, (kind, place) in zip(inputs, self._inputs, strict=False):
+            row["kind"], row["place"] = JUDGES.constant(f"JUDGES_{kind}"), place
+        return inputs
+
+    def _row_of_name(self, name: str) -> int:
+        head, _, joint = name.partition(".")
+        if name == "tick":
+            return self._row_of_input("TICK")
+        if name == "t":
+            return self.of(self._time)
+        if head == "target":
+            return self._row_of_input("TARGET", self._joints.index(joint))
+        if head == "error":
+            return self.of(Operation("-", (Signal(f"q.{joint}"), Signal(f"target.{joint}"))))
+        if name not in self.samples:
+            self.samples.append(name)
+        return self._row_of_input("SAMPLE", self.samples.index(name))
+
+    def _row_of_input(self, kind: str, place: int = 0) -> int:
+        if (kind, place) not in self._inputs:
+            self._inputs.append((kind, place))
+        return self.input(self._inputs.index((kind, place)))
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Targets of joints in runs.
+
+    Attributes:
+        since: samples from which each holds (T,), of each run ascending from 0.
+        q: joint positions (T, N) [rad or m].
+        first: place of the first one of each run, and the end (runs + 1,).
+    """
+
+    since: NDArray[np.int64]
+    q: Array
+    first: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, runs: Sequence[tuple[Sequence[int], Array]]) -> Targets:
+        """Return those of runs, of each the samples and the positions."""
+        first = np.concatenate([[0], np.cumsum([len(since) for since, _ in runs])])
+        since = np.concatenate([np.asarray(one, np.int64) for one, _ in runs])
+        q = np.ascontiguousarray(np.concatenate([rows for _, rows in runs]))
+        return cls(since, q, first.astype(np.int64))
+
+
+class Program:
+    """Judges the samples of runs, piece by piece.
+
+    Args:
+        rows: all that are needed.
+        requirements: over these rows, a list for each run that is judged at the same time.
+        measures: kind of reduction and row of each.
+        kept: rows that are wanted as they are.
+        room: samples in a piece at most.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        requirements: Sequence[Sequence[Robustness]],
+        measures: Sequence[tuple[str, int]],
+        kept: Sequence[int],
+        room: int,
+    ) -> None:
+        self._requirements = requirements  # they own what the program uses
+        self._calls, runs = judges(), len(requirements)
+        own = JUDGES.rows("judges_measure", runs, max(1, len(measures)))
+        for place, (kind, row) in enumerate(measures):
+            own[:, place]["reduction"] = JUDGES.constant(f"JUDGES_{kind.upper()}")
+            own[:, place]["row"] = row
+        self.kept = np.zeros((runs, len(kept), room))
+        self._robustness = np.zeros((runs, len(requirements[0])))
+        self._found = np.zeros((runs, len(measures)))
+        values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
+        kept_rows, of_rows = np.array([*kept, 0], np.int32), rows.struct()
+        inputs = rows.inputs()
+        at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
+        self._held = own, values, kept_rows, of_rows, inputs, at
+        self._pointers = [
+            JUDGES.ffi.new("robustness *[]", [one.pointer for one in of_run])
+            for of_run in requirements
+        ]
+        self._structs = JUDGES.ffi.new("judges[]", runs)
+        for run in range(runs):
+            JUDGES.fill(
+                JUDGES.ffi.addressof(self._structs, run),
+                row_count=len(rows),
+                requirement_count=len(requirements[0]),
+                measure_count=len(measures),
+                kept_count=len(kept),
+                rows=JUDGES.pointer("formula_row", of_rows),
+                inputs=inputs,
+                values=values,
+                at=at,
+                requirements=self._pointers[run],
+                measures=JUDGES.pointer("judges_measure", own[run]),
+                kept_rows=kept_rows,
+                kept=pointer(self.kept[run]) if len(kept) else NULL,
+                kept_stride=room,
+            )
+        self._pieces = JUDGES.rows("judges_samples", runs)
+
+    def begin(self) -> None:
+        """Begin all runs."""
+        self._calls.judges_begin(self._structs, len(self._pieces))
+
+    def go_on(self, taken: int) -> None:
+        """Continue a run of which so many samples were taken elsewhere; of rows alone."""
+        self.begin()
+        self._structs[0].taken = taken
+
+    def take(
+        self, samples: Array, counts: NDArray[np.int64], targets: Targets | None = None
+    ) -> None:
+        """Go on with samples (runs, S, room), of which there are so many (runs,)."""
+        pieces, runs = self._pieces, len(counts)
+        pieces["count"][:runs], pieces["stride"] = counts, samples.shape[2]
+        pieces["rows"][:runs] = _places(samples, np.arange(runs))
+        if targets is not None:
+            first = targets.first[: runs + 1]
+            pieces["since"][:runs] = _places(targets.since, first[:-1])
+            pieces["targets"][:runs] = _places(targets.q, first[:-1])
+            pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
+        given = JUDGES.pointer("judges_samples", pieces)
+        if self._calls.judges_take(self._structs, runs, given):
+            raise MemoryError("no memory for a requirement")
+
+    def end(self) -> tuple[Array, Array]:
+        """Return robustness (runs, requirements) and measures (runs, measures), as copies."""
+        places = pointer(self._robustness), pointer(self._found)
+        self._calls.judges_end(self._structs, len(self._pieces), *places)
+        return self._robustness.copy(), self._found.copy()
+
+
+def _places(rows: NDArray[Any], which: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the addresses of some rows of a contiguous array."""
+    assert rows.flags.c_contiguous
+    address: int = rows.__array_interface__["data"][0]
+    return address + rows.strides[0] * which

@@ -1,0 +1,115 @@
+"""A requirement over the signals of a run, as nodes of robustness.c."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from arm_emulator.extension.base import Combined, Formula, Refusal, Window
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import Header, Library
+from arm_emulator.extension.machine import is_at_one_instant
+
+HERE = Path(__file__).resolve().parent
+ROBUSTNESS = Header(HERE / "robustness.h")
+MOST_NODES = 10_000
+_FOREVER = ROBUSTNESS.constant("ROBUSTNESS_FOREVER")
+_ROUNDING = 1e-6  # of a period: tolerance for times written with few digits
+
+
+class Robustness:
+    """The robustness of a formula over rows of values.
+
+    Attributes:
+        pointer: to ``robustness``.
+
+    Args:
+        calls: the compiled program.
+        formula: over signals that are there.
+        row_of: returns the row of the truth value of a formula without windows.
+        period: between two samples [s].
+        longest: samples that a trace has at most; what reaches further reaches to its end.
+        where: for refusals.
+        quantity: for refusals.
+
+    Raises:
+        Refusal: an interval without a sample in it, or a formula that is too large.
+    """
+
+    def __init__(
+        self,
+        calls: Library,
+        formula: Formula,
+        row_of: Callable[[Formula], int],
+        period: float,
+        longest: int,
+        where: str = "campaign",
+        quantity: str = "requirement",
+    ) -> None:
+        self._period, self._longest = period, longest
+        self._where, self._quantity = where, quantity
+        self._row_of = row_of
+        self._nodes: list[tuple[int, int, int, int, int]] = []
+        self._add(formula)
+        rows = ROBUSTNESS.rows("robustness_node", len(self._nodes))
+        for row, (kind, left, right, begin, end) in zip(rows, self._nodes, strict=True):
+            row["kind"], row["left"], row["right"] = kind, left, right
+            row["begin"], row["end"] = begin, end
+        self._calls = calls
+        self.pointer = self._calls.robustness_new(
+            ROBUSTNESS.pointer("robustness_node", rows), len(rows)
+        )
+        if self.pointer == NULL:
+            raise MemoryError("no memory for a requirement")
+
+    def __del__(self) -> None:
+        one, self.pointer = getattr(self, "pointer", NULL), NULL
+        if one:
+            self._calls.robustness_delete(one)
+
+    def _put(self, name: str, left: int, right: int = 0, begin: int = 0, end: int = 0) -> int:
+        if len(self._nodes) >= MOST_NODES:
+            rule = f"have at most {MOST_NODES} operators"
+            raise Refusal(self._where, self._quantity, rule, "more")
+        kind = ROBUSTNESS.constant(f"ROBUSTNESS_{name.upper()}")
+        self._nodes.append((kind, left, right, begin, end))
+        return len(self._nodes) - 1
+
+    def _add(self, what: Formula) -> int:
+        """Append a formula's nodes, children first; return the last one's place."""
+        if is_at_one_instant(what):
+            return self._put("atom", self._row_of(what))
+        if isinstance(what, Combined):
+            first = self._add(what.of[0])
+            if what.sign == "not":
+                return self._put("not", first)
+            for one in what.of[1:]:
+                first = self._put(what.sign, first, self._add(one))
+            return first
+        assert isinstance(what, Window)
+        begin, end = self._samples(what)
+        if what.sign != "until":
+            return self._put(what.sign, self._add(what.of[0]), 0, begin, end)
+        return self._until(what, begin, end)
+
+    def _until(self, what: Window, begin: int, end: int) -> int:
+        """Append an until; one that begins later is: always before, and from there an until."""
+        rest = _FOREVER if end == _FOREVER else end - begin
+        until = self._put("until", self._add(what.of[0]), self._add(what.of[1]), 0, rest)
+        if begin == 0:
+            return until
+        later = self._put("eventually", until, 0, begin, begin)
+        before = self._put("always", self._add(what.of[0]), 0, 0, begin - 1)
+        return self._put("and", before, later)
+
+    def _samples(self, what: Window) -> tuple[int, int]:
+        begin = math.ceil(min(what.begin / self._period, 2.0**53) - _ROUNDING)
+        last = min(what.end / self._period, 2.0**53)
+        end = math.floor(last + _ROUNDING)
+        if begin > end:
+            rule = f"have intervals with a sample in them, every {self._period:g} s"
+            got = f"{what.sign}[{what.begin:g}, {what.end:g}]"
+            raise Refusal(self._where, self._quantity, rule, got)
+        begin = min(begin, self._longest)
+        return begin, _FOREVER if end >= self._longest - 1 else end

@@ -1,0 +1,45 @@
+"""Methods that choose the runs of a campaign from those before, instead of sampling them."""
+
+from __future__ import annotations
+
+from arm_emulator.extension.base import Section, need_wheel
+from arm_emulator_campaign.search.falsification import Bayes, CmaEs
+from arm_emulator_campaign.search.method import Method
+from arm_emulator_campaign.search.sensitivity import Morris, Sobol
+from arm_emulator_campaign.search.splitting import Splitting
+from arm_emulator_campaign.search.subset import Subset
+from arm_emulator_campaign.variation import Variation
+
+METHODS: dict[str, type[Method]] = {
+    one.kind: one for one in (CmaEs, Bayes, Sobol, Morris, Subset, Splitting)
+}
+
+
+def read_method(root: Section, variation: Variation) -> Method | None:
+    """Return the method that a campaign's file names; None: its runs are sampled.
+
+    Raises:
+        Refusal: an unknown method or key, or a package that is not installed.
+    """
+    section = root.section("search")
+    if section is None:
+        return None
+    kind = METHODS.get(name := section.text("method"))
+    if kind is None:
+        raise section.refusal("method", "be a known method", repr(name), ", ".join(METHODS))
+    if root.has("count"):
+        raise root.refusal("count", "be absent beside search, which counts its runs", "a count")
+    of = section.text("of") if section.has("of") else ""
+    known = root.section("requirements")
+    names = [] if known is None else known.keys()
+    if not names:
+        raise section.refusal("method", "have a requirement to search for", "none")
+    if of and (of not in names or kind.every):
+        valid = "no `of`: it judges all" if kind.every else ", ".join(names)
+        raise section.refusal("of", "name a requirement that is searched for", of, valid)
+    found = kind(of=of, **section.numbers(kind))
+    found.check(section, variation)
+    section.finish()
+    if kind.package:
+        need_wheel(f"{root.where}: search.method {name}", *kind.package)
+    return found

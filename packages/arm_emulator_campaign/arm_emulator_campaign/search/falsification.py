@@ -1,0 +1,135 @@
+"""Falsification: the margin of a requirement minimised, until a run fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from arm_emulator.extension.base import Array, Section, number
+from arm_emulator_campaign.search.method import Course, Finding, Method
+from arm_emulator_campaign.variation import Variation
+
+WORST = -1e9  # margin of a run that diverged
+
+
+@dataclass(frozen=True, kw_only=True)
+class Falsification(Method):
+    """Base of both."""
+
+    most: float = number(ends=(1, 10**7), whole=True, default=1000, text="runs at most")
+    within: float = number(
+        "standard deviations", above=0.0, at_most=8.0, default=3.0,
+        text="of each number, in the scale of its normal scores: how far from its median it looks"
+    )  # fmt: skip
+    below: float = number(
+        default=0.0, ends=(-1e300, 1e300), text="margin below which it is content and ends"
+    )
+
+    def runs(self, D: int) -> int:
+        """Return how many runs it takes at most."""
+        return int(self.most)
+
+    def _ask(self, least: _Least, points: Array) -> Any:
+        """Yield points to run, as many as are left; return their margins."""
+        points = points[: self.runs(0) - least.runs]
+        margins = (yield points)[:, 0]
+        least.take(margins)
+        return np.maximum(np.nan_to_num(margins, nan=WORST), WORST)
+
+    def _ends(self, least: _Least) -> bool:
+        return least.runs >= self.most or least.margin < self.below
+
+
+class _Least:
+    """The least margin so far."""
+
+    def __init__(self) -> None:
+        self.runs, self.failed, self.run, self.margin = 0, 0, -1, np.inf
+
+    def take(self, margins: Array) -> None:
+        at = int(np.argmin(margins))
+        if margins[at] < self.margin or np.isnan(margins[at]):
+            self.run, self.margin = self.runs + at, float(margins[at])
+        self.failed += int(np.count_nonzero(~(margins >= 0.0)))
+        self.runs += len(margins)
+
+    def finding(self, kind: str, of: str) -> Finding:
+        found = f"{self.failed} of {self.runs} runs fail" if self.failed else "no run fails"
+        return Finding(
+            "Falsification",
+            f"{kind} minimised the margin of {of}: {found}.",
+            ("requirement", "least margin", "in run", "runs", "failing runs"),
+            ((of, self.margin, self.run, self.runs, self.failed),),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CmaEs(Falsification):
+    """Evolution of a normal distribution (CMA-ES), with restarts; package cma."""
+
+    kind: ClassVar[str] = "cma-es"
+    package: ClassVar[tuple[str, ...]] = ("cma", "cma")
+
+    def check(self, section: Section, variation: Variation) -> None:
+        """Refuse fewer than two numbers.
+
+        Raises:
+            Refusal: see above.
+        """
+        if len(variation.numbers) < 2:
+            rule = "have at least two numbers that vary"
+            raise section.refusal("method", rule, len(variation.numbers), "bayes")
+
+    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+        """Return its course."""
+        from cma import CMAEvolutionStrategy
+
+        least, rng, D = _Least(), np.random.default_rng(seed), len(names)
+        size, begin = 4 + int(3.0 * np.log(D)), np.zeros(D)
+        while not self._ends(least):
+            evolution = CMAEvolutionStrategy(begin, 0.3 * self.within, {
+                "bounds": [-self.within, self.within], "popsize": size, "verbose": -9,
+                "seed": int(rng.integers(1, 2**31)), "verb_disp": 0, "verb_log": 0,
+            })  # fmt: skip
+            while not (self._ends(least) or evolution.stop()):
+                points = np.array(evolution.ask())
+                margins = yield from self._ask(least, points)
+                if len(margins) == len(points):
+                    evolution.tell(list(points), margins.tolist())
+            size, begin = 2 * size, rng.uniform(-self.within, self.within, D)
+        return [least.finding(self.kind, outputs[0])]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bayes(Falsification):
+    """Bayesian sampler (tree of Parzen estimators), for few and expensive runs; package optuna."""
+
+    kind: ClassVar[str] = "bayes"
+    package: ClassVar[tuple[str, ...]] = ("optuna", "optuna")
+
+    at_once: float = number(
+        ends=(1, 10_000), whole=True, default=8,
+        text="runs between two looks at their margins; they can be simulated side by side"
+    )  # fmt: skip
+
+    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+        """Return its course."""
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        sampler = optuna.samplers.TPESampler(
+            seed=seed % 2**32, constant_liar=True, multivariate=True
+        )
+        study = optuna.create_study(sampler=sampler)
+        each = optuna.distributions.FloatDistribution(-self.within, self.within)
+        least = _Least()
+        while not self._ends(least):
+            trials = [study.ask(dict.fromkeys(names, each)) for _ in range(int(self.at_once))]
+            points = np.array([[one.params[name] for name in names] for one in trials])
+            margins = yield from self._ask(least, points)
+            for trial, margin in zip(trials, margins.tolist(), strict=False):
+                study.tell(trial, margin)
+        return [least.finding(self.kind, outputs[0])]

@@ -1,0 +1,228 @@
+"""Rare failures by splitting: machines that are on the way to a failure are forked in mid-run.
+
+A level is a margin. Of the runs that reach a level, some are chosen, and each continues from there
+several times, with other noise: an exact copy of the machine with another seed. The probability is
+the product of the shares of runs that reach the next level (Garvels and Kroese, Winter Simulation
+Conference 1998: fixed effort). Unlike subset simulation it needs no numbers that vary: what the
+sensors' noise causes during the run is enough.
+
+A pilot sets the levels. Independent repetitions with these follow, each unbiased; how far they
+differ gives the interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Section, number
+from arm_emulator_campaign.search.by_levels import ByLevels
+from arm_emulator_campaign.search.method import Finding
+from arm_emulator_campaign.variation import Variation
+
+SEEDS = 2**32
+
+State = TypeVar("State")
+
+
+class Process(Protocol[State]):
+    """A random process whose margin never rises, and which can be forked."""
+
+    @property
+    def now(self) -> int:
+        """The present tick."""
+
+    def begin(self, index: int, seed: int) -> None:
+        """Begin a run."""
+
+    def go_on(self, state: State, seed: int) -> None:
+        """Continue from a fork, with other random numbers."""
+
+    def reach(self, level: float) -> tuple[bool, float]:
+        """Advance until the margin is at most `level`, or to the end of the run.
+
+        At level 0 the margin must be below it. Returns whether it is, and the margin.
+        """
+
+    def fork(self) -> State:
+        """Return the present state."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """From what a run follows.
+
+    Attributes:
+        index: of the run that was forked first.
+        seeds: ticks from which on its noise is that of a seed, ascending from 0, and the seeds.
+    """
+
+    index: int
+    seeds: Sequence[Sequence[int]]
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """An estimate of the probability, and the runs and parts of runs that it took.
+
+    Attributes:
+        probability: the product of the shares.
+        runs: runs, and forks of runs.
+        shares: of the runs at each level that reach the next, the failure last; it ends where none
+            does.
+        failures: the runs that failed.
+    """
+
+    probability: float
+    runs: int
+    shares: Sequence[float]
+    failures: Sequence[Origin]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splitting(ByLevels):
+    """Splitting: failures that noise causes during a run, by machines forked in mid-run."""
+
+    kind: ClassVar[str] = "splitting"
+    forks: ClassVar[bool] = True
+    most_levels = 60
+
+    per_level: float = number(
+        ends=(20, 10**6), whole=True, default=200, text="runs of a level, a repetition"
+    )
+    share: float = number(
+        ends=(0.01, 0.5), default=0.2, text="of a level's runs that reach the next"
+    )
+    look: float = number(
+        "s", above=0.0, at_most=100.0, default=0.01, text="after which a run is looked at"
+    )
+
+    def check(self, section: Section, variation: Variation) -> None:
+        """Refuse a search without one requirement; numbers need not vary, noise suffices.
+
+        Raises:
+            Refusal: see above.
+        """
+        if not self.of:
+            raise section.refusal("of", "name the requirement whose margin leads to it", "nothing")
+
+    def runs(self, D: int) -> int:
+        """Return how many runs, or parts of runs, it takes at most."""
+        return int((self.repetitions + 1) * self.per_level) * (self._levels + 1)
+
+    def pilot(self, process: Process[Any], seed: int) -> tuple[list[float], bool]:
+        """Return the levels, and whether they lead to failures."""
+        rng, N = np.random.default_rng([seed, 0]), int(self.per_level)
+        wanted, levels, starts = round(self.share * N), list[float](), list[Any]()
+        while True:
+            # The whole way of each run, to know how far it comes.
+            seeds = _seeds(rng, N)
+            lowest = np.empty(N)
+            for k in range(N):
+                _set(process, starts, k, seeds)
+                lowest[k] = process.reach(-math.inf)[1]
+            if np.count_nonzero(lowest < 0.0) >= wanted:
+                return levels, True
+            level = max(0.0, float(np.sort(lowest)[wanted - 1]))
+            before = levels[-1] if levels else math.inf
+            if len(levels) == self._levels or not level < before:  # too rare, or a plateau
+                return levels, False
+            if level == 0.0:
+                return levels, True
+            levels.append(level)
+            reached = []
+            for k in range(N):  # the same runs once more, to the level
+                if lowest[k] <= level:
+                    origin = _set(process, starts, k, seeds)
+                    process.reach(level)
+                    reached.append((process.fork(), origin))
+            starts = _chosen(reached, N, rng)
+
+    def repetition(
+        self, process: Process[Any], levels: Sequence[float], seed: int, number: int
+    ) -> Repetition:
+        """Return an estimate, a function of the seed and its number.
+
+        Args:
+            process: that fails.
+            levels: of the margin, falling.
+            seed: of the campaign.
+            number: of the repetition, from 1 on.
+        """
+        rng, N = np.random.default_rng([seed, number]), int(self.per_level)
+        first, shares, runs, starts = number * N, list[float](), 0, list[Any]()
+        failures: list[Origin] = []
+        for level in (*levels, 0.0):
+            seeds, reached = _seeds(rng, N), list[Any]()
+            for k in range(N):
+                origin = _set(process, starts, k, seeds, first)
+                runs += 1
+                if process.reach(level)[0]:
+                    reached.append((None if level == 0.0 else process.fork(), origin))
+            shares.append(len(reached) / N)
+            if not reached:
+                break
+            if level == 0.0:
+                failures = [origin for _, origin in reached]
+            else:
+                starts = _chosen(reached, N, rng)
+        return Repetition(math.prod(shares), runs, shares, failures)
+
+    def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+        """Return what repetitions have found."""
+        runs = sum(one.runs for one in found)
+        about = (
+            f"Margin of {of} below 0: mean of {len(found)} repetitions over {len(levels)} levels, "
+            f"{runs} runs and forks of runs in all."
+        )
+        nothing = f"No level led to a failure of {of}: rarer than `least`, or impossible."
+        return self._found(of, [one.probability for one in found], runs, about, nothing)
+
+    def of_levels(self, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+        """Return the levels, with the shares of runs that reached each from the one before."""
+        rows = []
+        for k, level in enumerate((*levels, 0.0)):
+            shares = np.array([one.shares[k] for one in found if k < len(one.shares)])
+            name = "failure" if k == len(levels) else f"level {k + 1}"
+            if len(shares):
+                spread = float(np.mean(shares)), float(np.min(shares)), float(np.max(shares))
+                rows.append((name, level, *spread, len(shares)))
+        about = (
+            f"Margins at which runs are forked, {int(self.per_level)} a level and repetition, and "
+            "shares of them that come so far. Shares near 0 call for more runs per level."
+        )
+        head = "", "margin", "share", "least", "most", "repetitions"
+        return Finding("Levels", about, head, tuple(rows))
+
+
+def _seeds(rng: np.random.Generator, count: int) -> list[int]:
+    seeds: list[int] = rng.integers(0, SEEDS, count).tolist()
+    return seeds
+
+
+def _set(
+    process: Process[Any],
+    starts: Sequence[tuple[Any, Origin]],
+    k: int,
+    seeds: Sequence[int],
+    first: int = 0,
+) -> Origin:
+    """Begin a run, or continue from one of the starts; return from what it follows."""
+    if not starts:
+        process.begin(first + k, seeds[k])
+        return Origin(first + k, ((0, seeds[k]),))
+    state, before = starts[k]
+    process.go_on(state, seeds[k])
+    return Origin(before.index, (*before.seeds, (process.now, seeds[k])))
+
+
+def _chosen(states: Sequence[State], count: int, rng: np.random.Generator) -> list[State]:
+    """Return so many of the states, each as often as the others but for chance."""
+    order: NDArray[np.int64] = rng.permutation(len(states))
+    places = ((np.arange(count) + rng.random()) * len(states) / count).astype(int)
+    return [states[order[place]] for place in places.tolist()]

@@ -1,0 +1,204 @@
+"""Signals of a run by name: true values, measurements, and quantities that follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Array
+from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
+from arm_emulator.extension.compiler import C_FLAGS, CData, Header, Unit, compiled_once
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import c_pointer as pointer
+from arm_emulator.extension.machine import FLEET_HEADER as FLEET
+from arm_emulator.extension.machine import TOOL_SIGNALS_NAME as TOOL
+from arm_emulator.extension.machine import WRENCH_PLACES as PLACES
+from arm_emulator.extension.machine import (
+    Fleet,
+    MeasuredPlace,
+    Plant,
+    RecordRow,
+    Scene,
+    ToolChain,
+    columns_of,
+    tool_signals,
+    truth_at,
+)
+
+HERE = Path(__file__).resolve().parent
+SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
+_KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
+
+
+def sampler_unit() -> Unit:
+    """Return the sources of the sampler."""
+    part = "sampler.c"
+    source, about = f'#include "{part}"\n', "the samples of campaigns"
+    return Unit("sampler", source, C_FLAGS, (HERE, BOUNDARY), (SAMPLER,), "campaign", about, part)
+
+
+_sampler = compiled_once(sampler_unit)
+
+
+def units_of_signals(scene: Scene) -> dict[str, str]:
+    """Return the names of all signals of a scene, with their units."""
+    columns = {one.name: one.unit for one in columns_of(scene)}
+    units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}
+    columns |= {f"target.{joint}": unit for joint, unit in units.items()}
+    columns |= {f"error.{joint}": unit for joint, unit in units.items()}
+    return columns | dict.fromkeys(tool_signals(scene), "m")
+
+
+class Samples:
+    """Numbers of machines at every tick.
+
+    Attributes:
+        room: for so many samples of each machine.
+
+    Args:
+        scene: the machine.
+        names: of signals, in the order of their rows.
+        arms: how many machines.
+        room: see above.
+    """
+
+    def __init__(self, scene: Scene, names: Sequence[str], arms: int, room: int) -> None:
+        self.room = room
+        wanted = list(names)
+        self._tool = {
+            wanted.index(name): place for place, name in enumerate(TOOL) if name in wanted
+        }
+        if self._tool:
+            self._chain = ToolChain(scene)
+            wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
+        self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
+        own = {one.name: one for one in columns_of(scene)}
+        self._columns = {place: own[name] for place, name in enumerate(wanted) if name not in TOOL}
+        kinds = {one.path[0] for one in self._columns.values()}
+        self.measures, self.truth = "measured" in kinds, kinds - {"measured"}
+        self._samples = np.zeros((arms, max(1, len(wanted)), room))
+        self._taken = np.zeros(arms, np.int64)
+        self.calls = _sampler()
+
+    def sampler(self, rows: Mapping[str, NDArray[Any]] | NDArray[np.void], **more: Any) -> CData:
+        """Return the struct of a sampler that reads from rows, one of each machine."""
+        self._numbers = SAMPLER.rows("sampler_number", max(1, len(self._columns)))
+        for number, (row, column) in zip(self._numbers, self._columns.items(), strict=False):
+            place = column.of(rows)  # type: ignore[arg-type]
+            number["place"] = place.__array_interface__["data"][0]
+            number["stride"] = place.strides[0]
+            number["kind"] = SAMPLER.constant(f"SAMPLER_{_KINDS[place.dtype.str[1:]]}")
+            number["row"] = row
+        return SAMPLER.new(
+            "sampler",
+            count=len(self._columns),
+            rows=self._samples.shape[1],
+            numbers=SAMPLER.pointer("sampler_number", self._numbers),
+            samples=pointer(self._samples),
+            room=self.room,
+            taken=self._taken,
+            **more,
+        )
+
+    def forget(self) -> None:
+        """Forget the samples so far."""
+        self._taken[:] = 0
+
+    def take(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return samples (arms, S, room), and how many have come since the last call (arms,)."""
+        counts = self._taken.copy()
+        self._taken[:] = 0
+        if self._tool:
+            most = int(counts.max())
+            q = np.moveaxis(self._samples[:, self._q, :most], 1, 0)
+            p_WT = self._chain.positions(q.reshape(len(self._q), -1))
+            for row, axis in self._tool.items():
+                self._samples[:, row, :most] = p_WT[axis].reshape(len(counts), most)
+        return self._samples, counts
+
+
+class Sampler(Samples):
+    """Samples of a plant.
+
+    Args:
+        plant: the machine.
+        names: of signals, in the order of their rows.
+        room: for samples.
+    """
+
+    def __init__(self, plant: Plant, names: Sequence[str], room: int) -> None:
+        super().__init__(plant.scene, names, 1, room)
+        self._plant, self._row = plant, RecordRow(plant)
+        rows = self._row.rows
+        self._at = truth_at(**{
+            name: rows["energy"] if name == "energy" else rows[name][0] for name in self.truth
+        })  # fmt: skip
+        self._sampler = self.sampler(
+            rows,
+            measure=plant.core.arm_measure if self.measures else NULL,
+            get_truth=plant.core.arm_get_truth,
+            measurement=self._row.measurement,
+            truth=self._at,
+        )
+
+    def begin(self) -> None:
+        """Take the first sample of a run, and one at each tick from now on."""
+        self.forget()
+        plant = self._plant
+        self.calls.sampler_take(self._sampler, plant.machine)
+        plant.core.arm_listen(plant.machine, self.calls.sampler_take, self._sampler)
+
+    def end(self) -> None:
+        """End sampling."""
+        self._plant.core.arm_listen(self._plant.machine, NULL, NULL)
+
+    @property
+    def left(self) -> int:
+        """Room for samples before `take`."""
+        return self.room - int(self._taken[0])
+
+
+class FleetSampler(Samples):
+    """Samples of the arms of a fleet.
+
+    Attributes:
+        look, with_: function and argument of a `FleetWay` that takes samples.
+
+    Args:
+        fleet: of arms.
+        names: of signals, in the order of their rows.
+        room: for samples of each.
+    """
+
+    def __init__(self, fleet: Fleet, names: Sequence[str], room: int) -> None:
+        scene, count = fleet.scene, len(fleet)
+        super().__init__(scene, names, count, room)
+        self._fleet, N = fleet, len(scene.joints)
+        place = MeasuredPlace(scene, count)
+        shapes = {name: (count, N) for name in self.truth} | dict.fromkeys(("energy",), (count,))
+        truth = {name: np.zeros(shapes[name]) for name in self.truth}
+        arrays = {one.field for one in self._columns.values() if one.path[0] == "measured"}
+        self._measurement = FLEET.new(
+            "arm_fleet_measurement", **{name: place.arrays[name] for name in arrays}
+        )
+        self._truth = FLEET.new(
+            "arm_fleet_truth", **{PLACES.get(name, name): rows for name, rows in truth.items()}
+        )
+        self._keeps = place, truth
+        self.with_ = self.sampler(
+            place.arrays | truth,
+            show=fleet.core.arm_fleet_step,
+            fleet=fleet.handle,
+            measurements=self._measurement if self.measures else NULL,
+            truths=self._truth,
+        )
+        self.look = self.calls.sampler_take_abreast
+
+    def begin(self) -> None:
+        """Take the first sample of all arms."""
+        self.forget()
+        self.calls.sampler_take_abreast(self.with_, 0, len(self._fleet))

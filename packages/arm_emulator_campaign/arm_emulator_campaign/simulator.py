@@ -1,0 +1,248 @@
+"""One run after the other: a run is a function of the campaign and its index."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from arm_emulator.extension.base import Array, Refusal
+from arm_emulator.extension.machine import Change, Diverged, NumberChange
+from arm_emulator.extension.runs import (
+    OfflineRun,
+    Pose,
+    ServoConfig,
+    ServoStep,
+    TableRun,
+    TargetTable,
+)
+from arm_emulator.extension.runs import ServoDrives as Drives
+from arm_emulator_campaign.campaign_file import Campaign
+from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.fault import changes_of
+from arm_emulator_campaign.judges import Judges
+from arm_emulator_campaign.outcome import Outcome, Outcomes
+from arm_emulator_campaign.program import Targets
+from arm_emulator_campaign.scenario import Move, Scenario, ticks_of
+from arm_emulator_campaign.signals import Sampler
+
+ROOM = 4096  # samples in a batch for requirements
+MOST = 2**31  # ticks of a piece
+
+
+class Simulator:
+    """Simulates the runs of a campaign, with one machine that is reset for each.
+
+    Attributes:
+        session: the machine.
+        width: runs at a time.
+
+    Args:
+        campaign: which one.
+    """
+
+    width = 1
+
+    def __init__(self, campaign: Campaign) -> None:
+        self._campaign = campaign
+        self._judges = Judges(campaign, ROOM)  # first, since its refusals need no compiler
+        scenario, _, servo = campaign.nominal
+        self._scene, self._tuned = campaign.scene, servo
+        self._parameters = {one.name for one in campaign.scene.varied}
+        self._sensed = campaign.scene.sensed
+        self._run = self._coupled(scenario, servo)
+        self.session = self._run.session
+        self._fresh = self.session.plant.save()
+        self._sampler = Sampler(self.session.plant, self._judges.samples, ROOM)
+
+    def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
+        """Return machine and controller of the scenario."""
+        if scenario.moves:
+            return OfflineRun(self._scene, servo, self._campaign.motion)
+        names = self._scene.joint_names
+        place = [names.index(name) for name in servo.joint_names]
+        self._drives = Drives(servo)
+        table = TargetTable(np.zeros(1), self._scene.start[None])
+        return TableRun(self._scene, table, ServoStep(self._drives, place))
+
+    def run(self, which: int | Case) -> Outcome:
+        """Simulate one run and judge it.
+
+        Args:
+            which: the index of a run that is sampled, or any other run.
+
+        Raises:
+            Refusal: values of this run that are out of range.
+        """
+        case = drawn_case(self._campaign.variation, which) if isinstance(which, int) else which
+        self._begin(case)
+        sampler, judges = self._sampler, self._judges
+        judges.begin()
+        sampler.begin()
+        diverged = math.nan
+        try:
+            for _ in self._pieces():
+                if sampler.left < 1:
+                    judges.take(*sampler.take(), self._targets)
+            judges.take(*sampler.take(), self._targets)
+        except Diverged as fault:
+            diverged = fault.t
+            sampler.forget()
+        finally:
+            sampler.end()
+        robustness, measures = judges.end(np.isfinite([diverged]))
+        return Outcome(
+            case.index,
+            case.values,
+            dict(zip(self._campaign.requirements, robustness[0].tolist(), strict=True)),
+            dict(zip(self._campaign.measures, measures[0].tolist(), strict=True)),
+            diverged,
+        )
+
+    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
+        """Simulate runs one after the other, see `RunsInLanes.runs`."""
+        for case in cases:
+            one = self.run(case)
+            yield Outcomes.of(one)
+
+    def drive(
+        self, case: Case, most: int = MOST, changed: Callable[[Change], None] | None = None
+    ) -> Iterator[int]:
+        """Simulate a run piece by piece, for a recorder of the machine.
+
+        Args:
+            case: the run.
+            most: ticks of a piece.
+            changed: gets what a fault has changed in the machine between two pieces.
+
+        Yields:
+            Ticks done so far, 0 first.
+        """
+        self._begin(case)
+        yield 0
+        yield from self._pieces(most, changed)
+
+    # ------------------------------------------------------------------------------------- a run
+
+    def _begin(self, case: Case) -> None:
+        """Set machine and controller to the start of a run."""
+        campaign, session, values = self._campaign, self.session, case.values
+        try:
+            self._scenario, servo, self._events, self._last = bound(campaign, case)
+            self._restart(servo)
+            for name, value in values.items():
+                if name in self._parameters:
+                    session.plant.set_parameter(name, value)
+        except Refusal as no:
+            where = f"{campaign.where}, run {case.index}"
+            raise Refusal(where, no.quantity, no.rule, no.got, no.valid) from None
+        if self._sensed and "seed" not in values:
+            session.plant.set_parameter("seed", case.seed)
+        session.plant.reset(self._scenario.start)
+        if isinstance(self._run, OfflineRun):
+            self._send(self._run)
+
+    def _restart(self, servo: ServoConfig) -> None:
+        drives = self._run.drives if isinstance(self._run, OfflineRun) else self._drives
+        if servo is not self._tuned:
+            drives.retune(servo)
+            self._tuned = servo
+        if isinstance(self._run, OfflineRun):
+            self._run.restart(self._fresh)
+            self._aimed = [(0, self._scenario.start)]
+            return
+        self._table = table = self._scenario.table
+        drives.reset()
+        self._run.restart(self._fresh, table)
+
+    def _send(self, run: OfflineRun) -> None:
+        """Give the motion controller all moves of the tool, each at its time."""
+        R_WT, p_WT = run.controller.kinematics.forward(self._scenario.start)
+        for move in self._scenario.moves:
+            points = _points(move, p_WT)
+            at = round(move.at * 1e9)
+            if move.way == "along":
+                run.instructor.add_path(run.controller, [Pose(p, R_WT) for p in points], at)
+            else:
+                run.instructor.add(at, Pose(points[0], R_WT))
+
+    def _pieces(
+        self, most: int = MOST, changed: Callable[[Change], None] | None = None
+    ) -> Iterator[int]:
+        """Run to the end, piece by piece between events; yield ticks done."""
+        session, run = self.session, self._run
+        last, events = self._last, self._events
+        while session.tick < last:
+            while events and events[0][0] <= session.tick:
+                change = events.pop(0)[1]
+                change.make(session)
+                if changed is not None:
+                    changed(change)
+            until = min([last, *(tick for tick, _ in events[:1])])
+            ticks = min(until - session.tick, self._sampler.left, self._longest, most)
+            began = session.tick
+            run.advance(ticks)
+            if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
+                self._aimed.append((began + 1, self._of_arm(run.aimed)))
+            yield session.tick
+
+    @property
+    def _longest(self) -> int:
+        """Ticks after which targets that were given to the servo are noted."""
+        run = self._run
+        if isinstance(run, TableRun):
+            return MOST
+        return run.motion_ticks - self.session.tick % run.motion_ticks
+
+    def _of_arm(self, q: Array) -> Array:
+        """Return joint targets of the servo in the scene's order of joints."""
+        names = self._campaign.servo.joint_names
+        return q[[names.index(name) for name in self._scene.joint_names]]
+
+    @property
+    def _targets(self) -> Targets:
+        """The joint targets so far, with the tick from which on each holds."""
+        if isinstance(self._run, OfflineRun):
+            since, rows = zip(*self._aimed, strict=True)
+            return Targets.of([(since, np.array(rows))])
+        return Targets.of([(self._table.ticks(self._scene.servo_period), self._table.q)])
+
+
+def _points(move: Move, p_WT: Array) -> Array:
+    return move.points if move.way == "to" else p_WT + move.points
+
+
+class BoundCase(NamedTuple):
+    """A run with all that it draws in its file.
+
+    Attributes:
+        scenario, servo: of this run.
+        changes: what its faults and forks set, with the ticks before which that happens, ascending.
+        last: tick at which it ends.
+    """
+
+    scenario: Scenario
+    servo: ServoConfig
+    changes: list[tuple[int, Change]]
+    last: int
+
+
+def bound(campaign: Campaign, case: Case) -> BoundCase:
+    """Return a run of a campaign as a machine gets it.
+
+    Raises:
+        Refusal: a drawn value that is out of range.
+    """
+    drawn = campaign.draws_sections
+    given = campaign.with_values(case.values) if drawn else campaign.nominal
+    scenario, faults, servo = given
+    there = [fault for name, fault in faults.items() if name not in case.without]
+    changes = changes_of(there, campaign.scene, case.values) if there else []
+    noise: list[tuple[int, Change]]
+    noise = [(tick, NumberChange("seed", seed)) for tick, seed in case.reseeds]
+    changes = sorted(noise + changes, key=lambda one: one[0])
+    seconds = min(case.seconds, scenario.seconds)
+    last = max(1, ticks_of(seconds, campaign.scene.servo_period))
+    return BoundCase(scenario, servo, changes, last)

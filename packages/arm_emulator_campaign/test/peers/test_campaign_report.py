@@ -1,0 +1,32 @@
+"""The report of a campaign on the screen of a phone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from browser import chromium
+
+from arm_emulator_campaign.campaign_file import load_campaign
+from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.lanes import runs_of
+from arm_emulator_campaign.outcome import Outcomes
+from arm_emulator_campaign.report import write_report
+from arm_emulator_campaign.results import Results, write_part
+from arm_emulator_campaign.summary import summary_of
+
+NARROW = 360  # px
+
+
+def test_the_report_is_as_wide_as_a_phone(tmp_path):
+    one = load_campaign(Path(__file__).parents[4] / "examples/campaign.yaml")
+    results = Results(tmp_path, one)
+    cases = [drawn_case(one.variation, index) for index in range(80)]
+    write_part(results.folder, one, Outcomes.joined(list(runs_of(one).runs(cases))))
+    columns = results.columns()
+    file = write_report(one, results, columns, summary_of(one, columns))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": NARROW, "height": 740})
+        page.goto(file.as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") == NARROW
+        pictures = page.evaluate("[...document.images].map(one => one.width)")
+        assert len(pictures) == 3 and min(pictures) >= 700, "legible; they scroll in their frames"

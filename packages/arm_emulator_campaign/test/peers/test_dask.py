@@ -1,0 +1,63 @@
+"""Campaigns on a cluster of Dask: processes come and go, the digest is that of one process."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+import yaml
+from draws import some
+
+from bench.campaign_kills import CAMPAIGN, WORKERS, Cluster, begun, digest_alone, one_moment, works
+
+pytest.importorskip("distributed", reason="Dask: pip install distributed")
+
+
+@pytest.fixture
+def cluster():
+    one = Cluster()
+    yield one
+    one.end()
+
+
+@pytest.fixture
+def file(tmp_path):
+    one = tmp_path / "campaign.yaml"
+    one.write_text(yaml.safe_dump(CAMPAIGN | {"count": 8000}))
+    return one
+
+
+@pytest.mark.parametrize("victim", ("", *some(Cluster.victims, 2)))
+def test_a_kill_of_any_process_leaves_the_digest_the_same(tmp_path, file, cluster, victim):
+    # The time counts from the first part: a client that has no scheduler yet waits less for one.
+    rng = np.random.default_rng(7)
+    after = rng.uniform(0.0, 0.5)
+    one = one_moment(file, tmp_path / "r", cluster, victim, after, rng, parts=1)
+    assert one.digest == digest_alone(file, tmp_path / "alone"), one
+
+
+def test_without_a_scheduler_the_client_ends_with_a_line(tmp_path, file, cluster):
+    client = begun(file, tmp_path / "r", cluster)
+    assert works(client, tmp_path / "r")
+    cluster.stop_scheduler()
+    out, _ = client.communicate(timeout=300)
+    refused = json.loads(out)["refused"]
+    assert client.returncode == 2
+    assert refused.startswith("campaign: --dask must be the address of a Dask scheduler")
+
+
+def test_a_campaign_takes_all_workers_of_a_cluster(cluster):
+    from arm_emulator_campaign.executor import DaskPool
+
+    _, address = cluster.options
+    given, every = DaskPool(address, 60.0, 7), DaskPool(address, 60.0)
+    try:
+        until = time.monotonic() + 60.0
+        while every.workers < WORKERS and time.monotonic() < until:
+            time.sleep(0.1)
+        assert every.workers == WORKERS and given.workers == 7
+    finally:
+        given.end()
+        every.end()

@@ -1,0 +1,89 @@
+"""Pictures of a campaign's report."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
+
+from arm_emulator_campaign.pictures import (
+    FAILS,
+    HOLDS,
+    MOST_LINES,
+    NO_BREAK,
+    _in,
+    coordinates,
+    influences,
+    margins,
+    png,
+    wrapped,
+)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
+def test_no_kind_of_run_hides_the_other(share: float) -> None:
+    """As many lines of each as there are, up to a limit, and in any part of the order both."""
+    count, rng = 20_000, np.random.default_rng(3)
+    columns = {name: rng.uniform(size=count) for name in "abc"}
+    failed = rng.uniform(size=count) < share
+    figure = coordinates(columns, list(columns), failed, np.where(failed, -1.0, 1.0))
+    (lines,) = (one for one in figure.axes[0].collections if isinstance(one, LineCollection))
+    colors = [to_hex(one) for one in lines.get_color()]
+    png(figure)  # closes it
+    assert colors.count(FAILS) == colors.count(HOLDS) == MOST_LINES
+    # Of 150 in turns, 50 of one kind in a row are drawn once in 1e15.
+    for last in (colors[-50:], colors[:50]):
+        assert {FAILS, HOLDS} == set(last)
+
+
+LONG = (
+    "joints.shoulder_lift_joint.motor.current_loop.proportional_gain",
+    "joints.shoulder_pan_joint.gear.cubic_stiffness",
+    "links.forearm_link.inertia_xx",
+    "faults.push.force.2",
+)
+
+
+@pytest.mark.parametrize("kind", ["influences", "margins", "coordinates"])
+def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> None:
+    rng = np.random.default_rng(4)
+    columns = {name: rng.normal(size=300) for name in LONG}
+    titles = {"robustness.near": "tool_stays_within_a_tenth_of_its_tolerance", "robustness.at": "b"}
+    for k, of in enumerate(titles):
+        columns[of] = columns[LONG[k]] + 0.1 * columns[LONG[2]]
+    units = dict.fromkeys(LONG, "N m s/rad") | dict.fromkeys(titles, "N m/rad3")
+    figure = {
+        "influences": lambda: influences(columns, LONG, titles, units),
+        "margins": lambda: margins(columns, titles, units),
+        "coordinates": lambda: coordinates(
+            columns, LONG, columns["robustness.near"] < 0.0, np.arange(300)
+        ),
+    }[kind]()
+    figure.canvas.draw()
+    seen = figure.bbox
+    axes = [axis for axis in figure.axes if axis.get_visible()]
+    labels = [
+        label.get_window_extent()
+        for axis in axes
+        for label in (axis.xaxis.label, axis.yaxis.label, axis.title, *axis.get_yticklabels())
+        if label.get_text()
+    ]
+    png(figure)  # closes it
+    assert all(seen.x0 <= box.x0 and box.x1 <= seen.x1 for box in labels)
+    assert all(seen.y0 <= box.y0 and box.y1 <= seen.y1 for box in labels)
+    assert not any(one.overlaps(other) for k, one in enumerate(labels) for other in labels[k + 1 :])
+
+
+def test_a_text_is_broken_after_dots_and_kept_to_the_letter() -> None:
+    text = LONG[0]
+    lines = wrapped(text, 20).split("\n")
+    assert "".join(lines) == text
+    assert max(map(len, lines)) <= 20
+    assert all(line[-1] in "._" for line in lines[:-1])
+    assert "".join(wrapped("a" * 50, 20).split("\n")) == "a" * 50
+
+
+def test_a_unit_stays_on_one_line() -> None:
+    label = wrapped(_in("joints.shoulder.gear.stiffness", "N m/rad"))
+    assert [line.replace(NO_BREAK, " ") for line in label.split("\n")][-1].endswith("[N m/rad]")

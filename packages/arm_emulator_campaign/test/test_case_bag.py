@@ -1,0 +1,71 @@
+"""Runs of campaigns as bags: `check-bag` drives each again, faults and all, to equal bits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from draws import some
+from test_campaign import MOVES, written
+from test_campaign_lanes import DRAWN, campaign_of
+
+from arm_emulator.bags.comparison import compare
+from arm_emulator.bags.recorded_topics import RecordedTopics
+from arm_emulator.bags.run_bag import RunBag
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.new_bag import check_new_bag
+from arm_emulator.ros.bag import Bag
+from arm_emulator_campaign.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.case_bag import write_case_bag
+from arm_emulator_campaign.scenario import ticks_of
+from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_msgs.msg import MachineEvent
+
+
+def campaign(folder: Path, name: str) -> Campaign:
+    return (
+        load_campaign(written(folder, MOVES))
+        if name == "moves"
+        else campaign_of(folder, DRAWN[name])
+    )
+
+
+@pytest.mark.parametrize("name", [*DRAWN, "moves"])
+def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None:
+    one = campaign(tmp_path, name)
+    simulator = Simulator(one)
+    for index in some(range(12), 2):
+        case = drawn_case(one.variation, int(index))
+        bag = tmp_path / f"bag_{index}"
+        write_case_bag(one, simulator, case, bag)
+        found = compare(bag)
+        assert found.difference is None, found.difference
+        seconds = min(case.seconds, simulator._scenario.seconds)
+        assert found.tally.states == 1 + ticks_of(seconds, one.scene.servo_period)
+        assert found.tally.changes >= len(simulator._campaign.nominal[1]), "the faults are in it"
+        simulator.run(case)  # as in the campaign: many ticks at a time
+        *_, (_, last) = RecordedTopics(Bag(bag)).read("emulator/joint_states")
+        assert list(last.position) == simulator.session.state.q.tolist()
+        assert list(last.effort) == simulator.session.state.gear_torque.tolist()
+
+
+def test_a_fault_that_is_left_out_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = campaign(tmp_path, "all that varies")
+    plain, kinds = RunBag.changed, []
+
+    def all_but_the_push(bag: RunBag, kind: int) -> None:
+        kinds.append(kind)
+        if kind != MachineEvent.KIND_EXTERNAL_WRENCH:
+            plain(bag, kind)
+
+    monkeypatch.setattr(RunBag, "changed", all_but_the_push)
+    write_case_bag(one, Simulator(one), drawn_case(one.variation, 0), tmp_path / "bag")
+    assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == 2
+    found = compare(tmp_path / "bag")
+    assert found.difference is not None and "tick 51" in found.difference, "from 0.05 s on"
+
+
+def test_a_bag_that_exists_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Refusal, match="must be new, got one that exists"):
+        check_new_bag("campaign", tmp_path)

@@ -1,0 +1,87 @@
+"""Work that goes on although processes are killed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator_campaign.crew import MOST_BREAKS, Crew, Progress, Work
+from arm_emulator_campaign.executor import chunk_of
+from arm_emulator_campaign.lanes import WIDTH
+
+
+class Killed(Exception):
+    """A process of a pool was killed."""
+
+
+@dataclass
+class APool:
+    breaks = (Killed,)
+    ended = 0
+
+    def end(self):
+        self.ended += 1
+
+
+def work_of(kills, done_before_each):
+    """Work on 12 pieces whose first pools are killed; the pools, and pieces that each has found."""
+    pools, left, found = [], list(range(12)), []
+
+    def make_pool():
+        pools.append(APool())
+        return pools[-1]
+
+    progress = Progress(12, 0)
+    crew = Crew(make_pool, 1.0, lambda progress: None)
+
+    def work(pool, missing, killed):
+        assert pool is pools[-1] and killed == len(pools) - 1
+        found.append(list(missing))
+        if killed < kills:
+            del left[:done_before_each]
+            progress.done += done_before_each
+            raise Killed
+        left.clear()
+
+    with Work(SimpleNamespace(where="campaign"), crew, progress) as all_of_it:
+        try:
+            all_of_it.complete(lambda killed: list(left), work)
+        finally:
+            ended = [pool.ended for pool in pools]
+    assert [pool.ended for pool in pools] == [1] * len(pools), "each ends, and once"
+    return found, ended
+
+
+def test_another_pool_does_what_is_left():
+    found, ended = work_of(5, 2)
+    assert [len(one) for one in found] == [12, 10, 8, 6, 4, 2]
+    assert ended == [1] * 5 + [0], "a pool that was not killed is there for more work"
+
+
+def test_nothing_left_needs_no_pool():
+    assert work_of(6, 2) == work_of(7, 2)  # the sixth kill came after the last piece
+    assert len(work_of(6, 2)[0]) == 6
+
+
+def test_pools_that_end_without_any_result_are_refused():
+    assert len(work_of(MOST_BREAKS - 1, 0)[0]) == MOST_BREAKS
+    with pytest.raises(Refusal, match=f"end by themselves, got ended {MOST_BREAKS}"):
+        work_of(MOST_BREAKS, 0)
+
+
+def test_workers_that_are_equally_quick_end_together():
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        runs, largest = (int(10 ** rng.uniform(0, ends)) for ends in (7, 4))
+        workers = int(rng.integers(1, 50))
+        size = chunk_of(runs, workers, largest)
+        rounds = math.ceil(math.ceil(runs / size) / workers)  # each takes the next when it is free
+        assert 1 <= size <= largest
+        # No later than if all were divided evenly, but for a group of lanes in each chunk.
+        assert size * rounds <= runs / workers + rounds * (WIDTH + 1)
+        assert size < WIDTH or size % WIDTH == 0 or size == largest

@@ -1,0 +1,290 @@
+"""One language of formulas: all that evaluate a text at a moment give it the same answer.
+
+The truth is written beside each text, or computed by Python and NumPy for random ones.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from draws import FULL
+
+from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
+from arm_emulator.base.formula import bound_to, parse_formula
+from arm_emulator.machine.tool_chain import TOOL
+from arm_emulator_campaign.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.forking import ForkingRun
+from arm_emulator_campaign.lanes import RunsInLanes
+from arm_emulator_campaign.results import of_formula
+from arm_emulator_campaign.simulator import Simulator
+
+SCENE = load_scene("three_axis")
+Q = dict(zip(SCENE.joint_names, SCENE.start.tolist(), strict=True))
+UNDEFINED = math.nan
+FAILS_BY_0 = -sys.float_info.min
+MANY = 1900  # terms: a text may have 4000 characters
+
+# At rest at tick 0, where speeds and currents are 0, with the margin; NaN: undefined.
+TABLE = {
+    "q.elbow / 2 < 100": 100.0 - Q["elbow"] / 2,
+    "v.elbow <= 0": 0.0,
+    "v.elbow < 0": FAILS_BY_0,
+    "not v.elbow < 0": 0.0,
+    "not v.elbow <= 0": FAILS_BY_0,
+    "0 <= v.elbow <= 0": 0.0,
+    "0 <= v.elbow < 0": FAILS_BY_0,
+    "v.elbow > 0 implies v.elbow > 5": 0.0,
+    # A quotient by 0 is not a number, whatever the signs of dividend and 0.
+    "1 / v.elbow > 5": UNDEFINED,
+    "not (1 / v.elbow > 5)": UNDEFINED,
+    "1 / v.elbow <= 5": UNDEFINED,
+    "0 / v.elbow > 5": UNDEFINED,
+    "not (0 / v.elbow > 5)": UNDEFINED,
+    "1 / (0 * (0 - 1)) < 5": UNDEFINED,
+    "abs(current.elbow / v.elbow) <= 1": UNDEFINED,
+    "sqrt(0 - 1) >= 0": UNDEFINED,
+    "not (sqrt(0 - 1) >= 0)": UNDEFINED,
+    "sqrt(0 - 0) >= 0": 0.0,
+    # So are a minimum and a maximum with it, in either order.
+    "min(0 / v.elbow, 1) <= 1": UNDEFINED,
+    "min(1, 0 / v.elbow) <= 1": UNDEFINED,
+    "max(1, 0 / v.elbow) >= 1": UNDEFINED,
+    "max(0 / v.elbow, 1) >= 1": UNDEFINED,
+    "max(1, 2, 0 / v.elbow, 3) >= 1": UNDEFINED,
+    "min(3, 1, 2) >= 1": 0.0,
+    # Results that are too large are infinite.
+    "1e308 * 100 <= 1e308 * 1000": 0.0,
+    "1e308 * 100 < 1e308 * 1000": FAILS_BY_0,
+    "1e308 * 100 > 1": math.inf,
+    "0 - 1e308 * 100 > 1": -math.inf,
+    "1e308 * 100 - 1e308 * 100 >= 0": UNDEFINED,
+    "0 * (1e308 * 100) >= 0": UNDEFINED,
+    "1e308 + 1e308 >= 1e308": math.inf,
+    "1e-300 * 1e-300 >= 0": 0.0,
+    # An undefined part is neither true nor false: the others decide where they can.
+    "q.elbow < 100 or 1 / v.elbow > 5": 100.0 - Q["elbow"],
+    "1 / v.elbow > 5 or q.elbow < 100": 100.0 - Q["elbow"],
+    "q.elbow > 100 or 1 / v.elbow > 5": UNDEFINED,
+    "1 / v.elbow > 5 or q.elbow > 100": UNDEFINED,
+    "q.elbow > 100 and 1 / v.elbow > 5": Q["elbow"] - 100.0,
+    "1 / v.elbow > 5 and q.elbow > 100": Q["elbow"] - 100.0,
+    "q.elbow < 100 and 1 / v.elbow > 5": UNDEFINED,
+    "abs(v.elbow) > 0.1 implies current.elbow / v.elbow < 5": 0.1,
+    "1 / v.elbow > 5 implies 1 / v.elbow > 5": UNDEFINED,
+    # Sums that are longer than Python recurses.
+    "+".join(["1"] * MANY) + " >= 1": MANY - 1.0,
+    "-".join(["1"] * MANY) + " <= 1": MANY - 1.0,
+    "min(" + ",".join(["1"] * MANY) + ") >= 1": 0.0,
+    " and ".join(["1>0"] * 480): 1.0,
+    "<".join(map(str, range(700))): 1.0,
+    "t >= 0": 0.0,
+    "tick < 1": 1.0,
+}  # fmt: skip
+
+CAMPAIGN = {"scene": "three_axis", "scenario": {"seconds": 0.001}}
+SAMPLED = {**CAMPAIGN, "count": 1}
+NOISY = {
+    **CAMPAIGN,
+    "set": {"faults": ["elbow.encoder_misses_edges"]},
+    "vary": {"faults.edges.magnitude": "uniform(0.1, 0.2)"},
+    "faults": {
+        "edges": {
+            "kind": "machine",
+            "at": 0.0,
+            "fault": "elbow.encoder_misses_edges",
+            "magnitude": 0.1,
+        }
+    },
+}
+
+Answers = Sequence[float]
+
+
+def campaign_of(texts: Sequence[str], folder: Path, given: dict[str, object]) -> Campaign:
+    asked = {f"r{k}": f"always[0, 0] ({text})" for k, text in enumerate(texts)}
+    file = folder / "c.yaml"
+    file.write_text(yaml.safe_dump({**given, "requirements": asked}, sort_keys=False))
+    return load_campaign(file)
+
+
+def by_condition(texts: Sequence[str], folder: Path) -> list[bool]:
+    session = Session(SCENE, "lockstep", "first_answer")
+    return [Condition(text, SCENE).holds(session) for text in texts]
+
+
+def by_breakpoint(texts: Sequence[str], folder: Path) -> list[bool]:
+    plant, found = Plant(SCENE), []
+    for text in texts:
+        one = Breakpoint(plant, text)
+        found.append(bool(one.struct.held))
+        one.close()
+    return found
+
+
+def by_lanes(texts: Sequence[str], folder: Path) -> Answers:
+    campaign = campaign_of(texts, folder, SAMPLED)
+    case = drawn_case(campaign.variation, 0)
+    return list(RunsInLanes(campaign).run(case).robustness.values())
+
+
+def by_simulator(texts: Sequence[str], folder: Path) -> Answers:
+    return list(Simulator(campaign_of(texts, folder, SAMPLED)).run(0).robustness.values())
+
+
+def by_splitting(texts: Sequence[str], folder: Path) -> Answers:
+    found = []
+    for text in texts:
+        search = {"method": "splitting", "of": "r0", "per_level": 20, "repetitions": 4}
+        run = ForkingRun(campaign_of([text], folder, {**NOISY, "search": search}))
+        run.begin(0, 1)
+        found.append(run.reach(-math.inf)[1])
+    return found
+
+
+VERDICTS = (by_condition, by_breakpoint)
+MARGINS = (by_lanes, by_simulator)
+
+
+@pytest.mark.parametrize("user", VERDICTS)
+def test_verdicts(user: Callable[[Sequence[str], Path], list[bool]], tmp_path: Path) -> None:
+    found = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
+    assert found == {text: margin >= 0.0 for text, margin in TABLE.items()}
+
+
+@pytest.mark.parametrize("user", MARGINS)
+def test_margins(user: Callable[[Sequence[str], Path], Answers], tmp_path: Path) -> None:
+    found = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
+    assert found == {text: reported(margin) for text, margin in TABLE.items()}
+
+
+def test_margins_of_splitting(tmp_path: Path) -> None:
+    texts = [text for text in TABLE if "elbow" in text]
+    found = dict(zip(texts, by_splitting(texts, tmp_path), strict=True))
+    for text, least in found.items():
+        wanted = reported(TABLE[text])
+        # 0 is the level of failure: the sampled run goes on to its end by no other margin.
+        assert least == wanted or abs(least - wanted) <= sys.float_info.min, text
+
+
+def reported(margin: float) -> float:
+    """A campaign reports what is undefined as what fails."""
+    return -math.inf if math.isnan(margin) else margin
+
+
+def arithmetic(rng: np.random.Generator, depth: int) -> tuple[str, np.float64]:
+    """A random text, and its value by NumPy."""
+    if depth == 0 or rng.random() < 0.15:
+        values = {"0": 0.0, "1": 1.0, "2.5": 2.5, "1e308": 1e308, "v.elbow": 0.0}
+        values |= {f"q.{joint}": q for joint, q in Q.items()}
+        text = str(rng.choice(list(values)))
+        return text, np.float64(values[text])
+    one, of_one = arithmetic(rng, depth - 1)
+    other, of_other = arithmetic(rng, depth - 1)
+    match str(rng.choice(["+", "-", "*", "/", "abs", "sqrt", "min", "max"])):
+        case "+":
+            return f"({one} + {other})", of_one + of_other
+        case "-":
+            return f"({one} - {other})", of_one - of_other
+        case "*":
+            return f"({one} * {other})", of_one * of_other
+        case "/":
+            quotient = of_one / of_other if of_other != 0.0 else np.float64(math.nan)
+            return f"({one} / {other})", quotient
+        case "abs" | "sqrt" as name:
+            return f"{name}({one})", getattr(np, name)(of_one)
+        case name:
+            return f"{name}({one}, {other})", getattr(np, f"{name}imum")(of_one, of_other)
+
+
+def formula(rng: np.random.Generator, depth: int) -> tuple[str, tuple[int, float]]:
+    """A random text, and (1, margin) where it holds, (-1, margin) where not, (0, 0) undefined."""
+    if depth == 0 or rng.random() < 0.3:
+        (left, of_left), (right, of_right) = arithmetic(rng, 2), arithmetic(rng, 2)
+        sign = str(rng.choice(["<", "<=", ">", ">="]))
+        more, less = (of_right, of_left) if sign[0] == "<" else (of_left, of_right)
+        if math.isnan(more) or math.isnan(less):
+            return f"{left} {sign} {right}", (0, 0.0)
+        margin = 0.0 if more == less else float(more - less)
+        holds = more > less or (more == less and "=" in sign)
+        return f"{left} {sign} {right}", (1 if holds else -1, margin)
+    one, of_one = formula(rng, depth - 1)
+    if rng.random() < 0.25:
+        return f"not ({one})", (-of_one[0], -of_one[1])
+    other, of_other = formula(rng, depth - 1)
+    sign = str(rng.choice(["and", "or"]))
+    joined = min(of_one, of_other) if sign == "and" else max(of_one, of_other)
+    return f"({one}) {sign} ({other})", joined
+
+
+def test_random_formulas_by_all(tmp_path: Path) -> None:
+    for seed in range(20 if FULL else 2):
+        rng = np.random.default_rng(seed)
+        with np.errstate(all="ignore"):
+            drawn = dict(formula(rng, 3) for _ in range(300))
+        texts = list(drawn)
+        holds = [rank > 0 for rank, _ in drawn.values()]
+        assert sum(rank == 0 for rank, _ in drawn.values()) > 20 and 50 < sum(holds) < 250
+        for user in VERDICTS:
+            assert dict(zip(texts, user(texts, tmp_path), strict=True)) == dict(
+                zip(texts, holds, strict=True)
+            )
+        margins = [
+            -math.inf
+            if rank == 0
+            else margin
+            if abs(margin) > sys.float_info.min  # the least number that stands for 0
+            else 0.0
+            if rank > 0
+            else FAILS_BY_0
+            for rank, margin in drawn.values()
+        ]
+        for judge in MARGINS:
+            assert dict(zip(texts, judge(texts, tmp_path), strict=True)) == dict(
+                zip(texts, margins, strict=True)
+            )
+
+
+def test_a_moving_machine_has_the_same_signals_in_conditions_and_campaigns(
+    tmp_path: Path,
+) -> None:
+    """Time, tick and tool to the last bit: from the same machine at the same ticks."""
+    file = tmp_path / "c.yaml"
+    asked = {"end": "eventually (tick >= 40)"}
+    signals = {name.replace(".", "_"): name for name in ("t", "tick", *TOOL)}
+    measures = {name: f"last({signal})" for name, signal in signals.items()}
+    file.write_text(yaml.safe_dump({
+        "scene": "three_axis", "requirements": asked, "measures": measures, "count": 1,
+        "scenario": {"seconds": 0.04, "targets": [{"at": 0.0, "elbow": 1.5}]},
+    }))  # fmt: skip
+    simulator = Simulator(load_campaign(file))
+    found = simulator.run(0).measures
+    session = simulator.session
+    assert session.tick == found["tick"] == 40
+    assert session.state.v.any()
+    for name, value in found.items():
+        text = f"{value!r} <= {signals[name]} <= {value!r}"
+        assert Condition(text, SCENE).holds(session), text
+
+
+def test_walks_of_long_formulas_need_no_recursion() -> None:
+    text = "+".join(["v.*"] * 990) + " > 1"
+    known = [f"v.{joint}" for joint in SCENE.joint_names]
+    bound = bound_to(parse_formula(text, "c", "r"), known, "c", "r")
+    assert of_formula(bound, dict.fromkeys(known, "rad/s")) == "rad/s"
+    assert not Breakpoint(Plant(SCENE), text).struct.held
+
+
+@pytest.mark.parametrize(
+    "text", ["(" * 31 + "1" + ")" * 31 + " > 0", "-" * 70 + "1 > 0", "1+" * 2000 + "1 > 0"]
+)
+def test_texts_that_are_too_deep_or_long_are_refused_in_a_line(text: str) -> None:
+    for what in (lambda: Condition(text, SCENE), lambda: Breakpoint(Plant(SCENE), text)):
+        with pytest.raises(Refusal, match=r"levels|characters"):
+            what()

@@ -1,0 +1,237 @@
+"""A CAN bus over TCP, by the protocol of socketcand: each client is on the bus with our nodes.
+
+Lines are texts between angle brackets: ``< open NAME >``, ``< rawmode >``, then one way
+``< send 601 2 40 0 >`` (identifier, count, data; hexadecimal) and the other way
+``< frame 581 1.5 4000 >`` (identifier, seconds, data).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+import time
+from collections import deque
+
+from arm_emulator.extension.base import not_free
+from arm_emulator_fieldbus.canopen_node import Frame
+
+PORT = 29536  # of socketcand
+MOST_CLIENTS = 64
+LONGEST_LINE = 256  # bytes
+MOST_UNSENT = 1 << 20  # bytes, for a client that does not read
+SETTLING = 0.05  # s, in which a new client reads the replies to its first lines
+_OK = b"< ok >"
+
+
+class CanServer:
+    """A bus whose members are TCP connections and this process.
+
+    Frames of a member go to all others. Bytes that are no frame are answered with an error and
+    counted; a client that sends anything but lines is dropped.
+
+    Attributes:
+        address: host and port where it listens.
+        ignored: lines that were no frame and no command, and members that did not speak in lines.
+
+    Args:
+        host: of the interface that it listens on.
+        port: 0: any that is free.
+
+    Raises:
+        Refusal: it cannot listen there.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = PORT) -> None:
+        self._listening = socket.socket()
+        try:
+            self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listening.bind((host, port))
+            self._listening.listen(MOST_CLIENTS)
+        except (OSError, OverflowError) as error:
+            self._listening.close()
+            raise not_free("canopen", host, port, error) from None
+        self._listening.setblocking(False)
+        self.address: tuple[str, int] = self._listening.getsockname()
+        self.ignored = 0
+        self._came: deque[Frame] = deque()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listening, selectors.EVENT_READ)
+        self._members: dict[int, _Member] = {}
+
+    def close(self) -> None:
+        """End all connections."""
+        for member in list(self._members.values()):
+            self._drop(member)
+        self._selector.close()
+        self._listening.close()
+
+    def receive(self, timeout: float) -> Frame | None:
+        """Return the next frame, None if none comes in time [s]."""
+        until = time.monotonic() + timeout
+        while not self._came:
+            left = until - time.monotonic()
+            self._attend(min([max(left, 0.0), *self._settling()]))
+            if left <= 0.0:
+                break
+        return self._came.popleft() if self._came else None
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame to all members."""
+        self._spread(_line(frame.id, frame.data), None)
+
+    # ---------------------------------------------------------------------------------- members
+
+    def _settling(self) -> list[float]:
+        """Return how long new clients must still wait for frames [s]."""
+        now = time.monotonic()
+        return [max(one.settled - now, 0.0) for one in self._members.values() if one.held]
+
+    def _attend(self, timeout: float) -> None:
+        for key, events in self._selector.select(timeout):
+            if key.fileobj is self._listening:
+                self._accept()
+                continue
+            if events & selectors.EVENT_READ and key.fd in self._members:
+                self._read(self._members[key.fd])
+            if events & selectors.EVENT_WRITE and key.fd in self._members:
+                self._write(self._members[key.fd])
+        now = time.monotonic()
+        for member in list(self._members.values()):
+            if member.held and member.settled <= now:
+                member.unsent += member.held
+                member.held.clear()
+                self._write(member)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listening.accept()
+        except OSError:  # it has gone again
+            return
+        if len(self._members) >= MOST_CLIENTS:
+            connection.close()
+            return
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        member = _Member(connection)
+        self._members[connection.fileno()] = member
+        self._selector.register(connection, selectors.EVENT_READ)
+        self._answer(member, b"< hi >")
+
+    def _drop(self, member: _Member) -> None:
+        if self._members.pop(member.connection.fileno(), None) is not None:
+            self._selector.unregister(member.connection)
+            member.connection.close()
+
+    def _read(self, member: _Member) -> None:
+        try:
+            data = member.connection.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(member)
+            return
+        with contextlib.suppress(OSError):  # or a client's next frame would wait for our next one
+            member.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        *lines, rest = (member.unread + data).split(b">")
+        member.unread = rest
+        for line in lines:
+            if member.connection.fileno() >= 0:
+                self._take(member, line)
+        if len(rest) > LONGEST_LINE or rest.lstrip()[:1] not in (b"", b"<"):
+            self._hang_up(member)
+
+    def _take(self, member: _Member, line: bytes) -> None:
+        head, _, text = line.partition(b"<")
+        words = text.split() or [b""]
+        if head.strip() or len(text) > LONGEST_LINE:
+            self._hang_up(member)
+            return
+        match words[0]:
+            case b"open" if len(words) == 2:
+                member.opened = True
+                self._answer(member, _OK)
+            case b"rawmode" if member.opened:
+                self._answer(member, _OK)
+                member.listens = True
+                member.settled = time.monotonic() + SETTLING
+            case b"echo":
+                self._answer(member, b"< echo >")
+            case b"send" if member.opened:
+                self._frame(member, words[1:])
+            case _:
+                self._ignore(member)
+
+    def _frame(self, member: _Member, words: list[bytes]) -> None:
+        """Take ``IDENTIFIER LENGTH BYTE ...``: three digits, or eight for one of 29 bits."""
+        try:
+            number, *data = (int(word, 16) for word in [words[0], *words[2:]])
+            short = len(words[0]) == 3
+            bytes_ = bytes(data)
+            sound = len(words[0]) in (3, 8) and int(words[1], 16) == len(bytes_) <= 8
+            sound = sound and 0 <= number < 1 << (11 if short else 29)
+        except (ValueError, IndexError):
+            sound = False
+        if not sound:
+            self._ignore(member)
+            return
+        if short:
+            self._came.append(Frame(number, bytes_))
+        self._spread(_line(number, bytes_, 3 if short else 8), member)
+
+    def _hang_up(self, member: _Member) -> None:
+        """Drop a client of another protocol, such as a browser."""
+        self.ignored += 1
+        self._drop(member)
+
+    def _ignore(self, member: _Member) -> None:
+        self.ignored += 1
+        self._answer(member, b"< error unknown command >")
+
+    def _spread(self, line: bytes, sender: _Member | None) -> None:
+        for member in list(self._members.values()):
+            if member is not sender and member.listens:
+                self._answer(member, line)
+
+    def _answer(self, member: _Member, line: bytes) -> None:
+        if member.connection.fileno() < 0:
+            return
+        if member.held or time.monotonic() < member.settled:  # no frame passes those before it
+            member.held += line
+        else:
+            member.unsent += line
+            self._write(member)
+        if len(member.held) + len(member.unsent) > MOST_UNSENT:
+            self._drop(member)
+
+    def _write(self, member: _Member) -> None:
+        try:
+            while member.unsent:
+                del member.unsent[: member.connection.send(member.unsent)]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._drop(member)
+            return
+        if bool(member.unsent) != member.waits:
+            member.waits = not member.waits
+            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.waits else 0)
+            self._selector.modify(member.connection, wanted)
+
+
+class _Member:
+    """A connection with its input and output buffers."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.connection = connection
+        self.unread = b""
+        self.unsent, self.held = bytearray(), bytearray()
+        self.opened = self.listens = False
+        self.waits = False  # for room to write
+        self.settled = 0.0  # monotonic time [s], until which frames are held
+
+
+def _line(number: int, data: bytes, digits: int = 3) -> bytes:
+    return f"< frame {number:0{digits}X} {time.time():.6f} {data.hex().upper()} >".encode()

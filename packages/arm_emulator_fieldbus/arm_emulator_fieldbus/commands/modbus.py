@@ -1,0 +1,100 @@
+"""Serve a Modbus RTU master as the paper's data converter on a serial port."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, served_session
+from arm_emulator.extension.machine import load_scene
+from arm_emulator_fieldbus.converter import Converter, blocks
+from arm_emulator_fieldbus.modbus_line import ModbusLine
+from arm_emulator_fieldbus.modbus_pty import RealTimeService, SerialPort, serve
+from arm_emulator_fieldbus.modbus_rtu import LARGEST_STATION
+from arm_emulator_fieldbus.serial_line import LARGEST_BAUD, LineErrors
+
+
+@command(
+    until_stopped=True,
+    keys=(
+        "`scene`, `port`, `link`, `station`, `baud`, `clock`; with the option registers `registers`"
+    ),
+)
+def modbus(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    clock: Literal["lockstep", "line", "realtime"] = "lockstep",
+    baud: int = 115_200,
+    station: int = 1,
+    error_rate: Annotated[float, Parameter(metavar="SHARE")] = 0.0,
+    seed: int = 0,
+    watchdog: Annotated[int, Parameter(metavar="MS")] = 100,
+    link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
+    registers: bool = False,
+    page: PageAt = None,
+    kept: Keep = NOTHING,
+) -> int:
+    """Serve Modbus RTU masters until Ctrl-C.
+
+    Args:
+        clock: a servo period per write of commands, logical time by the duration of the line's
+            traffic, or the wall clock.
+        baud: of the line.
+        station: address on the line.
+        error_rate: share of bytes lost or damaged on the line.
+        seed: of these errors.
+        watchdog: time after which the drives of a silent master are off; 0: never.
+        link: symbolic link to the port.
+        registers: print the table of registers, and end.
+    """
+    kept.check("modbus")
+    if registers:
+        return _registers(scene)
+    if not 50 <= baud <= LARGEST_BAUD:
+        raise Refusal("modbus", "baud", f"be 50 to {LARGEST_BAUD} bit/s", baud)
+    if not 1 <= station <= LARGEST_STATION:
+        raise Refusal("modbus", "station", f"be 1 to {LARGEST_STATION}", station)
+    errors = LineErrors(error_rate, seed)
+    machine = load_scene(scene)
+    with (
+        served_session(machine, clock, kept, page) as session,
+        contextlib.closing(SerialPort(baud, link)) as port,
+    ):
+        converter = Converter(session, watchdog)
+        at = f"{port.path}{f' ({link})' if link else ''}"
+        output.facts({
+            "scene": machine.name, "port": port.path, "link": link, "station": station,
+            "baud": baud, "clock": clock,
+        })  # fmt: skip
+        print(f"modbus: scene {machine.name} ({len(machine.joints)} joints), station {station}")
+        print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)
+        if clock == "realtime":
+            RealTimeService(port, converter, station, baud, errors).serve()
+        else:
+            line = ModbusLine(converter, station, clock, baud, errors)
+            serve(port, line, converter, baud)
+    return 0
+
+
+def _registers(scene: str) -> int:
+    """Print the table of registers of a scene.
+
+    Raises:
+        Refusal: the scene is refused.
+    """
+    table = blocks(load_scene(scene))
+    for one in table:
+        last = one.address + one.count - 1
+        where = f"{one.address}" if one.count == 1 else f"{one.address} to {last}"
+        access = "rw" if one.writable else "r"
+        per = f" [{one.per} per joint]" if one.per else ""
+        text = f"{where:<16} {access:<3} {one.kind:<8} {one.name}{per}, {one.unit}"
+        output.line(text.rstrip(", "))
+    output.facts({"registers": table})
+    return 0

@@ -1,0 +1,140 @@
+"""Inputs and outputs that parts declare, as objects of CiA 402 drives; see core/declared.hpp."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Refusal, c_string
+from arm_emulator.extension.machine import COMMAND_OUTPUT as COMMAND
+from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
+from arm_emulator.extension.machine import (
+    PARTS,
+    Input,
+    Output,
+    Part,
+    Scene,
+    further_inputs,
+    input_at,
+    outputs_of,
+    rows_of,
+)
+
+FIRST, COUNT = 0x2100, 0xF00  # objects of a manufacturer
+_TYPES = {"number": "real32", "count": "integer32", "flag": "unsigned8", "bits": "unsigned8"}
+_UNITS = {"count": ("counts",)}
+_IN_C = {"readings": "readings[at.in_rows()]", "further": "further[at.in_rows()]"}
+
+
+def _numbered() -> dict[str, int]:
+    names = [one.name for one in KNOWN.values() if not one.cia]
+    names += dict.fromkeys(one.name for kind in PARTS for one in _further(kind))
+    found: dict[str, int] = {}
+    for name in names:
+        # By its name, so that other parts in a later version change nothing.
+        place = zlib.crc32(name.encode())
+        while FIRST + place % COUNT in found.values():
+            place += 1
+        found[name] = FIRST + place % COUNT
+    return dict(sorted(found.items(), key=lambda one: one[1]))
+
+
+def _further(kind: type[Part]) -> tuple[Input, ...]:
+    return tuple(getattr(kind, "inputs", ())[1:])
+
+
+_INDICES = _numbered()
+
+# Names of what has such an object, by index; of other outputs a drive has objects by itself.
+REPORTED = tuple(KNOWN[name] for name in _INDICES if name in KNOWN)
+TAKEN = tuple(name for name in _INDICES if name not in KNOWN)
+
+
+def index_of(one: Output | Input) -> int:
+    """Return the object of an output, or of a further input."""
+    return one.cia if isinstance(one, Output) and one.cia else _INDICES[one.name]
+
+
+def source() -> str:
+    """Return the lists in C++."""
+    reported = "".join(f"{{{_row(one)}}},\n" for one in REPORTED)
+    taken = "".join(f"{{{_input(name)}}},\n" for name in TAKEN)
+    return (
+        '#include "declared.hpp"\nnamespace fieldbus {\n'
+        f"inline constexpr std::array<Reported, {len(REPORTED)}> kReported{{{{\n{reported}}}}};\n"
+        f"inline constexpr std::array<Taken, {len(TAKEN)}> kTaken{{{{\n{taken}}}}};\n}}\n"
+    )
+
+
+def _texts(name: str, *units: str) -> str:
+    unit = " or ".join(dict.fromkeys(filter(None, units)))
+    return ", ".join(map(c_string, (name.replace("_", " ").capitalize(), unit)))
+
+
+def _input(name: str) -> str:
+    units = [one.unit for kind in PARTS for one in _further(kind) if one.name == name]
+    return f"0x{_INDICES[name]:04X}, {_texts(name, *units)}"
+
+
+def _row(one: Output) -> str:
+    array, _, field = one.symbol.partition(".")
+    place = _IN_C.get(array, f"{array}[at.joint]")
+    if one.per_unit:
+        place, field = f"{array}[at.row]", f"{field}[at.axis]"
+    units = _UNITS.get(one.kind, (one.unit, one.unit_of_slides))
+    members = (
+        f"0x{_INDICES[one.name]:04X}",
+        _texts(one.name, *(unit for unit in units if unit != COMMAND)),
+        f"Type::{_TYPES[one.kind]}",
+        str(one.per_unit).lower(),
+        "[](const arm_measurement& all, [[maybe_unused]] Place at) { "
+        f"return word(all.{place}{field and '.'}{field}); }}",
+    )
+    return ", ".join(members)
+
+
+def places(scene: Scene, units: int) -> NDArray[np.int32]:
+    """Return where each of `REPORTED` is at each joint, by joint, output and unit on its link.
+
+    Args:
+        scene: of the machine.
+        units: on a link, at most.
+
+    Raises:
+        Refusal: a link has more units.
+    """
+    drives = (scene.chain.coupling.C != 0.0).argmax(axis=1)  # the first that moves each link
+    on = [
+        [m for m, imu in enumerate(scene.imus) if drives[imu.place] == j]
+        for j in range(len(scene.joints))
+    ]
+    for joint, there in zip(scene.joints, on, strict=True):
+        if len(there) > units:
+            rule = f"be at most {units} on the link of {joint.name}, for drives on a field bus"
+            raise Refusal(scene.where, "imus", rule, len(there))
+    found = np.full((len(scene.joints), len(REPORTED), units), -1, np.int32)
+    rows, reported = rows_of(scene), outputs_of(scene)
+    for k, one in enumerate(REPORTED):
+        if one not in reported:
+            continue
+        if one.per_unit:
+            for j, there in enumerate(on):
+                found[j, k, : len(there)] = there
+        else:
+            of_array = rows.get(one.symbol, ())
+            found[:, k, 0] = of_array.index(one.name) if of_array else 0
+    return found
+
+
+def input_rows(scene: Scene) -> NDArray[np.int32]:
+    """Return the row in C of each of `TAKEN` at each joint; -1: its motor has no such input."""
+    names = further_inputs(scene)
+    return np.array(
+        [
+            [names.index(name) if input_at(joint, name) else -1 for name in TAKEN]
+            for joint in scene.joints
+        ],
+        np.int32,
+    ).reshape(len(scene.joints), len(TAKEN))

@@ -1,0 +1,75 @@
+"""A converter on a serial line whose time is logical. Knows nothing of ptys and clocks."""
+
+from __future__ import annotations
+
+from arm_emulator_fieldbus.converter import Converter
+from arm_emulator_fieldbus.modbus_rtu import Receiver, Station
+from arm_emulator_fieldbus.serial_line import BITS_PER_BYTE, LineErrors, silence_time
+
+
+class ModbusLine:
+    """A master's end of the line: it sends and receives bytes.
+
+    Clock "lockstep": each write of commands is a servo period, and the line takes no time. "line":
+    logical time is that which requests, replies and the silences between them take on the line, and
+    while they do, servo periods pass under the commands held; the master itself takes none.
+
+    Attributes:
+        receiver, station: of the converter.
+
+    Args:
+        converter: what is behind the line.
+        number: its address.
+        clock: "lockstep" or "line".
+        baud: speed of the line [bit/s].
+        errors: that the line makes, in both directions.
+
+    """
+
+    def __init__(
+        self, converter: Converter, number: int, clock: str, baud: int, errors: LineErrors
+    ) -> None:
+        self.receiver = Receiver()
+        self.station = Station(number, converter, lambda: self.receiver.damaged)
+        self._converter = converter
+        self._errors = errors
+        self._baud = baud
+        self._silence = silence_time(baud)
+        self._bytes = self._silences = 0  # on the line since the machine's tick 0
+        self._by_line = clock == "line"
+        if not self._by_line:
+            converter.on_commands = converter.answer_tick
+
+    @property
+    def time(self) -> int:
+        """Time for which the line has been busy since the start [ns]."""
+        return self._bytes * BITS_PER_BYTE * 10**9 // self._baud + self._silences * self._silence
+
+    def bring(self, data: bytes) -> bytes:
+        """Return what comes back for the bytes that a master sends."""
+        self._bytes += len(data)
+        return self._answer(self.receiver.feed(self._errors.damage(data)))
+
+    def silence(self) -> bytes:
+        """Take note that the master has sent nothing for a while; return what comes back."""
+        return self._answer(self.receiver.silence()) if self.receiver.waiting else b""
+
+    def _answer(self, requests: list[bytes]) -> bytes:
+        replies = b""
+        for request in requests:
+            self._silences += 1
+            self._follow()
+            reply = self.station.answer(request)
+            if reply:
+                self._bytes += len(reply)
+                self._silences += 1
+                replies += self._errors.damage(reply)
+        return replies
+
+    def _follow(self) -> None:
+        """Let the servo periods pass that end up to now on the line."""
+        if not self._by_line:
+            return
+        session = self._converter.session
+        while (session.tick + 1) * session.period_ns <= self.time and session.fault is None:
+            self._converter.pass_period()

@@ -1,0 +1,118 @@
+"""The object dictionary of a drive and its modes, as the library of the drives lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+from arm_emulator.extension.compiler import Library
+from arm_emulator.extension.compiler import c_text as text
+from arm_emulator.extension.machine import LoopMode as Mode
+from arm_emulator.extension.machine import ServoLoop as Loop
+from arm_emulator_fieldbus.drives_unit import DRIVES, drives_library
+
+ACCESS = ("const", "ro", "wo", "rw")
+TYPES = {
+    1: "BOOLEAN",
+    2: "INTEGER8",
+    3: "INTEGER16",
+    4: "INTEGER32",
+    5: "UNSIGNED8",
+    6: "UNSIGNED16",
+    7: "UNSIGNED32",
+    8: "REAL32",
+    9: "VISIBLE_STRING",
+    17: "REAL64",
+}
+# Layouts of numbers that are not whole.
+REALS = {"REAL32": "<f", "REAL64": "<d"}
+SIGNED = ("INTEGER8", "INTEGER16", "INTEGER32")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the object dictionary, see core/object_dictionary.hpp."""
+
+    index: int
+    sub: int
+    object: str
+    """Name of its object."""
+    name: str
+    code: int
+    """7 variable, 8 array, 9 record."""
+    last_sub: int
+    """Of its object."""
+    type: str
+    """As CiA 301 calls it."""
+    bits: int
+    """0: text."""
+    access: str
+    """const, ro, wo or rw."""
+    rx: bool
+    """Whether a drive may receive it as process data."""
+    tx: bool
+    """Whether a drive may transmit it as process data."""
+    buses: int
+    """Bits ETHERCAT and CANOPEN: where it is there."""
+    unit: str
+    standard: int
+    least: int
+    most: int
+
+
+class Aborted(Exception):
+    """An access that a dictionary refuses.
+
+    Attributes:
+        code: abort code of an SDO server.
+    """
+
+    def __init__(self, index: int, sub: int, code: int) -> None:
+        super().__init__(f"0x{index:04X}:{sub}: abort code 0x{code:08X}")
+        self.code = code
+
+
+@cache
+def dictionary() -> tuple[Entry, ...]:
+    """Return all entries, in ascending order."""
+    return tuple(entries_of(drives_library()))
+
+
+def entries_of(calls: Library) -> Iterator[Entry]:
+    """Yield the entries that a library with drives has, in ascending order."""
+    one, slot = DRIVES.new("drives_entry"), 0
+    while calls.drives_list(slot, one):
+        yield Entry(
+            one.index,
+            one.sub,
+            text(one.object),
+            text(one.name),
+            one.code,
+            one.last_sub,
+            TYPES[one.type],
+            one.bits,
+            ACCESS[one.access],
+            bool(one.pdo & 1),
+            bool(one.pdo & 2),
+            one.buses,
+            text(one.unit),
+            one.standard,
+            one.least,
+            one.most,
+        )
+        slot += 1
+
+
+@cache
+def modes() -> tuple[Mode, ...]:
+    """Return all modes of operation that drives have, see core/modes/modes.hpp."""
+    return tuple(_walk_modes(drives_library()))
+
+
+def _walk_modes(calls: Library) -> Iterator[Mode]:
+    one, row = DRIVES.new("drives_mode"), 0
+    while calls.drives_list_mode(row, one):
+        loops = tuple(loop for bit, loop in enumerate(Loop) if one.loops >> bit & 1)
+        yield Mode(one.number, text(one.name), loops)
+        row += 1

@@ -1,0 +1,42 @@
+"""Install the package beside arm_emulator, which finds its commands by their entry points."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "arm_emulator_fieldbus"
+CORE = Path(__file__).resolve().parents[2] / "arm_emulator"
+VERSION = re.search(r'VERSION = "(.*)"', (CORE / "version.py").read_text())
+
+setup(
+    name=NAME,
+    version=VERSION[1],
+    description="Drives of CiA 402 on EtherCAT and CANopen, and a Modbus converter.",
+    license="Apache-2.0",
+    maintainer="arm_emulator developers",
+    maintainer_email="arm_emulator@example.org",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["**/*.c", "**/*.h", "**/*.cpp", "**/*.hpp", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    python_requires=">=3.11",
+    install_requires=["arm_emulator", "python-can"],
+    zip_safe=False,
+    entry_points={
+        "arm_emulator.commands": [
+            "ethercat = arm_emulator_fieldbus.commands.ethercat",
+            "canopen = arm_emulator_fieldbus.commands.canopen",
+            "modbus = arm_emulator_fieldbus.commands.modbus",
+        ],
+        "arm_emulator.units": [
+            "drives = arm_emulator_fieldbus.drives_unit:drives_unit",
+            "ethercat = arm_emulator_fieldbus.ethercat:ethercat_unit",
+        ],
+        "arm_emulator.drive_modes": [
+            "cia402 = arm_emulator_fieldbus.object_dictionary:modes",
+        ],
+    },
+)

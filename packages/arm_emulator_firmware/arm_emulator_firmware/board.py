@@ -1,0 +1,410 @@
+"""Board files: which registers of a microcontroller are wired to which part of a machine.
+
+docs/how_to/microcontroller.md has their keys. What is read are rows of the structs of runner.h.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar
+
+from arm_emulator.extension.base import REQUIRED, Number, Refusal, Section, read_yaml
+from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
+from arm_emulator.extension.compiler import CData, Header
+from arm_emulator.extension.machine import VOLTAGE_INPUT as VOLTAGE
+from arm_emulator.extension.machine import Scene
+from arm_emulator_firmware import FOLDER
+
+PAGE = 1024  # bytes that regions are multiples of
+PRIVATE = 0xE0000000  # where the processor's own registers begin
+MOST_INTERRUPTS = 240
+MOST = 64  # entries of a section
+LARGEST = 1 << 28  # bytes of a region
+
+RUNNER = Header(FOLDER / "runner.h", (BOUNDARY,))
+
+# Numbers of a board file, by their keys, in sections of these kinds.
+BOARD = (
+    Number("clock", "Hz", at_least=1e4, at_most=1e10),
+    Number("cycles_per_instruction", "cycles", at_least=0.0, at_most=1000.0, default=1.0),
+    Number("cycles_per_branch", "cycles", at_least=0.0, at_most=1000.0, default=1.0),
+    Number("boot", "s", at_least=0.0, at_most=100.0, default=0.0),
+    Number("interrupts", at_least=1, at_most=MOST_INTERRUPTS, whole=True),
+    Number("priority_bits", at_least=1, at_most=8, whole=True, default=4),
+)
+ENCODER = (Number("bits", at_least=8, at_most=32, whole=True),)
+CHANNEL = (
+    Number("bits", at_least=1, at_most=31, whole=True),
+    Number("counts_per_ampere", "1/A", at_least=1e-9, at_most=1e9, in_size=True),
+    Number("offset", "counts", at_least=0.0),
+)
+UART = (Number("baud", "1/s", at_least=1.0, at_most=1e8, default=115200.0),)
+
+_WORD = Number("", at_least=0, at_most=2**32 - 1, whole=True)
+_BIT = Number("bit", at_least=0, at_most=31, whole=True)
+_INTERRUPT = Number("interrupt", at_least=0, whole=True, default=-1)
+_FULL_SCALE = Number("full_scale", "V, A or N m", at_least=1e-9, at_most=1e9)
+
+_Entry = TypeVar("_Entry")
+_KINDS = {
+    word: RUNNER.constant(kind)
+    for word, kind in {
+        "flash": "MCU_FLASH", "ram": "MCU_RAM", "registers": "MCU_REGISTERS",
+        "code_ram": "MCU_CODE_RAM", "float": "MCU_VOLTS", "bipolar": "MCU_BIPOLAR",
+        "unipolar": "MCU_UNIPOLAR", "pair": "MCU_PAIR", "enable": "MCU_ENABLE",
+        "brake": "MCU_BRAKE", "fault": "MCU_FAULT", "powered": "MCU_POWERED",
+    }.items()
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Region:
+    """A piece of the address space.
+
+    Attributes:
+        kind: "flash", "ram", "code_ram" (which instructions may run from) or "registers".
+    """
+
+    name: str
+    at: int
+    size: int
+    kind: str
+
+
+Row = dict[str, Any]  # fields of a struct
+
+
+@dataclass(frozen=True)
+class Board:
+    """A microcontroller and its wiring.
+
+    Attributes:
+        where: the file's name.
+        regions: pieces of its address space.
+        uarts: names of its serial lines.
+        rows: of the structs of runner.h, by what follows ``mcu_`` in their names.
+        fields: of ``mcu_board`` itself; "mailbox" of ``mcu_mailbox``, if there is one.
+    """
+
+    where: str
+    regions: tuple[Region, ...]
+    uarts: tuple[str, ...]
+    rows: dict[str, tuple[Row, ...]] = field(repr=False)
+    fields: Row = field(repr=False)
+
+
+def load_board(file: Path, joint_names: Sequence[str]) -> Board:
+    """Read a board file.
+
+    Args:
+        file: which one.
+        joint_names: of the scene.
+
+    Raises:
+        Refusal: no such file, no YAML, a key that is not known or missing, a value out of its
+            range, registers outside of every block or used twice, or unknown joints.
+    """
+    return _Reader(Section(read_yaml(file), file.name), joint_names).board()
+
+
+class _Reader:
+    def __init__(self, top: Section, joint_names: Sequence[str]) -> None:
+        self._top = top
+        self._joints = tuple(joint_names)
+        self._blocks: tuple[Region, ...] = ()
+        self._used: dict[int, str] = {}
+        self._channels: list[Row] = []
+        self._adcs = 0
+
+    def board(self) -> Board:
+        top = self._top
+        memory = self._entries("memory", self._memory)
+        self._blocks = self._entries("registers", self._block)
+        regions = (*memory, *self._blocks)
+        _check_regions(top.where, regions)
+        flash = [region.at for region in memory if region.kind == "flash"]
+        if not flash:
+            raise Refusal(top.where, "memory", "have a region of kind flash", "none")
+        fields = _numbers(top, BOARD)
+        self._interrupts = fields["interrupts"]
+        fields["vectors"] = self._vectors(memory, flash[0])
+        fields["preload"] = top.flag("preload")
+        rows = {
+            "region": tuple(
+                {"at": one.at, "size": one.size, "kind": _KINDS[one.kind]} for one in regions
+            ),
+            "word": self._entries("values", self._word),
+            "encoder": self._of_joints("encoders", self._encoder),
+            "adc": self._entries("adc", self._adc),
+            "port": self._entries("ports", self._port),
+            "pwm": self._of_joints("pwm", self._pwm),
+            "pin": self._entries("pins", self._pin),
+            "uart": self._entries("uart", self._uart),
+            "channel": tuple(self._channels),
+        }
+        if (mailbox := self._mailbox()) is not None:
+            fields["mailbox"] = mailbox
+        names = [name for name, _ in self._sections(top, "uart")]
+        top.finish()
+        if sum(uart["targets"] for uart in rows["uart"]) > 1:
+            raise Refusal(top.where, "uart", "bring targets on one line at most", "several")
+        joints = [channel["joint"] for channel in self._channels]
+        for joint in joints:
+            if joints.count(joint) > 1:
+                rule = "have a channel of one converter at most"
+                raise Refusal(top.where, "adc", rule, f"several for {self._joints[joint]}")
+        return Board(top.where, regions, tuple(names), rows, fields)
+
+    def _vectors(self, memory: tuple[Region, ...], default: int) -> int:
+        at = _word(self._top, "vectors", default)
+        size = 4 * (16 + self._interrupts)
+        if at % 128 or not any(one.at <= at <= one.at + one.size - size for one in memory):
+            rule = f"be a multiple of 128 with {size} bytes of memory from there on"
+            raise self._top.refusal("vectors", rule, hex(at))
+        return at
+
+    def _memory(self, name: str, section: Section) -> Region:
+        kinds = ("flash", "ram", "code_ram")
+        kind = section.choice("kind", kinds, name)
+        if kind not in kinds:
+            raise section.refusal("kind", "be there", "nothing", ", ".join(kinds))
+        return self._region(name, section, kind)
+
+    def _block(self, name: str, section: Section) -> Region:
+        return self._region(name, section, "registers")
+
+    def _region(self, name: str, section: Section, kind: str) -> Region:
+        at, size = _word(section, "at"), _word(section, "size")
+        for key, value in (("at", at), ("size", size)):
+            if value % PAGE:
+                raise section.refusal(key, f"be a multiple of {PAGE} bytes", hex(value))
+        if not 0 < size <= LARGEST:
+            raise section.refusal("size", f"be from {PAGE} to {LARGEST:#x} bytes", hex(size))
+        if at + size > PRIVATE:
+            rule = f"end at or below {PRIVATE:#x}, where the processor's own registers are"
+            raise section.refusal("at", rule, f"{at:#x} to {at + size:#x}")
+        if kind == "registers" and at == 0:
+            raise section.refusal("at", "be > 0", hex(at))
+        return Region(name, at, size, kind)
+
+    def _word(self, _name: str, section: Section) -> Row:
+        at = self._register(section, "at")
+        return {"at": at, "value": _word(section, "value"), "fixed": _word(section, "fixed", 0)}
+
+    def _encoder(self, joint: str, section: Section) -> Row:
+        numbers = _numbers(section, ENCODER)
+        return {"joint": self._joints.index(joint), "at": self._own(section, "at"), **numbers}
+
+    def _adc(self, _name: str, section: Section) -> Row:
+        sections = self._sections(section, "channels")
+        channels = [self._channel(one) for _, one in sections]
+        for (joint, _), channel in zip(sections, channels, strict=True):
+            self._check_joint(section, "channels", joint)
+            channel |= {"joint": self._joints.index(joint), "adc": self._adcs}
+        self._channels += channels
+        self._adcs += 1
+        status = self._own(section, "status") if section.has("status") else 0
+        control = self._own(section, "control") if section.has("control") else 0
+        for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
+            if section.has(key) and not needs:
+                what = "control" if key == "enable" else "status"
+                raise section.refusal(key, f"stand beside `{what}`, a register", "none")
+        return {
+            "status": status,
+            "flag": section.integer(_BIT.named("flag")) if status else 0,
+            "control": control,
+            "enable": section.integer(_BIT.named("enable")) if control else 0,
+            "interrupt": self._interrupt(section),
+            "clear_by_one": section.choice("clear", ("zero", "one"), "zero") == "one",
+        }
+
+    def _channel(self, section: Section) -> Row:
+        at = self._own(section, "at")
+        if section.choice("holds", ("counts", "float"), "counts") == "float":
+            return {"at": at, "bits": 0}
+        numbers = _numbers(section, CHANNEL)
+        section.number(replace(CHANNEL[-1], at_most=2 ** numbers["bits"] - 1))
+        return {"at": at, **numbers}
+
+    def _pwm(self, joint: str, section: Section) -> Row:
+        kinds = ("bipolar", "unipolar", "pair", "float")
+        kind = section.choice("kind", kinds, "")
+        if not kind:
+            raise section.refusal("kind", "be there", "nothing", ", ".join(kinds))
+        counted = kind != "float"
+        unipolar = kind == "unipolar"
+        row: Row = {
+            "joint": self._joints.index(joint),
+            "kind": _KINDS[kind],
+            "compare": self._register(section, "compare"),
+            "reload": self._register(section, "reload") if counted else 0,
+        }
+        aligned = section.choice("aligned", ("edge", "center"), "edge") if counted else ""
+        row |= {
+            "counts_more": aligned == "edge",
+            "minus": self._register(section, "minus") if kind == "pair" else 0,
+            "direction": self._register(section, "direction") if unipolar else 0,
+            "direction_bit": section.integer(_BIT.named("direction_bit")) if unipolar else 0,
+        }
+        if not counted:
+            row["full_scale"] = 0.0
+        elif section.has("full_scale"):
+            row["full_scale"] = section.number(_FULL_SCALE)
+        return row
+
+    def _pin(self, _name: str, section: Section) -> Row:
+        kinds = ("enable", "brake", "fault", "powered")
+        is_ = section.choice("is", kinds, "")
+        if not is_:
+            raise section.refusal("is", "be there", "nothing", ", ".join(kinds))
+        joint = section.text("joint") if section.has("joint") else ""
+        if joint:
+            self._check_joint(section, "joint", joint)
+        return {
+            "joint": self._joints.index(joint) if joint else -1,
+            "kind": _KINDS[is_],
+            "bit": section.integer(_BIT),
+            "low": section.choice("active", ("high", "low"), "high") == "low",
+            "at": self._register(section, "at"),
+        }
+
+    def _port(self, _name: str, section: Section) -> Row:
+        row = {"output": self._register(section, "output")}
+        for key in ("set_reset", "set", "clear"):
+            row[key] = self._own(section, key) if section.has(key) else 0
+        return row
+
+    def _uart(self, _name: str, section: Section) -> Row:
+        row = {key: self._own(section, key) for key in ("status", "data", "control")}
+        row |= {"interrupt": self._interrupt(section), "targets": section.flag("targets")}
+        return {**row, **_numbers(section, UART)}
+
+    def _mailbox(self) -> Row | None:
+        section = self._top.section("targets")
+        if section is None:
+            return None
+        joints = section.required_section("joints")
+        names = joints.keys()
+        for joint in names:
+            self._check_joint(section, "joints", joint)
+        at = {joint: self._own(joints, joint) for joint in names}
+        return {
+            "at": [at.get(joint, 0) for joint in self._joints],
+            "count": self._own(section, "count"),
+            "interrupt": self._interrupt(section),
+        }
+
+    def _interrupt(self, section: Section) -> int:
+        return section.integer(replace(_INTERRUPT, at_most=self._interrupts - 1))
+
+    def _check_joint(self, section: Section, key: str, joint: str) -> None:
+        if joint not in self._joints:
+            rule = "name joints of the scene"
+            raise section.refusal(key, rule, joint, ", ".join(self._joints))
+
+    def _of_joints(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
+        section = self._top.section(key)
+        for joint in section.keys() if section else ():
+            self._check_joint(self._top, key, joint)
+        return self._entries(key, read)
+
+    def _entries(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
+        return tuple(read(name, one) for name, one in self._sections(self._top, key))
+
+    @staticmethod
+    def _sections(above: Section, key: str) -> list[tuple[str, Section]]:
+        section = above.section(key)
+        names = section.keys() if section else []
+        if len(names) > MOST:
+            raise above.refusal(key, f"have at most {MOST} entries", len(names))
+        return [(name, section.required_section(name)) for name in names] if section else []
+
+    def _own(self, section: Section, key: str) -> int:
+        """Return the address of a register that nothing else uses."""
+        at = self._register(section, key)
+        if at in self._used:
+            rule = f"be a register of its own, not {self._used[at]}"
+            raise section.refusal(key, rule, hex(at))
+        self._used[at] = "the one of another key"
+        return at
+
+    def _register(self, section: Section, key: str) -> int:
+        at = _word(section, key)
+        if at % 4 or not any(one.at <= at < one.at + one.size for one in self._blocks):
+            known = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"
+            rule = "be a multiple of 4 within a block of `registers`"
+            raise section.refusal(key, rule, hex(at), known)
+        return at
+
+
+def _numbers(section: Section, declared: Sequence[Number]) -> Row:
+    return {one.name: section.number(one) for one in declared}
+
+
+def _word(section: Section, key: str, default: int | None = None) -> int:
+    """Return a whole number of 32 bits, written as 0x40000000 or in decimal."""
+    value = section.value(key)
+    if isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value):
+        return int(value, 16)
+    return section.integer(
+        replace(_WORD, name=key, default=REQUIRED if default is None else default)
+    )
+
+
+def _check_regions(where: str, regions: tuple[Region, ...]) -> None:
+    ordered = sorted(regions, key=lambda one: one.at)
+    for one, other in pairwise(ordered):
+        if one.at + one.size > other.at:
+            rule = f"end before {other.name} begins, at {other.at:#x}"
+            raise Refusal(where, f"region {one.name}", rule, hex(one.at + one.size))
+
+
+def board_struct(
+    board: Board, scene: Scene, uarts: dict[str, tuple[int, int]]
+) -> tuple[CData, dict[str, CData]]:
+    """Return a board as in runner.h, and the objects that must outlive it.
+
+    Args:
+        board: wiring of registers.
+        scene: the machine.
+        uarts: file descriptors to write to and to read from, of each serial line that has some.
+
+    Raises:
+        Refusal: a bridge makes no command of the kind that a joint takes.
+    """
+    rows = dict(board.rows)
+    rows["pwm"] = tuple({"full_scale": _full_scale(one, scene), **one} for one in rows["pwm"])
+    rows["uart"] = tuple(
+        {**one, **dict(zip(("out", "in"), uarts.get(name, (-1, -1)), strict=True))}
+        for name, one in zip(board.uarts, rows["uart"], strict=True)
+    )
+    fields = dict(board.fields)
+    kept: dict[str, CData] = {}  # the struct points to them
+    for name, some in rows.items():
+        fields[name] = kept[name] = RUNNER.ffi.new(f"mcu_{name}[]", some)
+        fields[f"{name}s"] = len(some)
+    if "mailbox" in fields:
+        at = kept["at"] = RUNNER.ffi.new("uint32_t[]", fields["mailbox"]["at"])
+        mailbox = RUNNER.new("mcu_mailbox", **{**fields["mailbox"], "at": at})
+        fields["mailbox"] = kept["mailbox"] = mailbox
+    period = round(scene.servo_period * 1e9)
+    return RUNNER.new("mcu_board", joints=len(scene.joints), period=period, **fields), kept
+
+
+def _full_scale(pwm: Row, scene: Scene) -> float:
+    """Return the command at a duty of 1 [V, A or N m] where none is given: of a bridge the supply.
+
+    Raises:
+        Refusal: no bridge makes such a command.
+    """
+    joint = scene.joints[pwm["joint"]]
+    command = joint.inputs[0]
+    if command != VOLTAGE and "full_scale" not in pwm:
+        takes = f"{command.about} [{command.unit}]"
+        rule = f"be given: the joint's command is {takes}, and no bridge makes that of a duty"
+        raise Refusal("board", f"pwm.{joint.name}.full_scale", rule, "nothing")
+    return scene.supply_voltage

@@ -1,0 +1,118 @@
+"""From a scene to a functional mock-up unit: a file that simulators load."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shlex
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from arm_emulator.extension.base import Refusal, config_folder
+from arm_emulator.extension.compiler import CORE_FOLDER as CORE
+from arm_emulator.extension.compiler import TICK_FOLDERS as FOLDERS
+from arm_emulator.extension.compiler import compiled_bytes, fingerprint
+from arm_emulator.extension.machine import Scene
+from arm_emulator_fmu.model_description import (
+    build_description,
+    model_description,
+    model_description_2,
+)
+from arm_emulator_fmu.names import identifier
+from arm_emulator_fmu.page import page
+from arm_emulator_fmu.unit import FOLDER, unit_of
+from arm_emulator_fmu.variables import scalars, variables
+from arm_emulator_fmu.windows import windows_binary
+
+# That most machines have; "native" is faster, and gives other bits.
+TARGET = "x86-64-v2" if platform.machine() == "x86_64" else "native"
+PLATFORMS = {"3": f"{platform.machine()}-linux", "2": "linux64"}  # by the version of FMI
+WINDOWS = {"3": "x86_64-windows", "2": "win64"}
+_SOURCES = ("machine.cpp", "unit.cpp")
+_NEEDED = b"""\
+The binary for Linux needs libc, libm, libgcc_s and libstdc++ of GCC 7 or later, as every Linux with
+programs in C++ has them. The binary for Windows, where there is one, needs the system's own only.
+"""
+_DATE = (1980, 1, 1, 0, 0, 0)  # so that equal scenes make equal files
+
+
+def export(
+    scene: Scene, out: Path, target: str = TARGET, version: str = "3", windows: bool = False
+) -> None:
+    """Write a scene's machine as a unit for co-simulation.
+
+    Args:
+        scene: the machine; its `varied` numbers become tunable parameters.
+        out: the file, which ends in ``.fmu``.
+        target: which processors its binary is for, see `arm_emulator.build.unit.compile_units`.
+        version: of FMI, one of `unit.VERSIONS`; without arrays in FMI 2.
+        windows: with a binary for 64-bit Windows, too.
+
+    Raises:
+        Refusal: another ending, a file that cannot be written, or no compiler.
+    """
+    if out.suffix != ".fmu":
+        raise Refusal("fmu", "--out", "end in .fmu", out.name)
+    listed = variables(scene) if version == "3" else scalars(scene)
+    unit, token = unit_of(scene, listed, version)
+    library = compiled_bytes(unit, target)
+    name = identifier(scene.name)
+    options = shlex.join([*unit.flags, f"-march={target}"])
+    definition = f"ARM_FINGERPRINT={fingerprint(unit)}"
+    command = f"g++ {options} -I. -D{definition} {' '.join(_SOURCES)} -o {name}.so"
+    sources = dict(zip(_SOURCES, (unit.source, unit.beside), strict=True))
+    sources |= _included(*sources.values())
+    if version == "3":
+        own = {
+            "modelDescription.xml": model_description(scene, listed, token),
+            "sources/buildDescription.xml": build_description(scene, _SOURCES, options, definition),
+        }
+    else:
+        own = {"modelDescription.xml": model_description_2(scene, listed, token)}
+    files = {
+        **own,
+        "documentation/index.html": page(scene, listed, command),
+        "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
+        "documentation/externalDependencies.txt": _NEEDED,
+        **{f"sources/{file}": text.encode() for file, text in sources.items()},
+        f"binaries/{PLATFORMS[version]}/{name}.so": library,
+    }
+    if windows:
+        files[f"binaries/{WINDOWS[version]}/{name}.dll"] = windows_binary(unit)
+    try:
+        _write(out, files)
+    except OSError as error:
+        raise Refusal("fmu", f"file {out}", "be writable", error.strerror) from None
+
+
+def _included(*sources: str) -> dict[str, str]:
+    """Return the files that sources include, and those that they include, by name."""
+    found: dict[str, str] = {}
+    left = list(sources)
+    while left:
+        for name in re.findall(r'^ *# *include "([^"]+)"', left.pop(), re.M):
+            if name not in found:
+                file = next(
+                    folder / name
+                    for folder in (FOLDER, CORE, *FOLDERS)
+                    if (folder / name).is_file()
+                )
+                found[name] = file.read_text(encoding="utf-8")
+                left.append(found[name])
+    return dict(sorted(found.items()))
+
+
+def _write(out: Path, files: Mapping[str, bytes]) -> None:
+    """Write the archive beside its place, then move it there."""
+    with tempfile.TemporaryDirectory(prefix=f"{out.name}.", dir=out.parent) as scratch:
+        beside = Path(scratch) / out.name
+        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in files.items():
+                one = zipfile.ZipInfo(name, _DATE)
+                one.compress_type = zipfile.ZIP_DEFLATED
+                one.external_attr = 0o644 << 16
+                archive.writestr(one, content)
+        os.replace(beside, out)

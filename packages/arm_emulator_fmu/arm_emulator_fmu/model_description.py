@@ -1,0 +1,195 @@
+"""modelDescription.xml of FMI 3.0 and 2.0, and the file that describes how to compile the sources.
+
+That of FMI 2.0 does not list the sources: importers take those for C, or for C++ of another year.
+They are there for people.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from arm_emulator.extension.base import xml_text
+from arm_emulator.extension.machine import Scene
+from arm_emulator_fmu.names import convention, identifier, written
+from arm_emulator_fmu.units import BASE, DISPLAYED, OFFSETS, powers_of
+from arm_emulator_fmu.variables import Variable
+
+TOOL = "arm_emulator"
+# Categories of what is logged, as in log.hpp.
+LOG_CATEGORIES = {
+    "logEvents": "reset, start, states that were set",
+    "logStatusDiscard": "values and steps that are not taken; nothing has changed",
+    "logStatusError": "calls that end the simulation, among them a machine that diverged",
+}
+_CAUSALITY = {"fixed": "parameter", "tunable": "parameter"}
+# FMI 2 has no integers of 64 bits, and some attributes beside the type.
+_TYPES_2 = {"Float64": "Real", "Int64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+_TYPED_2 = ("unit", "displayUnit", "min", "max", "start")
+
+
+def model_description(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
+    """Return modelDescription.xml of FMI 3.0.
+
+    Args:
+        scene: the machine.
+        variables: of it, in the order of their value references.
+        token: that the binary expects.
+    """
+    naming = convention(one.name for one in variables)
+    root = ET.Element("fmiModelDescription", fmiVersion="3.0", instantiationToken=token)
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier(scene.name),
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
+        canHandleVariableCommunicationStepSize="true",
+        canReturnEarlyAfterIntermediateUpdate="true",
+        providesIntermediateUpdate="true",
+        fixedInternalStepSize=repr(scene.servo_period),
+    )
+    _header(root, scene, variables)
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, one in enumerate(variables):
+        element = ET.SubElement(listed, one.type, _attributes(one, reference, naming))
+        if one.role == "output":
+            element.set("intermediateUpdate", "true")
+        for size in one.shape:
+            ET.SubElement(element, "Dimension", start=str(size))
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [str(k) for k, one in enumerate(variables) if one.role == "output"]
+    begin = " ".join(str(k) for k, one in enumerate(variables) if one.decides_on_start)
+    for k in outputs:
+        ET.SubElement(structure, "Output", valueReference=k, dependencies="")
+    for k in outputs:
+        ET.SubElement(structure, "InitialUnknown", valueReference=k, dependencies=begin)
+    return _as_bytes(root)
+
+
+def model_description_2(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
+    """Return modelDescription.xml of FMI 2.0.
+
+    Args:
+        scene: the machine.
+        variables: of it, single numbers, in the order of their value references.
+        token: that the binary expects.
+    """
+    naming = convention(one.name for one in variables)
+    root = ET.Element("fmiModelDescription", fmiVersion="2.0", guid=token)
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier(scene.name),
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    _header(root, scene, variables)
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, one in enumerate(variables):
+        attributes = _attributes(one, reference, naming)
+        own = {name: attributes.pop(name) for name in _TYPED_2 if name in attributes}
+        element = ET.SubElement(listed, "ScalarVariable", attributes)
+        ET.SubElement(element, _TYPES_2[one.type], own)
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [k for k, one in enumerate(variables, 1) if one.role == "output"]
+    begin = [k for k, one in enumerate(variables, 1) if one.decides_on_start]
+    for name, dependencies in (
+        ("Outputs", ""),
+        ("InitialUnknowns", " ".join(map(str, begin))),
+    ):
+        group = ET.SubElement(structure, name)
+        for k in outputs:
+            ET.SubElement(group, "Unknown", index=str(k), dependencies=dependencies)
+    return _as_bytes(root)
+
+
+def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
+    """Add the parts that all versions share: origin, units, categories."""
+    joints = xml_text(", ".join(scene.joint_names))
+    root.attrib.update(
+        modelName=xml_text(scene.name) or "arm",
+        description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
+        generationTool=TOOL,
+        variableNamingConvention=convention(one.name for one in variables),
+    )
+    root.append(_units(variables))
+    categories = ET.SubElement(root, "LogCategories")
+    for name, what in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=what)
+    period = repr(scene.servo_period)
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=period)
+
+
+def _attributes(one: Variable, reference: int, naming: str) -> dict[str, str]:
+    """Return the attributes of a variable."""
+    continuous = one.type == "Float64"
+    attributes = {
+        "name": written(one.name, one.element, naming),
+        "valueReference": str(reference),
+        "description": xml_text(one.description),
+        "causality": _CAUSALITY.get(one.role, one.role),
+        "variability": "continuous" if continuous else "discrete",
+    }
+    if one.role in _CAUSALITY:
+        attributes["variability"] = one.role
+    if one.unit and continuous:
+        attributes["unit"] = one.unit
+        if one.unit in DISPLAYED:
+            attributes["displayUnit"] = DISPLAYED[one.unit][0]
+    if one.bounds is not None:
+        attributes["min"], attributes["max"] = (repr(float(bound)) for bound in one.bounds)
+    if one.start is not None:
+        boolean = one.type == "Boolean"
+        texts = (str(bool(value)).lower() if boolean else repr(float(value)) for value in one.start)
+        attributes["start"] = " ".join(texts)
+    return attributes
+
+
+def build_description(scene: Scene, sources: Sequence[str], options: str, definition: str) -> bytes:
+    """Return sources/buildDescription.xml.
+
+    Args:
+        scene: the machine.
+        sources: the files to compile.
+        options: of the compiler.
+        definition: of its preprocessor, ``NAME=VALUE``.
+    """
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(
+        root, "BuildConfiguration", modelIdentifier=identifier(scene.name)
+    )
+    files = ET.SubElement(
+        configuration, "SourceFileSet", language="C++20", compiler="gcc", compilerOptions=options
+    )
+    for source in sources:
+        ET.SubElement(files, "SourceFile", name=source)
+    name, _, value = definition.partition("=")
+    ET.SubElement(files, "PreprocessorDefinition", name=name, value=value)
+    ET.SubElement(files, "IncludeDirectory", name=".")
+    ET.SubElement(configuration, "Library", name="pthread", external="true")
+    return _as_bytes(root)
+
+
+def _as_bytes(root: ET.Element) -> bytes:
+    """Return an XML file."""
+    ET.indent(root)
+    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _units(variables: Sequence[Variable]) -> ET.Element:
+    root = ET.Element("UnitDefinitions")
+    for name in dict.fromkeys(one.unit for one in variables if one.unit):
+        element = ET.SubElement(root, "Unit", name=name)
+        powers = powers_of(name)
+        if powers is not None:
+            base = {base: str(powers[base]) for base in BASE if base in powers}
+            if name in OFFSETS:
+                base["offset"] = repr(OFFSETS[name])
+            ET.SubElement(element, "BaseUnit", base)
+        if name in DISPLAYED:
+            shown, factor = DISPLAYED[name]
+            ET.SubElement(element, "DisplayUnit", name=shown, factor=repr(factor))
+    return root

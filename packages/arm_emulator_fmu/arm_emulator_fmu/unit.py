@@ -1,0 +1,104 @@
+"""The C++ of a unit: a scene's machine, the table of its variables, and the functions of FMI."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.extension.base import VELOCITY
+from arm_emulator.extension.compiler import TICK_FOLDERS, Unit
+from arm_emulator.extension.machine import (
+    Scene,
+    further_inputs,
+    input_at,
+    largest_position,
+    machine_unit,
+    modes_of,
+    readings_of,
+)
+from arm_emulator.extension.machine import cxx_number as number
+from arm_emulator_fmu.variables import Variable
+
+FOLDER = Path(__file__).resolve().parent
+VERSIONS = ("3", "2")  # of FMI
+
+
+def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
+    """Return the unit, and the token that its binary expects.
+
+    The functions of FMI are compiled beside the machine, and so leave it its bits.
+
+    Args:
+        scene: the machine.
+        variables: of it, in the order of their value references.
+        version: of FMI, one of `VERSIONS`.
+    """
+    machine = machine_unit(scene)
+    table = _table(scene, variables)
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {machine.source} {table}')}}}"
+    unit = replace(
+        machine,
+        name=f"{scene.name}-fmu{version}",
+        beside=f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
+        f'#include "tick.c"\n#include "fmi{version}.cpp"\n',
+        folders=(*machine.folders, *TICK_FOLDERS, FOLDER),
+        more=(f"fmi{version}GetVersion",),
+        about=f"{machine.about} for FMI {version}.0",
+    )
+    return unit, token
+
+
+def _table(scene: Scene, variables: Sequence[Variable]) -> str:
+    """Return the constants of instance.hpp; the namespace is left open."""
+    rows = ",\n".join(map(_row, variables))
+    modes = ", ".join(map(str, modes_of(scene)))
+    names = further_inputs(scene)
+    at = [input_at(joint, name) for name in names for joint in scene.joints]
+    has = ", ".join("true" if one else "false" for one in at)
+    parameters = _numbers([*(one.value for one in scene.varied), 0.0])
+    return f"""\
+#include "variable.hpp"
+
+namespace fmu {{
+inline constexpr int kJoints = {len(scene.joints)}, kLinks = {len(scene.chain.links)};
+inline constexpr int kParameters = {len(scene.varied)};
+inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(readings_of(scene))};
+inline constexpr int kInputs = {len(names)};  // of motors beside their command
+inline constexpr bool kHasInput[kInputs * kJoints + 1] = {{{has}}};
+inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
+inline constexpr double kPeriod = {number(scene.servo_period)};  // s, of the servo
+inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s
+inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
+inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
+inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
+inline constexpr double kLargestQ[] = {{{_numbers(largest_position(scene))}}};
+inline constexpr double kLargestV = {_numbers(VELOCITY.most)};
+inline constexpr double kParameterStart[] = {{{parameters}}};
+}}
+
+#include "data.hpp"
+
+namespace fmu {{
+inline constexpr Variable kVariables[] = {{
+{rows}}};
+"""
+
+
+def _row(one: Variable) -> str:
+    array, brackets, field = one.symbol.partition("[]")
+    value = f"{array}[{one.first}]{field}" if brackets else array
+    element = f"{array}[0]" if brackets else array
+    truth = "true" if one.symbol.startswith("truth.") else "false"
+    return (
+        f"    {{Type::{one.type.lower()}, Role::{one.role}, Rule::{one.rule}, {truth}, "
+        f"FMU_PLACE({value}, {element}), {one.first}, {one.count}}}"
+    )
+
+
+def _numbers(values: ArrayLike) -> str:
+    return ", ".join(map(number, np.atleast_1d(values)))

@@ -1,0 +1,351 @@
+"""Variables of a unit: one list, from which its XML and its C++ are generated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from arm_emulator.extension.machine import OUTPUT_AXES as AXES
+from arm_emulator.extension.machine import (
+    Output,
+    Scene,
+    Varied,
+    further_inputs,
+    input_at,
+    input_units,
+    outputs_of,
+    rows_of,
+    units_of,
+)
+from arm_emulator_fmu.names import Parts
+
+# Of outputs, by their kind.
+_TYPES = {"number": "Float64", "count": "Int64", "bits": "Int32", "flag": "Boolean"}
+# The masses of links, arm_emulator/machine/varied.py, by the beginning of their names.
+_LINK_UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable; its value reference is its place in the list.
+
+    Attributes:
+        name: parts of its name.
+        symbol: where its values are in `struct Data` of data.hpp; [] where they are an array's.
+        type: Float64, Int64, Int32 or Boolean.
+        role: independent, fixed, tunable, input or output.
+        description: what it is.
+        units: of its values; one for each of `joints` if there are any, else one or none.
+        first: its first value in the array.
+        rule: what values must satisfy that are set, of `enum class Rule` in variable.hpp.
+        shape: of its array; () of a single number.
+        start: values that it begins with, in a row; None of outputs.
+        bounds: least and largest value.
+        joints: names of those that its first index counts, base to tool.
+        element: which element of an array it is, from 1; None: none.
+    """
+
+    name: Parts
+    symbol: str
+    type: str
+    role: str
+    description: str
+    units: tuple[str, ...] = ()
+    first: int = 0
+    rule: str = "finite"
+    shape: tuple[int, ...] = ()
+    start: tuple[float, ...] | None = None
+    bounds: tuple[float, float] | None = None
+    joints: tuple[str, ...] = ()
+    element: int | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of its values."""
+        return math.prod(self.shape)
+
+    @property
+    def decides_on_start(self) -> bool:
+        """Whether outputs at the start depend on it; other inputs decide on what comes after."""
+        return self.role in ("fixed", "tunable") or self.symbol == "values.now.power"
+
+    @property
+    def unit(self) -> str | None:
+        """Of all its values; None where they have none, or differ."""
+        return self.units[0] if len(set(self.units)) == 1 else None
+
+
+def variables(scene: Scene) -> tuple[Variable, ...]:
+    """Return the variables of a scene's machine, in the order of their value references."""
+    time = Variable(("time",), "shown.time", "Float64", "independent", "simulation time", ("s",))
+    return (time, *_inputs(scene), *_parameters(scene), *_measured(scene), *_truth(scene))
+
+
+def scalars(scene: Scene) -> tuple[Variable, ...]:
+    """Return the same without arrays, for FMI 2: a variable per joint, named after it.
+
+    Time is no variable there, for some importers miss a start value of it, which it must not have.
+    """
+    found: list[Variable] = []
+    for array in variables(scene)[1:]:
+        rows = _of_joints(array) if array.joints else [array]
+        for row in rows:
+            found += _elements(row) if row.shape else [row]
+    return tuple(found)
+
+
+def _of_joints(array: Variable) -> list[Variable]:
+    each = array.count // len(array.joints)
+    what, _, _ = array.description.partition(", base to tool")
+    return [
+        replace(
+            array,
+            name=(*array.name, joint),
+            description=f"{what}: {joint}",
+            units=array.units[j : j + 1],
+            first=array.first + j * each,
+            shape=array.shape[1:],
+            start=None if array.start is None else array.start[j * each : (j + 1) * each],
+            joints=(),
+        )
+        for j, joint in enumerate(array.joints)
+    ]
+
+
+def _elements(array: Variable) -> list[Variable]:
+    return [
+        replace(
+            array,
+            first=array.first + k,
+            shape=(),
+            start=None if array.start is None else array.start[k : k + 1],
+            element=k + 1,
+        )
+        for k in range(array.count)
+    ]
+
+
+def _inputs(scene: Scene) -> list[Variable]:
+    N = len(scene.joints)
+    zero = (0.0,) * N
+    commands = tuple(joint.unit for joint in scene.joints)
+    what = "command to each motor, held over the step"
+    found = [_input(scene, "command", "Float64", what, commands, zero, "command")]
+    for k, name in enumerate(further_inputs(scene)):
+        abouts = (one.about for joint in scene.joints if (one := input_at(joint, name)))
+        what, units = " or ".join(dict.fromkeys(abouts)), input_units(scene, name)
+        row = _input(scene, name, "Float64", what, units, zero, "further")
+        found.append(replace(row, symbol="values.now.further[]", first=N * k))
+    what = "whether each drive is enabled"
+    found.append(_input(scene, "enable", "Boolean", what, (), (1.0,) * N))
+    if any(joint.brake for joint in scene.joints):
+        what = "whether each brake closes though its drive is enabled"
+        found.append(_input(scene, "close_brake", "Boolean", what, (), zero))
+    what = "power of all drives"
+    found.append(Variable(("power",), "values.now.power", "Boolean", "input", what, start=(1.0,)))
+    if scene.external_wrench:
+        for name, unit, what in (
+            ("force", "N", "external force on the link that each joint moves"),
+            ("moment", "N m", "external moment on the link that each joint moves"),
+            ("point", "m", "where the external force acts, in the frame of each link"),
+        ):
+            moved = tuple(link.name for link in scene.chain.links)
+            start = (0.0,) * (len(moved) * AXES)
+            symbol, units = f"values.now.external_{name}[]", (unit,) * len(moved)
+            row = _row(moved, ("external", name), symbol, "Float64", "input", what, units, start)
+            found.append(replace(row, rule="wrench", shape=(len(moved), AXES)))
+        what = "whether external forces and moments are in axes of the world, not of the links"
+        name_ = ("external", "world_axes")
+        symbol = "values.now.external_world_axes"
+        found.append(Variable(name_, symbol, "Boolean", "input", what, start=(0.0,)))
+    return found
+
+
+def _parameters(scene: Scene) -> list[Variable]:
+    q = tuple(joint.start for joint in scene.joints)
+    v = (0.0,) * len(q)
+    found = [
+        _row(scene.joint_names, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
+             f"{what} of each joint at the start", units, start, f"start_{name}")
+        for name, what, units, start in (
+            ("q", "position", _of_links(scene, "rad", "m"), q),
+            ("v", "speed", _of_links(scene, "rad/s", "m/s"), v),
+        )
+    ]  # fmt: skip
+    units = _units_of_varied(scene)
+    for k, one in enumerate(scene.varied):
+        found.append(
+            Variable(
+                _parts(one, scene),
+                "values.parameter[]",
+                "Float64",
+                "tunable",
+                f"{one.name} of the scene",
+                tuple(filter(None, (units.get(one.name),))),
+                first=k,
+                rule="parameter",
+                start=(one.value,),
+                bounds=one.number.ends,
+            )
+        )
+    return found
+
+
+def _measured(scene: Scene) -> list[Variable]:
+    outputs = outputs_of(scene)
+    found = [_output(scene, one) for one in outputs if not one.per_unit]
+    what = "whether the drives have power"
+    found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
+    for m, imu in enumerate(scene.imus):
+        for output in outputs:
+            if output.per_unit:
+                what = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
+                name, symbol = (output.name, imu.name), _in_unit(output, m)
+                one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
+                found.append(replace(one, shape=(AXES,)))
+    return found
+
+
+def _output(scene: Scene, output: Output) -> Variable:
+    array, _, field = output.symbol.partition(".")
+    symbol = f"shown.{array}[]" + (f".{field}" if field else "")
+    units = units_of(scene, output)
+    one = _row(
+        scene.joint_names,
+        (output.name,),
+        symbol,
+        _TYPES[output.kind],
+        "output",
+        output.about,
+        units,
+        None,
+    )
+    rows = rows_of(scene).get(array)
+    return one if rows is None else replace(one, first=len(scene.joints) * rows.index(output.name))
+
+
+def _in_unit(output: Output, unit: int) -> str:
+    array, _, field = output.symbol.partition(".")
+    return f"shown.{array}[{unit}].{field}[]"
+
+
+def _truth(scene: Scene) -> list[Variable]:
+    N = len(scene.joints)
+    found = [
+        _row(
+            scene.joint_names,
+            ("truth", name),
+            f"truth.{name}[]",
+            "Float64",
+            "output",
+            what,
+            units,
+            None,
+        )
+        for name, what, units in (
+            ("q", "true position of each joint", _of_links(scene, "rad", "m")),
+            ("v", "true speed of each joint", _of_links(scene, "rad/s", "m/s")),
+            ("gear_torque", "true torque of each gear on its link", _of_links(scene, "N m", "N")),
+            ("motor_angle", "true angle of each motor", ("rad",) * N),
+            ("motor_speed", "true speed of each motor", ("rad/s",) * N),
+            ("current", "true current of each motor", ("A",) * N),
+        )
+    ]
+    of_energy = ("truth", "energy")
+    what = "kinetic, potential, elastic and magnetic energy"
+    found.append(Variable(of_energy, "truth.energy", "Float64", "output", what, ("J",)))
+    for j, joint in enumerate(scene.joints):
+        for output in (truth for part in joint.parts for truth in part.truths):
+            name, symbol = ("truth", output.name, joint.name), f"truth.{output.symbol}[]"
+            what = f"{output.about} of {joint.name}"
+            one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
+            found.append(replace(one, first=j))
+    return found
+
+
+def _input(
+    scene: Scene,
+    name: str,
+    type_: str,
+    what: str,
+    units: tuple[str, ...],
+    start: tuple[float, ...],
+    rule: str = "finite",
+) -> Variable:
+    """Return a value per joint that the machine is given."""
+    symbol = f"values.now.{name}[]"
+    return _row(scene.joint_names, (name,), symbol, type_, "input", what, units, start, rule)
+
+
+def _row(
+    joints: tuple[str, ...],
+    name: Parts,
+    symbol: str,
+    type_: str,
+    role: str,
+    what: str,
+    units: tuple[str, ...],
+    start: tuple[float, ...] | None,
+    rule: str = "finite",
+) -> Variable:
+    """Return a variable with a value per joint."""
+    each = joints
+    if len(set(units)) > 1:
+        each = tuple(f"{joint} [{unit}]" for joint, unit in zip(joints, units, strict=True))
+    return Variable(
+        name,
+        symbol,
+        type_,
+        role,
+        f"{what}, base to tool: {', '.join(each)}",
+        units,
+        rule=rule,
+        shape=(len(joints),),
+        start=start,
+        joints=joints,
+    )
+
+
+def _of_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
+    kinds = [joint.kind for joint in scene.chain.joints]
+    return tuple(prismatic if kind == "prismatic" else revolute for kind in kinds)
+
+
+def _parts(one: Varied, scene: Scene) -> Sequence[str]:
+    """Return the parts of the name of a varied number; names in it may have dots."""
+    group, _, rest = one.name.partition(".")
+    known = {
+        "joints": scene.joint_names,
+        "links": tuple(link.link for link in scene.chain.links),
+        "imus": tuple(imu.name for imu in scene.imus),
+    }
+    owners = sum(known.values(), ()) if group == "faults" else known.get(group, ())
+    for owner in sorted(owners, key=len, reverse=True):
+        if rest.startswith(f"{owner}."):
+            return (group, owner, *rest[len(owner) + 1 :].split("."))
+    return one.name.split(".")
+
+
+def _units_of_varied(scene: Scene) -> dict[str, str]:
+    """Return the units of numbers that may be varied, where they are known.
+
+    Those of parts are declared for joints that turn; of joints that slide they are left out.
+    """
+    units = {"payload.mass": "kg"}
+    for link in scene.chain.links:
+        for name, unit in _LINK_UNITS.items():
+            for tail in ("", *(f"_{x}" for x in (*"xyz", "xx", "yy", "zz", "xy", "xz", "yz"))):
+                units[f"links.{link.link}.{name}{tail}"] = unit
+    for geometry, joint in zip(scene.chain.joints, scene.joints, strict=True):
+        if geometry.kind == "prismatic":
+            continue
+        for part in (*joint.parts, *joint.sensors.parts.values()):
+            for key, one in part.numbers().items():
+                units[f"{part.owners}.{joint.name}.{part.section}.{key}"] = one.unit
+    for imu in scene.imus:
+        for three in (imu.accelerometer, imu.gyroscope):
+            if three is not None:
+                for key, one in three.numbers().items():
+                    units[f"imus.{imu.name}.{three.section}.{key}"] = one.unit
+    return units

@@ -1,0 +1,113 @@
+"""The file of a unit: its description, its units, its bytes, its arguments."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import FULL
+from fmu_client import Fmu, rich_machine
+from fuzz.cores import random_machine
+from own_fmu import fmu, scene
+from random_scenes import NAMES as ODD_NAMES
+from random_scenes import draw
+
+from arm_emulator import Refusal, Scene, load_scene
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator_fmu.commands.fmu import fmu as write_fmu
+from arm_emulator_fmu.export import export
+from arm_emulator_fmu.model_description import model_description, model_description_2
+from arm_emulator_fmu.units import powers_of
+from arm_emulator_fmu.variables import scalars, variables
+
+__all__ = ["fmu", "scene"]  # fixtures
+
+
+# Of joints: in URDFs, whose XML has no other control characters than those.
+ODD = [one for one in ODD_NAMES if one and not set(one) & set("\0\x1b\r\n\t")]
+
+
+ODDER = [one for one in ODD if not one.isascii() or set(one) & set("'\"\\<>&")]
+
+
+def scenes(folder: Path, count: int) -> list[Scene]:
+    """Scenes that are taken, of any names and numbers."""
+    found: list[Scene] = []
+    for number in range(10 * count):
+        rng = np.random.default_rng([11, number])
+        at = folder / str(number)
+        try:
+            if number % 3 == 0:
+                path = random_machine(rng, at, int(rng.integers(1, 7)))
+            elif number % 3 == 1:
+                path = draw(rng, at)
+            else:
+                at.mkdir()
+                known = ODD if rng.random() < 0.5 else ODDER
+                names = rng.choice(known, int(rng.integers(1, 4)), replace=False)
+                path = rich_machine(at, tuple(map(str, names)))
+            found.append(load_scene(path, {} if number % 5 else {"varied": ["*"]}))
+        except Refusal:
+            continue
+        if len(found) == count:
+            break
+    return found
+
+
+def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
+    """Its names differ, its references lead somewhere, its start values fit."""
+    conventions = set()
+    for drawn in scenes(tmp_path, 50 if FULL else 16):
+        listed = variables(drawn)
+        root = ET.fromstring(model_description(drawn, listed, "{token}"))
+        elements = root.find("ModelVariables")
+        assert elements is not None and len(elements) == len(listed), "all are listed"
+        names = [one.attrib["name"] for one in elements]
+        assert len(set(names)) == len(names), "names differ"
+        assert not any(set(name) & set("\r\n\t") for name in names), "names are of one line"
+        units = {one.attrib["name"] for one in root.iter("Unit")}
+        for one in elements:
+            assert one.attrib.get("unit") in (None, *units), "its unit is defined"
+            size = math.prod(int(part.attrib["start"]) for part in one)
+            start = one.attrib.get("start")
+            assert start is None or len(start.split()) == size, "start values fit"
+        single = scalars(drawn)
+        root = ET.fromstring(model_description_2(drawn, single, "{token}"))
+        conventions.add(root.attrib["variableNamingConvention"])
+        names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
+        assert len(set(names)) == len(names), "names differ"
+        assert len(names) == sum(one.count for one in listed[1:]), "one per number, but for time"
+    assert conventions == {"structured", "flat"}, "names of both kinds are drawn"
+
+
+def test_units_are_powers_of_base_units() -> None:
+    for part in PARTS:
+        for key, one in part.numbers().items():
+            if one.varied and not one.whole:
+                assert powers_of(one.unit) is not None, (part.__name__, key, one.unit)
+    assert powers_of("V s/rad") == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
+    assert powers_of("N m/rad3") == {"kg": 1, "m": 2, "s": -2, "rad": -3}
+
+
+def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -> None:
+    files = tmp_path / "a.fmu", tmp_path / "b.fmu"
+    for file in files:
+        export(scene, file, "native")
+    assert files[0].read_bytes() == files[1].read_bytes(), "byte by byte"
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"scene": "no_such"}, "file no_such must exist"),
+    ({"varied": "joints.*.color"}, "varied must name numbers"),
+    ({"target": "z80"}, "target must be known"),
+    ({"out": Path("arm.zip")}, "--out must end in .fmu"),
+])  # fmt: skip
+def test_unknown_arguments_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    given = {"scene": "three_axis", "out": tmp_path / "arm.fmu", "target": "native", **change}
+    with pytest.raises(Refusal, match=words):
+        write_fmu(given.pop("scene"), **given)
+    assert not (tmp_path / "arm.fmu").exists(), "nothing is written"

@@ -1,0 +1,1 @@
+"""A scene's numbers from records of its motion; validation by real machines."""

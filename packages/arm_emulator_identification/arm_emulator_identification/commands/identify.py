@@ -1,0 +1,231 @@
+"""Identify a scene's numbers from measured motion."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from arm_emulator.extension.bags import Bag, RecordedTopics
+from arm_emulator.extension.base import Refusal, find_scene
+from arm_emulator.extension.base import given_warnings as given
+from arm_emulator.extension.commands import SceneName, command, output, plain
+from arm_emulator.extension.machine import Scene, link_angle_per_count, load_scene
+from arm_emulator_identification.found import Found, bodies_of, numbers_found
+from arm_emulator_identification.identified import (
+    Asked,
+    Identified,
+    doubts_of,
+    draw_torques,
+    gears_of,
+    identified,
+    with_followers,
+    write_fitted,
+)
+from arm_emulator_identification.measured_run import MeasuredRun
+from arm_emulator_identification.read_run import read_run, run_of
+from arm_emulator_identification.torque_fit import TorqueFit
+from arm_emulator_identification.torque_model import matches
+from arm_emulator_identification.wind_up import stiffness_found
+
+DELAYED = ("tau", "q_link")
+LONGEST_DELAY = 0.1  # s
+
+
+@command(
+    keys=(
+        "`record`, `samples`, `period`, `rows`, `explained`, `directions`, `numbers`, `scene`, "
+        "`picture`"
+    ),
+)
+def identify(
+    scene: SceneName,
+    data: Path,
+    /,
+    *,
+    fit: Annotated[str, Parameter(metavar="NAMES")] = "*",
+    hold: Annotated[str, Parameter(metavar="NAMES")] = "",
+    out: Annotated[Path, Parameter(metavar="SCENE")] = Path("fitted.yaml"),
+    angles: Literal["rad", "deg"] = "rad",
+    side: Literal["link", "motor"] = "link",
+    delay: Annotated[list[str] | None, Parameter(metavar="SIGNAL=S ...")] = None,
+    low_pass: Annotated[float, Parameter(metavar="HZ")] = 10.0,
+    trust: float = 0.5,
+    as_is: bool = False,
+) -> int:
+    """Find a scene's numbers from a record of its machine's motion.
+
+    Args:
+        scene: scene file or name: the nominal machine.
+        data: record: .npz, .csv, or a bag's folder.
+        fit: numbers to identify, separated by commas.
+        hold: numbers to keep, separated by commas.
+        out: the scene to write.
+        angles: unit in the data.
+        side: of the gear on which motor angles are measured.
+        delay: delays of tau or q_link.
+        low_pass: cut-off frequency.
+        trust: relative accuracy of the scene's inertias and springs.
+        as_is: skip the check of axes, signs and units.
+    """
+    if not 0.0 < trust <= 10.0:
+        raise Refusal("identify", "--trust", "be > 0 and <= 10", trust)
+    file = find_scene(scene)
+    nominal = load_scene(file)
+    if out.suffix != ".yaml":
+        raise Refusal("identify", "--out", "end in .yaml", out)
+    if out.resolve() == file.resolve():
+        raise Refusal("identify", "--out", "be another file than the scene", out)
+    wanted, kept = ([one for one in names.split(",") if one] for names in (fit, hold))
+    late = _delays(delay or ())
+    with _stages() as stage:
+        stage("read")
+        record = _record(data, nominal, angles, side).shifted(late)
+        asked = Asked(wanted, kept, low_pass, trust, as_is)
+        found = identified(nominal, record, asked, stage)
+        stage("write")
+        numbers = numbers_found(nominal, found.fit)
+        doubts = found.doubts + doubts_of(nominal, found.fit, numbers)
+        _write(out, file, nominal, found.fit, numbers, doubts, data.name)
+        # Gears wind up under the load of the fitted links.
+        springs = [one for one in gears_of(nominal) if matches(one, wanted)]
+        numbers += stiffness_found(load_scene(out), found.run, springs, kept)
+        _write(out, file, nominal, found.fit, numbers, doubts, data.name)
+        picture = out.with_suffix(".png")
+        title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
+        draw_torques(found.motion, found.torques, nominal.joint_names, picture, title)
+    console = output.console(110)
+    console.print(_heading(found, late, low_pass))
+    heads = "number", "unit", "before", "found", "+-", ""
+    rows = (
+        (one.name, one.unit, f"{one.before:.5g}", f"{one.value:.5g}", f"{one.deviation:.2g}",
+         one.remark)
+        for one in numbers
+    )  # fmt: skip
+    output.table(heads, rows, title="Found, with standard deviations", left=2)
+    for doubt in doubts:
+        console.print(f"warning: {doubt}", markup=False, highlight=False)
+    console.print(f"scene: {out}\npicture: {picture}")
+    given.extend(doubts)
+    output.facts(_facts(found, numbers, nominal) | {"scene": out, "picture": picture})
+    return 0
+
+
+@contextlib.contextmanager
+def _stages() -> Iterator[Callable[[str], None]]:
+    """Show the stage that runs; give what begins another one."""
+    columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
+    progress = Console(stderr=True)  # not for JSON, and erased at the end
+    hidden = not progress.is_terminal
+    with Progress(*columns, console=progress, transient=True, disable=hidden) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda stage: bar.update(task, description=stage)
+
+
+def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
+    if not data.is_dir() and data.suffix not in (".mcap", ".db3"):
+        return read_run(data, nominal, angles, side)
+
+    return read_bag_run(data, nominal)
+
+
+def _facts(found: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[str, Any]:
+    explained = dict(zip(nominal.joint_names, found.fit.explained, strict=True))
+    return {
+        "record": found.run.where,
+        "samples": len(found.run.t),
+        "period": found.run.period,
+        "rows": len(found.motion.t),
+        "explained": explained,
+        "directions": found.fit.directions,
+        "numbers": [{**plain(one), "remark": one.remark} for one in numbers],
+    }
+
+
+def _delays(given: Sequence[str]) -> dict[str, float]:
+    delays = dict[str, float]()
+    for one in given:
+        name, sign, text = one.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if name not in DELAYED or not sign or not abs(value) <= LONGEST_DELAY:
+            rule = f"be {' or '.join(DELAYED)}=SECONDS, at most {LONGEST_DELAY:g}"
+            raise Refusal("identify", "--delay", rule, one)
+        delays[name] = value
+    return delays
+
+
+def _heading(found: Identified, delays: dict[str, float], low_pass: float) -> str:
+    run, fit = found.run, found.fit
+    late = ", ".join(f"{name} {1e3 * value:g} ms late" for name, value in delays.items())
+    explained = ", ".join(f"{share:.1f}" for share in fit.explained)
+    return (
+        f"{run.where}: {len(run.t)} samples every {1e3 * run.period:g} ms; "
+        f"{late or 'no delays taken out'}; low-pass {low_pass:g} Hz both ways (Butterworth, order "
+        f"4), {len(found.motion.t)} rows used\n"
+        f"torque explained in motion: {explained} %\n"
+        f"{int(fit.fitted.sum())} numbers looked for; the motion has {fit.directions} "
+        "combinations of them, the rest is as uncertain as before"
+    )
+
+
+def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
+           doubts: Sequence[str], record: str) -> None:  # fmt: skip
+    values = {one.name: one.value for one in numbers if one.name.startswith("joints.")}
+    values = {name: value for name, value in values.items() if "measured_torque" not in name}
+    heading = [f"Made of {scene.where} by `arm_emulator identify`, of the record {record}.", ""]
+    heading += [one.line for one in numbers]
+    heading += [f"warning: {doubt}" for doubt in doubts]
+    values = with_followers(scene, values)
+    write_fitted(out, file, scene, values, bodies_of(scene, fit), "\n".join(heading))
+
+
+def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
+    """Read the motor states of a bag: counts and currents, or commanded torques.
+
+    Raises:
+        Refusal: it cannot be read, something is missing, or samples are not sound.
+    """
+    t = list[float]()
+    counts, current, command, at_link = (list[list[float]]() for _ in range(4))
+    tick = -1
+    for _, state in RecordedTopics(Bag(path)).read("motor_states"):
+        if state.tick == tick:
+            continue  # published again, as no answer came
+        tick = state.tick
+        names = list(state.joint_names)
+        for joint in scene.joint_names:
+            if joint not in names:
+                raise Refusal(str(path), "joints", f"be those of {scene.where}", ", ".join(names))
+        order = [names.index(joint) for joint in scene.joint_names]
+        t.append(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec)
+        for into, of in (
+            (counts, state.encoder_counts), (current, state.current),
+            (command, state.applied), (at_link, state.link_encoder_counts),
+        ):  # fmt: skip
+            into.append([of[k] if len(of) else 0 for k in order])
+    if not t:
+        raise Refusal(str(path), "bag", "have motor_states", "none")
+    q_motor = (np.array(counts, np.float64) + 0.5) * link_angle_per_count(scene)
+    units = np.array([joint.unit == "N m" for joint in scene.joints])
+    Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
+    tau = np.array(current, np.float64) * np.nan_to_num(Kt)
+    # A command is reported at the end of the period in which it held: here, half of it before.
+    applied = np.array(command, np.float64)
+    later = np.vstack([applied[1:], applied[-1:]])
+    tau = np.where(units, 0.5 * (applied + later), tau)
+    signals = {"t": np.array(t), "q_motor": q_motor, "tau": tau}
+    link = np.array(at_link, np.float64)
+    if link.any():
+        per = [joint.sensors.link_encoder for joint in scene.joints]
+        scale = [2.0 * np.pi / one.counts_per_turn if one else np.nan for one in per]
+        signals["q_link"] = (link + 0.5) * np.array(scale)
+    return run_of(signals, scene, str(path))

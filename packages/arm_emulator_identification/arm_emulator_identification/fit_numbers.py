@@ -1,0 +1,239 @@
+"""Unknowns of one's own from a record: any function of them may set the scene's numbers.
+
+The emulator itself follows the record: its commands drive an arm per unknown side by side, and
+Gauss-Newton brings its signals to the measured ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal, array_of
+from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
+from arm_emulator.extension.machine import STATE_ROWS as ROWS
+from arm_emulator.extension.machine import Fleet, Scene, could_vary, outputs_of, scene_of
+from arm_emulator_identification.structure import lasting
+
+WHERE = "fit_numbers"
+STEP = 0.01  # of an unknown's width, for the derivative
+ROUNDS = 3  # of fit and weights in alternation
+
+Modifier = Callable[[Mapping[str, float]], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Sought:
+    """An unknown.
+
+    Attributes:
+        value: where the search begins.
+        width: standard deviation with which that is known.
+        least, most: its range.
+    """
+
+    value: float
+    width: float
+    least: float = -math.inf
+    most: float = math.inf
+
+
+@dataclass(frozen=True)
+class FittedNumbers:
+    """Unknowns found.
+
+    Attributes:
+        values, deviations: of the unknowns, by name.
+        numbers: what the modifier makes of them, by the names of the scene's numbers.
+        errors: root mean square of what is left of each signal, by name.
+    """
+
+    values: dict[str, float]
+    deviations: dict[str, float]
+    numbers: dict[str, float]
+    errors: dict[str, float]
+
+
+def fit_numbers(
+    scene: Scene | str | Path,
+    commands: ArrayLike,
+    signals: Mapping[str, ArrayLike],
+    sought: Mapping[str, Sought],
+    modifier: Modifier = dict,
+) -> FittedNumbers:
+    """Return the unknowns with which the machine follows a record.
+
+    Args:
+        scene: the nominal machine, at rest in its start when the record begins.
+        commands: of the motors in each servo period (K, N) [V, N m or A].
+        signals: measured after each period (K, N), by names of `Plant.measured` or `Plant.state`.
+        sought: the unknowns, by names of one's own.
+        modifier: makes the scene's numbers, by names that could be `varied`, of values of the
+            unknowns. Without one the unknowns are such numbers themselves.
+
+    Raises:
+        Refusal: unknown names, wrong shapes, numbers out of their ranges.
+    """
+    scene = scene_of(scene, WHERE)
+    rows = ANY_COMMANDS.numbers(WHERE, commands)
+    if rows.ndim != 2 or rows.shape[1] != len(scene.joints) or not len(rows):
+        raise Refusal(WHERE, "commands", f"have shape (K, {len(scene.joints)})", rows.shape)
+    if not isinstance(signals, Mapping) or not isinstance(sought, Mapping):
+        got = signals if isinstance(sought, Mapping) else sought
+        raise Refusal(WHERE, "sought and signals", "be given by names", got)
+    if not callable(modifier):
+        raise Refusal(WHERE, "modifier", "be a function of the unknowns", modifier)
+    measured = {name: _signal(scene, name, values, rows) for name, values in signals.items()}
+    if not (sought and measured):
+        raise Refusal(WHERE, "sought and signals", "be one or more", "none")
+    fit = _Fit(scene, rows, measured, sought, modifier)
+    x = fit.begin
+    for _ in range(ROUNDS):
+        x = fit.better(x, fit.noise_at(x))
+    left = np.split(np.mean(fit.followed(x.tobytes())[0] ** 2, axis=0), len(measured))
+    return FittedNumbers(
+        dict(zip(sought, x.tolist(), strict=True)),
+        dict(zip(sought, fit.deviations(x).tolist(), strict=True)),
+        fit.numbers_of(x),
+        {name: float(np.sqrt(np.mean(one))) for name, one in zip(measured, left, strict=True)},
+    )
+
+
+class _Fit:
+    """Errors of the machine against a record, as functions of the unknowns x (U,).
+
+    Args:
+        scene: the nominal machine.
+        rows: commands (K, N).
+        measured: signals (K, N) by name, C columns in all.
+        sought: the unknowns.
+        modifier: makes the scene's numbers of them.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rows: Array,
+        measured: Mapping[str, Array],
+        sought: Mapping[str, Sought],
+        modifier: Modifier,
+    ) -> None:
+        known = [_sought(name, one) for name, one in sought.items()]
+        self.begin, self._width, self._least, self._most = np.array(known).T
+        self._names, self._modifier = list(sought), modifier
+        self._rows, self._signals = rows, list(measured)
+        self._machine = _varying(scene, self.numbers_of(self.begin))
+        self._truth = np.concatenate([*measured.values()], axis=1)
+        self.followed = lru_cache(4)(self._followed)
+
+    def numbers_of(self, x: Array) -> dict[str, float]:
+        """Return the scene's numbers that the unknowns make.
+
+        Raises:
+            Refusal: the modifier returns something else.
+        """
+        numbers = self._modifier(dict(zip(self._names, x.tolist(), strict=True)))
+        if not isinstance(numbers, Mapping) or not numbers:
+            raise Refusal(WHERE, "modifier", "return numbers by name", numbers)
+        return dict(numbers)
+
+    def _followed(self, at: bytes) -> tuple[Array, Array]:
+        """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
+        x = np.frombuffer(at)
+        steps = _steps(x, self._width, self._least, self._most)
+        ways = [self.numbers_of(one) for one in (x, *(x + np.diag(steps)))]
+        found = _run(self._machine, ways, self._rows, self._signals)
+        slopes = np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
+        return found[0] - self._truth, slopes
+
+    def noise_at(self, x: Array) -> Array:
+        """Return the root mean square of the errors (C,)."""
+        size = np.sqrt(np.mean(self.followed(x.tobytes())[0] ** 2, axis=0))
+        noise: Array = np.maximum(size, 1e-12 * (1.0 + np.abs(self._truth).max()))
+        return noise
+
+    def _weighted(self, x: Array, noise: Array) -> tuple[Array, Array]:
+        """Return errors and prior in units of their deviations, and the slopes."""
+        error, slopes = self.followed(x.tobytes())
+        rows = (slopes / noise[:, None]).reshape(-1, len(x))
+        left = np.concatenate([(error / noise).ravel(), (x - self.begin) / self._width])
+        return left, np.vstack([rows, np.diag(1.0 / self._width)])
+
+    def better(self, x: Array, noise: Array) -> Array:
+        """Return the unknowns of least squares with this noise, from x on."""
+        found: Array = least_squares(
+            lambda x: self._weighted(x, noise)[0], x, lambda x: self._weighted(x, noise)[1],
+            bounds=(self._least, self._most), x_scale=self._width,
+        ).x  # fmt: skip
+        return found
+
+    def deviations(self, x: Array) -> Array:
+        """Return the standard deviations of the unknowns (U,)."""
+        error, every = self.followed(x.tobytes())[0], np.ones(len(self._rows), bool)
+        # Errors that last over several periods count once.
+        independent = np.sqrt([lasting(column, every) for column in error.T])
+        A = self._weighted(x, self.noise_at(x) * independent)[1]
+        deviations: Array = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+        return deviations
+
+
+def _sought(name: str, one: object) -> tuple[float, float, float, float]:
+    """Return value, width and range of an unknown."""
+    of = (one.value, one.width, one.least, one.most) if isinstance(one, Sought) else None
+    row = None if of is None else array_of(of)
+    if row is not None and np.isfinite(row[:2]).all():
+        value, width, least, most = row.tolist()
+        if least <= value <= most and least < most and width > 0.0:
+            return value, width, least, most
+    rule = "be Sought, with a value from least to most, and a width > 0"
+    raise Refusal(WHERE, f"sought {name}", rule, one)
+
+
+def _steps(x: Array, width: Array, least: Array, most: Array) -> Array:
+    """Return the steps of the unknowns for their derivatives, which stay in their ranges (U,)."""
+    step, up, down = STEP * width, most - x, x - least
+    within: Array = np.where(up >= down, up, -down)
+    return np.where(step <= up, step, np.where(step <= down, -step, within))
+
+
+def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
+    reported = [one.name for one in outputs_of(scene) if not one.per_unit]
+    if name not in (*ROWS, *reported):
+        raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*ROWS, *reported)))
+    rows = ANY_STATE.named(name).numbers(WHERE, values)
+    ANY_STATE.named(name).check(WHERE, rows)
+    if rows.shape != commands.shape:
+        raise Refusal(WHERE, name, f"have the shape of the commands, {commands.shape}", rows.shape)
+    return rows
+
+
+def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
+    """Return the scene with these numbers as data of each machine."""
+    possible = {one.name: one for one in could_vary(scene.joints, scene.chain, scene.imus)}
+    possible |= {one.name: one for one in scene.varied}
+    for name in numbers:
+        if name not in possible:
+            raise Refusal(WHERE, "number", "be one that can be varied", name, ", ".join(possible))
+    varied = tuple(one for name, one in possible.items() if name in numbers)
+    return dataclasses.replace(scene, varied=varied)
+
+
+def _run(scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[str]) -> Array:
+    """Return signals (ways, K, C) of machines with these numbers under commands."""
+    varied = {name: np.array([one[name] for one in ways]) for name in ways[0]}
+    fleet = Fleet(scene, len(ways), varied=varied)
+    found = np.empty((len(ways), len(rows), len(names) * rows.shape[1]))
+    for k, row in enumerate(rows):
+        fleet.exchange(row)
+        measured, state = fleet.measured, fleet.state
+        of = (getattr(measured if one in KNOWN else state, one) for one in names)
+        found[:, k] = np.concatenate([*of], axis=1)
+    return found

@@ -1,0 +1,289 @@
+"""From a record to numbers: looked over, and fitted by torques."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from arm_emulator.extension.base import (
+    LARGEST_YAML_FILE as MOST_BYTES,
+)
+from arm_emulator.extension.base import (
+    Array,
+    Refusal,
+    check_own,
+    read_text,
+    read_yaml,
+)
+from arm_emulator.extension.base import (
+    edited_yaml as edited,
+)
+from arm_emulator.extension.base import (
+    yaml_nodes as nodes_of,
+)
+from arm_emulator.extension.machine import Body, Frame, Scene, inertial_of, load_scene, override
+from arm_emulator_identification import inertia
+from arm_emulator_identification.filtered import Filtered
+from arm_emulator_identification.found import Found
+from arm_emulator_identification.measured_run import MeasuredRun
+from arm_emulator_identification.plausibility import check_fit, looked_over
+from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
+from arm_emulator_identification.torque_model import TorqueModel, matches
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Numbers to identify, and the way to do so.
+
+    Attributes:
+        fit, hold: patterns of numbers to identify, and to keep.
+        low_pass: cut-off frequency [Hz].
+        trust: relative accuracy of the scene's inertias and springs.
+        as_is: skip the check of axes, signs and units.
+    """
+
+    fit: Sequence[str]
+    hold: Sequence[str]
+    low_pass: float
+    trust: float
+    as_is: bool
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Result of a record.
+
+    Attributes:
+        run: the record, without outliers.
+        motion: its filtered motion, K rows.
+        fit: the numbers.
+        torques: at the links, as they explain them (K, N) [N m or N].
+        doubts: about the record.
+    """
+
+    run: MeasuredRun
+    motion: Filtered
+    fit: TorqueFit
+    torques: Array
+    doubts: list[str]
+
+
+def gears_of(scene: Scene) -> list[str]:
+    """Return the names of the gears' stiffnesses, which encoders at the links show, not torques."""
+    return [f"joints.{joint.name}.gear.stiffness" for joint in scene.joints]
+
+
+def identified(
+    nominal: Scene,
+    record: MeasuredRun,
+    asked: Asked,
+    stage: Callable[[str], None],
+) -> Identified:
+    """Return the numbers with which a scene explains a record.
+
+    Args:
+        nominal: the scene.
+        record: as it was measured.
+        asked: what is sought.
+        stage: hears of each stage when it begins.
+
+    Raises:
+        Refusal: the record is not one of this machine, or there is nothing to identify.
+    """
+    stage("look the record over")
+    run, motion, doubts = looked_over(nominal, record, asked.low_pass, as_is=asked.as_is)
+    stage("fit torques")
+    typical = motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)
+    model = TorqueModel(nominal, typical, asked.trust)
+    gears = gears_of(nominal)
+    by_torques = [one for one in asked.fit if not _of_gears(gears, one)]
+    fitted = model.choose(by_torques, "identify")
+    fitted = fitted & ~np.array([matches(one.name, asked.hold) for one in model.unknowns])
+    torques = model.of(motion)
+    fit = fit_torques(model, motion, fitted, torques)
+    check_fit(run.where, run.joints, fit.explained)
+    return Identified(run, motion, fit, torques.torques(fit.values), doubts)
+
+
+def _of_gears(gears: Sequence[str], pattern: str) -> bool:
+    return any(matches(name, [pattern]) for name in gears) and "gear" in pattern
+
+
+FAR = 3.0  # prior deviations, beyond which a number is doubted
+
+
+def doubts_of(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
+    """Return objections to the numbers found, as text."""
+    names, doubts = scene.joint_names, list[str]()
+    for of, body in zip(scene.chain.links, scene.bare, strict=True):
+        if not inertia.is_body(body):
+            doubts.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
+    for effect in fit.effects:
+        joints = ", ".join(names[j] for j in effect.joints)
+        if len(effect.joints) == len(names) > 1:
+            joints = "all joints"
+        size = f", by {effect.size:.3g} {effect.unit}" if effect.unit else ""
+        doubts.append(
+            f"{joints}: {effect.name}{size}: {100.0 * effect.share:.0f} % of what the scene does "
+            "not explain; deviations have in them what this may hide"
+        )
+    for joint, count in zip(names, fit.far_out, strict=True):
+        if count:
+            doubts.append(f"{joint}: {count} rows stand out, and count little")
+    for one in numbers:
+        if one.identified and one.far > FAR:
+            doubts.append(
+                f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
+                f"before from {one.before:.4g}; is the record in the units and scale given?"
+            )
+        if one.left:
+            doubts.append(f"{one.name}: {one.left}")
+    return doubts
+
+
+def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: Path,
+                 title: str) -> None:  # fmt: skip
+    """Draw measured torques, those of the fit, and their difference."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    N = len(names)
+    figure, axes = plt.subplots(
+        N, 1, figsize=(10, 1.7 * N + 0.6), sharex=True, squeeze=False, layout="constrained"
+    )
+    for j, (one, name) in enumerate(zip(axes[:, 0], names, strict=True)):
+        moving = np.where(data.moving[:, j], 1.0, np.nan)
+        one.plot(data.t, data.tau[:, j], color="0.6", lw=1.0, label="measured")
+        one.plot(data.t, torques[:, j] * moving, "C0", lw=1.2, label="computed, in motion")
+        one.plot(data.t, (data.tau - torques)[:, j] * moving, "C3", lw=0.8, label="residual")
+        one.set_ylabel(f"{name}\nN m")
+        one.grid(alpha=0.3)
+    axes[0, 0].set_title(title)
+    axes[0, 0].legend(fontsize="small", ncols=3)
+    axes[-1, 0].set_xlabel("s")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=100)
+    plt.close(figure)
+
+
+def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return numbers together with those that follow them and differ from them."""
+    found = dict(numbers)
+    for joint in scene.joints:
+        for part in joint.parts:
+            place = f"joints.{joint.name}.{part.section}"
+            known = part.numbers()
+            own = {key: found[f"{place}.{key}"] for key in known if f"{place}.{key}" in found}
+            new = part.with_numbers(**own)
+            for key, one in known.items():
+                if one.follows in own and getattr(part, key) != getattr(part, one.follows):
+                    found[f"{place}.{key}"] = getattr(new, key)
+    return found
+
+
+def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[str, float],
+                 bodies: Sequence[Body], heading: str) -> None:  # fmt: skip
+    """Write a scene with other numbers, and a URDF with other bodies beside it.
+
+    Args:
+        file: the scene to write; its URDF goes to ``urdf/NAME.urdf`` beside it.
+        scene_file: the original scene.
+        scene: the same, loaded.
+        numbers: values by their dotted names below the scene.
+        bodies: bodies moved by its joints, without the payload, in the core's frames.
+        heading: lines to stand at its top, as comments.
+
+    Raises:
+        Refusal: it cannot be written, is shipped, or does not read back equal.
+    """
+    urdf = file.parent / "urdf" / f"{file.stem}.urdf"
+    for one in (file, urdf):
+        check_own("identify", one)
+    values: dict[str, float | str] = {name: float(f"{v:.9g}") for name, v in numbers.items()}
+    values |= {"name": file.stem, "urdf": f"urdf/{urdf.name}"}
+    comments = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
+    try:
+        urdf.parent.mkdir(parents=True, exist_ok=True)
+        urdf.write_text(_with_bodies(scene, in_urdf(scene, bodies)), encoding="utf-8")
+        text = comments + _replaced(scene_file, values)
+        if not scene.trusted_inertias:
+            text = text.rstrip() + "\n" + _trust([joint.link for joint in scene.chain.links])
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise Refusal("identify", f"file {file}", "be writable", error.strerror) from None
+    _check_written(load_scene(file), numbers)
+
+
+def _trust(links: Sequence[str]) -> str:
+    """Return the key that exempts links: parameters that fit torques need not fit shapes."""
+    listed = yaml.safe_dump({"trusted_inertias": list(links)}, sort_keys=False)
+    return f"\n# Identified parameters, not those of bodies.\n{listed}"
+
+
+def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
+    """Refuse a scene without the numbers that were to be written."""
+    for joint in scene.joints:
+        for part in joint.parts:
+            for key in part.numbers():
+                name = f"joints.{joint.name}.{part.section}.{key}"
+                wanted, got = numbers.get(name), getattr(part, key)
+                if wanted is not None and abs(got - wanted) > 1e-6 * abs(wanted):
+                    raise Refusal(scene.where, name, f"be {wanted:g}, as found", got)
+
+
+def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
+    """Return a scene's text with some values by their dotted places.
+
+    If each has a place of its own, the rest of the text is kept. Where joints share a
+    section by an alias, or a place is not there yet, the scene is written anew.
+    """
+    text = read_text(file, MOST_BYTES)
+    nodes = {place: value for place, (_, value) in nodes_of(text).items()}
+    shared = Counter(id(node) for node in nodes.values())
+    wanted = [nodes.get(name) for name in values]
+    if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
+        data = read_yaml(file)
+        for name, value in values.items():
+            override(data, name, value, file.name)
+        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    edits = [
+        (node.start_mark.index, node.end_mark.index, str(value))
+        for node, value in zip(wanted, values.values(), strict=True)
+        if node is not None
+    ]
+    return edited(text, edits)
+
+
+def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
+    """Return the URDF with the bodies of its moving links; links fixed to them get none."""
+    robot = ET.fromstring(scene.urdf)
+    links = {element.get("name"): element for element in robot.findall("link")}
+    for joint in scene.chain.links:
+        body = bodies.get(joint.link)
+        if body is None:
+            continue
+        for name in joint.links:
+            for old in links[name].findall("inertial"):
+                links[name].remove(old)
+        links[joint.link].insert(0, inertial_of(body, 12))
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
+    """Return the bodies of the joints' child links, in their frames, by name.
+
+    Args:
+        scene: the machine.
+        bodies: of its chain, in the core's frames.
+    """
+    pairs = zip(scene.chain.links, bodies, strict=True)
+    return {joint.link: body.seen_from(Frame(joint.axes.T)) for joint, body in pairs}

@@ -1,0 +1,177 @@
+"""The unknowns that explain measured torques best, given their priors.
+
+Least squares, each joint weighted by its own unexplained torque; the scene's values count as
+measurements with standard deviations of their own. A number that the motion does not determine
+keeps the scene's value, and its confidence shows it. Outlying rows count little. The residual
+is searched for effects that the model lacks, and the confidence includes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from arm_emulator.extension.base import Array
+from arm_emulator_identification.filtered import Filtered, Mask
+from arm_emulator_identification.structure import Effect, find_structure, lasting
+from arm_emulator_identification.torque_model import MotionTorques, TorqueModel, Unknown
+
+TURNS = 5  # of fit, weights and loads in alternation
+BEGIN = 0.3  # of each torque: initial assumption of noise
+INSIDE = 0.03  # of their widths: initial distance from bounds
+IDENTIFIED = 0.7  # of the prior width: a number that stays as uncertain is not identifiable
+STANDS_OUT = 3.0  # times the usual residual: from here on rows count less
+FAR_OUT = 6.0  # times: rows that are counted
+AT_BOUND = 0.02  # of its width: distance at which a number is at its bound
+
+
+@dataclass(frozen=True)
+class TorqueFit:
+    """Identified values and their confidence."""
+
+    unknowns: list[Unknown]
+    fitted: Mask  # which of them were sought (U,)
+    values: Array  # (U,)
+    covariance: Array  # (U, U); 0 where not sought
+    directions: int  # of the unknowns' space that the motion determines, by SVD
+    explained: Array  # (N,) %, see `explained`
+    effects: tuple[Effect, ...] = ()  # that the model lacks
+    far_out: Array = field(default_factory=lambda: np.zeros(0))  # rows that stand out (N,)
+    left: dict[int, str] = field(default_factory=dict)  # reasons for keeping numbers
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviation of each value (U,)."""
+        deviations: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return deviations
+
+
+def explained(torque: Array, error: Array, moving: Mask) -> Array:
+    """Return 100 (1 - |error| / |torque - its mean|) of each joint where it moves (N,) [%]."""
+    found = []
+    for y, e, rows in zip(torque.T, error.T, moving.T, strict=True):
+        spread = np.linalg.norm(y[rows] - y[rows].mean()) if rows.any() else 0.0
+        found.append(100.0 * (1.0 - np.linalg.norm(e[rows]) / spread) if spread > 0.0 else np.nan)
+    return np.array(found)
+
+
+def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
+                motion: MotionTorques | None = None) -> TorqueFit:  # fmt: skip
+    """Return the unknowns that explain the torques of a motion.
+
+    A number above 0 that the record drives to its bound keeps its value.
+
+    Args:
+        model: the machine.
+        data: the motion, low-passed.
+        fitted: which unknowns to seek (U,).
+        motion: of `model.of(data)`, if already computed.
+    """
+    motion = motion or model.of(data)
+    fitted = fitted.copy()
+    left = dict[int, str]()
+    while True:
+        values, weights, motion = _search(model, data, fitted, motion)
+        driven = _driven(model, fitted, values)
+        if not driven:
+            break
+        for u, bound in driven.items():
+            left[u] = f"left as it was: this record drives it to {bound:.3g}"
+            fitted[u] = False
+    error = motion.torques(values) - data.tau
+    slopes = motion.slopes(values)[:, :, fitted]
+    widths = model.widths[fitted]
+    structure = find_structure(data, slopes, error, weights, widths, motion.load[data.fine.kept])
+    covariance = np.zeros((len(values), len(values)))
+    # Effects that the model lacks shift the numbers: the confidence includes the shift.
+    shift = structure.shift
+    covariance[np.ix_(fitted, fitted)] = structure.covariance + np.outer(shift, shift)
+    spread = [_spread(error[r, j]) for j, r in enumerate(data.moving.T)]
+    rows = data.moving
+    per_noise = (slopes / np.array(spread)[:, None])[rows] * widths
+    far_out = np.array([int(((weights[:, j] < STANDS_OUT / FAR_OUT) & r).sum())
+                        for j, r in enumerate(rows.T)])  # fmt: skip
+    return TorqueFit(
+        model.unknowns, fitted, values, covariance, _directions(per_noise),
+        explained(data.tau, error, rows), structure.effects, far_out, left,
+    )  # fmt: skip
+
+
+def _search(model: TorqueModel, data: Filtered, fitted: Mask,
+            motion: MotionTorques) -> tuple[Array, Array, MotionTorques]:  # fmt: skip
+    """Return values (U,), weights of rows (K, N), and the motion under the gears' loads then."""
+    start, widths = model.start, model.widths[fitted]
+    least = np.array([one.least for one in model.unknowns])[fitted]
+    most = np.array([one.most for one in model.unknowns])[fitted]
+    inner = np.minimum(INSIDE * widths, 0.1 * (most - least))
+    rows = data.moving
+    spread = np.array([_spread(y[r] - y[r].mean() if r.any() else y[r])
+                       for y, r in zip(data.tau.T, rows.T, strict=True)])  # fmt: skip
+    noise, weights = BEGIN * spread, np.ones_like(data.tau)
+    values = start.copy()
+    # Well inside the bounds, near which steps become short.
+    values[fitted] = np.clip(values[fitted], least + inner, most - inner)
+
+    def whole(some: Array) -> Array:
+        every = start.copy()
+        every[fitted] = some
+        return every
+
+    for _ in range(TURNS):
+        per = (np.sqrt(weights) / noise)[rows]
+
+        def residuals(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
+            every = whole(some)
+            error = (at.torques(every) - data.tau)[rows] * per
+            return np.concatenate([error, (every - start)[fitted] / widths])
+
+        def slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
+            found = at.slopes(whole(some))[:, :, fitted][rows] * per[:, None]
+            return np.concatenate([found, np.diag(1.0 / widths)])
+
+        inside = np.clip(values[fitted], least + 1e-4 * inner, most - 1e-4 * inner)
+        found = least_squares(
+            residuals, inside, slopes, bounds=(least, most), x_scale=widths, max_nfev=60
+        )
+        values = whole(found.x)
+        motion = motion.under(values)
+        error = motion.torques(values) - data.tau
+        samples = used = 0.0
+        for j, r in enumerate(rows.T):
+            usual = max(1.4826 * float(np.median(np.abs(error[r, j]))) if r.any() else 1.0, 1e-12)
+            weights[:, j] = np.minimum(
+                1.0, STANDS_OUT * usual / np.maximum(np.abs(error[:, j]), 1e-300)
+            )
+            last = lasting(error[:, j], r)
+            noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
+            samples += r.sum() / last
+        used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
+        # The residual lacks the part absorbed by the fit.
+        noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
+        noise = np.clip(noise, 1e-9 * spread, spread)
+    return values, weights, motion
+
+
+def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]:
+    """Return the bounds reached by numbers above 0, by unknown."""
+    found = {}
+    for u in np.flatnonzero(fitted):
+        one = model.unknowns[u]
+        near = AT_BOUND * min(one.width, abs(one.value))
+        for bound in (one.least, one.most):
+            if np.isfinite(bound) and one.value and bound and abs(values[u] - bound) < near:
+                found[int(u)] = bound
+    return found
+
+
+def _directions(per_width: Array) -> int:
+    """Return the number of directions of the unknowns in which the record adds information."""
+    return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
+
+
+def _spread(values: Array) -> float:
+    if not len(values):
+        return 1.0
+    return max(float(np.sqrt(np.mean(values**2))), 1e-12)

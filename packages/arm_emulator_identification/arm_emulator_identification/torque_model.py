@@ -1,0 +1,333 @@
+"""Motor torques of a motion, as a function of the sought numbers.
+
+At the link, per joint, with motors that turn along with their links:
+
+        tau / Ng = Y phi + sum of the torques of parts at the link + of those at the rotor / Ng + e
+
+phi follows from log-Cholesky parameters. Each part declares its torque as a function of its numbers
+(`Part.effort`); trials show in which of them it is linear. e is the offset of the measured torque,
+and not a number of the machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from arm_emulator.extension.base import Array, Refusal
+from arm_emulator.extension.machine import Joint, Part, Scene, ShaftMotion
+from arm_emulator_identification import inertia
+from arm_emulator_identification.filtered import Filtered, Mask
+from arm_emulator_identification.link_regressor import LinkRegressor
+
+LINK = ("log_mass", "log_x", "log_y", "log_z", "xy", "yz", "xz", "x", "y", "z")  # log-Cholesky
+EVERYTHING = "*"
+UNKNOWN = 3.0  # times the most that the torque could hide: width of friction
+FARTHEST = 20.0  # factor by which a number above 0 may differ from the scene's
+TRIED = 0.1  # of its width: perturbation of a number in the test of linearity
+LINEAR = 1e-9  # relative tolerance of a part's linearity
+SMALL = 1e-4  # of its width: perturbation for differences
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A sought number."""
+
+    name: str  # dotted, as in the scene
+    unit: str
+    value: float  # in the scene
+    width: float  # standard deviation of its prior
+    least: float = -np.inf
+    most: float = np.inf
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a joint, and its sought numbers."""
+
+    joint: int
+    part: Part
+    first: int  # of its unknowns, in the row of all
+    keys: tuple[str, ...]
+
+    def numbers(self, unknowns: Array) -> dict[str, float]:
+        """Return its numbers of a row of unknowns, by key."""
+        return {key: float(unknowns[self.first + k]) for k, key in enumerate(self.keys)}
+
+
+def matches(name: str, patterns: Sequence[str]) -> bool:
+    """Return whether a pattern matches a number: its name, or consecutive parts of it."""
+    return any(
+        fnmatch.fnmatchcase(name, before + pattern + after)
+        for pattern in patterns
+        for before in ("", "*.")
+        for after in ("", ".*")
+    )
+
+
+class TorqueModel:
+    """Torques of a scene's motors for any motion, and their slopes in the unknowns.
+
+    Attributes:
+        unknowns: all that could be sought: of the links, without the payload, then of the parts,
+            then offsets.
+        start: their values in the scene.
+        links: number of unknowns of links, the first ones.
+        rest: remainder of the links: payload, and links that are not physical bodies (10 L,).
+        pieces: the parts.
+
+    Args:
+        scene: the nominal machine.
+        typical: torques (N,) at the links and speeds (N,) for the scale of friction.
+        trust: relative accuracy of inertias and forces of the scene.
+
+    Raises:
+        Refusal: a part of the scene does not state its torque for a motion.
+    """
+
+    def __init__(self, scene: Scene, typical: tuple[Array, Array], trust: float) -> None:
+        self.scene = scene
+        _check_stated(scene)
+        self.regressor = LinkRegressor(scene)
+        self.unknowns = list[Unknown]()
+        self.rest = np.zeros(inertia.NUMBERS * len(scene.chain.links))
+        for k, (geometry, body) in enumerate(zip(scene.chain.links, scene.bare, strict=True)):
+            sound = inertia.is_body(body)
+            numbers = inertia.log_cholesky(body if sound else inertia.ball(body))
+            widths = inertia.widths(body, trust) if sound else np.zeros(inertia.NUMBERS)
+            beside = inertia.dynamic(body) if sound else inertia.exponential(numbers)
+            here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
+            self.rest[here] = inertia.dynamic(geometry.body) - beside
+            for name, value, off in zip(LINK, numbers, widths, strict=True):
+                unit = "" if name.startswith("log") else "m"
+                whole = f"links.{geometry.link}.{name}"
+                self.unknowns.append(Unknown(whole, unit, float(value), float(off)))
+        self.links = len(self.unknowns)
+        self.pieces = list[Piece]()
+        for j, joint in enumerate(scene.joints):
+            self._add(j, joint, (float(typical[0][j]), float(typical[1][j])), trust)
+        self.offsets = len(self.unknowns)
+        for joint, torque in zip(scene.joints, typical[0], strict=True):
+            name = f"joints.{joint.name}.measured_torque.offset"
+            off = abs(joint.gear.ratio) * float(torque)
+            self.unknowns.append(Unknown(name, "N m", 0.0, off))
+        self.start = np.array([one.value for one in self.unknowns])
+        self.widths = np.array([one.width for one in self.unknowns])
+
+    def _add(self, j: int, joint: Joint, typical: tuple[float, float], trust: float) -> None:
+        place = f"joints.{joint.name}"
+        sought = _sought(joint)
+        for part in joint.parts:
+            piece = Piece(j, part, len(self.unknowns), tuple(sought.get(part.section, ())))
+            per = abs(joint.gear.ratio) if part.shaft == "rotor" else 1.0
+            torque, speed = typical[0] * per, typical[1] / per
+            for key in piece.keys:
+                one, value = part.numbers()[key], float(getattr(part, key))
+                if one.sought == "unknown":
+                    width = UNKNOWN * (torque / speed if one.unit == "N m s/rad" else torque)
+                else:
+                    width = trust * abs(value)
+                least, most = one.least, one.most
+                if one.above is not None:
+                    least, most = max(least, value / FARTHEST), min(most, value * FARTHEST)
+                if least < 0.0 and value:  # a pulling spring does not push
+                    least, most = (0.0, most) if value > 0.0 else (least, 0.0)
+                name = f"{place}.{part.section}.{key}"
+                self.unknowns.append(Unknown(name, one.unit, value, width, least, most))
+            self.pieces.append(piece)
+
+    def choose(self, patterns: Sequence[str], where: str) -> Mask:
+        """Return the unknowns (U,) that match the patterns.
+
+        Offsets of torques hide errors of weight and friction, and must be named themselves.
+
+        Raises:
+            Refusal: a pattern matches none.
+        """
+        names = [one.name for one in self.unknowns]
+        for pattern in patterns:
+            if not any(matches(name, [pattern]) for name in names) and pattern != EVERYTHING:
+                known = sorted({name.rsplit(".", 1)[0] for name in names})
+                rule = "name numbers that can be identified"
+                raise Refusal(where, "--fit", rule, pattern, ", ".join(known))
+        offsets = [one for one in patterns if "offset" in one or "measured" in one]
+        wanted = [
+            matches(name, offsets if name.endswith(".offset") else patterns) for name in names
+        ]
+        chosen: Mask = np.array(wanted) & (self.widths > 0.0)
+        return chosen
+
+    def of(self, data: Filtered) -> MotionTorques:
+        """Return the torques of a motion as a function of the unknowns.
+
+        Gears transmit the torques of the scene's links, see `MotionTorques.under`.
+        """
+        Y = self.regressor(data.q, data.v, data.a)
+        empty = MotionTorques(self, data, Y, np.zeros_like(data.fine.q), [])
+        return empty.under(self.start).under(self.start)
+
+    def bodies(self, unknowns: Array) -> Array:
+        """Return the ten numbers of each link (L, 10), without the payload."""
+        links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
+        return np.array([inertia.exponential(one) for one in links])
+
+
+def _check_stated(scene: Scene) -> None:
+    """Refuse a scene with a part that does not state its torque for a motion."""
+    t, none = np.linspace(0.0, 1.0, 3), np.zeros(3)
+    for joint in scene.joints:
+        at_rest = ShaftMotion(t, none, none, none, none, none, joint.gear.ratio)
+        for part in joint.parts:
+            if part.effort(at_rest) is None:
+                rule = "be without parts whose torque does not follow from the measured motion"
+                valid = "the scene without this section, where the motion was recorded without it"
+                place = f"joints.{joint.name}.{part.section}"
+                raise Refusal(scene.where, place, rule, type(part).__name__, valid)
+
+
+def _sought(joint: Joint) -> dict[str, list[str]]:
+    """Return the sought keys of each part of a joint, by its section.
+
+    If several parts have the same number, such as friction of link and of rotor, only one is
+    sought: one given in the scene, and preferably the rotor's.
+    """
+    ranked = sorted(joint.parts, key=lambda part: part.shaft != "rotor")
+    found = dict[str, list[str]]()
+    for key in {key: None for part in ranked for key in part.numbers()}:
+        having = [part for part in ranked if key in part.numbers() and part.numbers()[key].sought]
+        having = [part for part in having if getattr(part, key) is not None]
+        if not having:
+            continue
+        one = next((part for part in having if getattr(part, key)), having[0])
+        if getattr(one, key) or one.numbers()[key].sought == "unknown":
+            found.setdefault(one.section, []).append(key)
+    return found
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Torque of a part at the link: linear in its unknowns, or evaluated each time."""
+
+    piece: Piece
+    constant: Array  # (K,), with all its unknowns 0
+    columns: Array | None  # (K, keys); None: not linear
+
+
+@dataclass(frozen=True)
+class MotionTorques:
+    """Torques of one motion, at the links."""
+
+    model: TorqueModel
+    data: Filtered
+    Y: Array  # (K, N, 10 L), see `LinkRegressor`
+    load: Array  # N m or N, of the gears on the links, at the samples of `data.fine`
+    efforts: list[_Effort]
+
+    def under(self, unknowns: Array) -> MotionTorques:
+        """Return the torques at these unknowns, of gears that transmit the links' torques."""
+        carried = self._links(unknowns)
+        for one in self.efforts:
+            if one.piece.part.shaft == "link":
+                carried[:, one.piece.joint] += self._effort(one, unknowns)
+        rigid = [joint.gear.stiffness is None for joint in self.model.scene.joints]
+        carried[:, rigid] = self.data.tau[:, rigid]  # there, the full motor torque
+        # Below the low-pass, a curve through the rows reproduces the samples.
+        t = np.clip(self.data.fine.t, self.data.t[0], self.data.t[-1])
+        load = CubicSpline(self.data.t, carried)(t)
+        return dataclasses.replace(
+            self, load=load, efforts=[self._look(one, load) for one in self.model.pieces]
+        )
+
+    def torques(self, unknowns: Array) -> Array:
+        """Return the torques (K, N) [N m or N]."""
+        torques = self._links(unknowns)
+        for one in self.efforts:
+            torques[:, one.piece.joint] += self._effort(one, unknowns)
+        return torques + self._offsets * unknowns[self.model.offsets :]
+
+    def slopes(self, unknowns: Array) -> Array:
+        """Return the derivatives of the torques in the unknowns (K, N, U)."""
+        model = self.model
+        K, N, _ = self.Y.shape
+        links = unknowns[: model.links].reshape(-1, inertia.NUMBERS)
+        pieces = self.Y.reshape(K, N, len(links), inertia.NUMBERS)
+        found = np.zeros((K, N, len(model.unknowns)))
+        for k, one in enumerate(links):
+            here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
+            found[:, :, here] = pieces[:, :, k] @ inertia.slope(one)
+        for effort in self.efforts:
+            here = slice(effort.piece.first, effort.piece.first + len(effort.piece.keys))
+            found[:, effort.piece.joint, here] = self._slopes_of(effort, unknowns)
+        for j, offset in enumerate(self._offsets):
+            found[:, j, model.offsets + j] = offset
+        return found
+
+    @property
+    def _offsets(self) -> Array:
+        return 1.0 / self.model.scene.gear_ratios
+
+    def _links(self, unknowns: Array) -> Array:
+        phi = self.model.bodies(unknowns).ravel() + self.model.rest
+        tau: Array = self.Y @ phi
+        return tau
+
+    def _effort(self, effort: _Effort, unknowns: Array) -> Array:
+        piece = effort.piece
+        if effort.columns is None:
+            return self._asked(piece, self.load, piece.numbers(unknowns))
+        here = unknowns[piece.first : piece.first + len(piece.keys)]
+        found: Array = effort.constant + effort.columns @ here
+        return found
+
+    def _slopes_of(self, effort: _Effort, unknowns: Array) -> Array:
+        if effort.columns is not None:
+            return effort.columns
+        piece, columns = effort.piece, []
+        for k, (key, value) in enumerate(piece.numbers(unknowns).items()):
+            one = self.model.unknowns[piece.first + k]
+            by = SMALL * one.width
+            ends = [min(value + by, one.most), max(value - by, one.least)]
+            up, down = (
+                self._asked(piece, self.load, piece.numbers(unknowns) | {key: end}) for end in ends
+            )
+            columns.append((up - down) / (ends[0] - ends[1]))
+        return np.column_stack(columns)
+
+    def _look(self, piece: Piece, load: Array) -> _Effort:
+        """Determine whether a part is linear in its unknowns."""
+        known = {key: float(getattr(piece.part, key)) for key in piece.keys}
+        by = {
+            key: TRIED * self.model.unknowns[piece.first + k].width
+            for k, key in enumerate(piece.keys)
+        }
+        base = self._asked(piece, load, known)
+        nothing = np.zeros((len(base), 0))
+        columns = [
+            (self._asked(piece, load, known | {key: known[key] + by[key]}) - base) / by[key]
+            for key in piece.keys
+        ]
+        X = np.column_stack(columns) if columns else nothing
+        twice = self._asked(piece, load, {key: known[key] + 2.0 * by[key] for key in piece.keys})
+        expected = base + 2.0 * (X @ np.array(list(by.values())) if columns else 0.0)
+        size = np.abs(twice).max() + np.abs(base).max()
+        if np.abs(twice - expected).max() > LINEAR * size:
+            return _Effort(piece, base, None)
+        return _Effort(piece, base - X @ np.array(list(known.values())), X)
+
+    def _asked(self, piece: Piece, load: Array, numbers: Mapping[str, float]) -> Array:
+        """Return the torque of a part with given numbers at the link (K,), low-passed."""
+        fine, j = self.data.fine, piece.joint
+        ratio = self.model.scene.joints[j].gear.ratio
+        per = ratio if piece.part.shaft == "rotor" else 1.0
+        at = ShaftMotion(
+            fine.t, fine.q[:, j] / per, fine.v[:, j] / per, fine.a[:, j] / per,
+            load[:, j] * per, fine.tau[:, j] * per / ratio, ratio,
+        )  # fmt: skip
+        effort = piece.part.with_numbers(**numbers).effort(at)
+        assert effort is not None, "checked at the beginning"
+        return self.data.settle(effort) / per

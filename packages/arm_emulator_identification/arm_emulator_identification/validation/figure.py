@@ -1,0 +1,90 @@
+"""Figures of a validation, each with its limit.
+
+Table and exit code come from the same list of these, so that every figure shown counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from rich.table import Table
+
+from arm_emulator.extension.base import Array
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A quantity of each axis, or a single one, and its limit.
+
+    A yardstick (the figure of a null model) has no limit of its own: others are compared with it.
+    """
+
+    title: str
+    values: Array
+    """(N,); NaN of an axis that is not judged."""
+    form: str
+    """Format of one value, such as ``.1f``."""
+    least: float = -np.inf
+    """Of every axis."""
+    most: float = np.inf
+    least_mean: float = -np.inf
+    most_mean: float = np.inf
+    needed: Sequence[int] = field(default=())
+    """Axes that must have a value."""
+    yardstick: bool = False
+    overall: float | None = None
+    """In place of the mean."""
+
+    @property
+    def mean(self) -> float:
+        """Of the axes that have a value, unless there is an overall one; NaN if none has."""
+        if self.overall is not None:
+            return self.overall
+        known = self.values[np.isfinite(self.values)]
+        return float(known.mean()) if known.size else np.nan
+
+    @property
+    def failures(self) -> Iterator[str]:
+        """Yield each limit that is not kept, as a line."""
+        if self.yardstick:
+            return
+        for axis in self.needed:
+            if not np.isfinite(self.values[axis]):
+                yield f"{self.title}: axis {axis + 1} must have a value, got none"
+        known = [(k, v) for k, v in enumerate(self.values) if np.isfinite(v)]
+        for k, value in known:
+            if not self.least <= value <= self.most:
+                rule = self._rule(self.least, self.most)
+                yield f"{self.title}: axis {k + 1} must be {rule}, got {value:{self.form}}"
+        if known and not self.least_mean <= self.mean <= self.most_mean:
+            rule = self._rule(self.least_mean, self.most_mean)
+            yield f"{self.title}: the mean must be {rule}, got {self.mean:{self.form}}"
+
+    @staticmethod
+    def _rule(least: float, most: float) -> str:
+        ends = ((f">= {least:g}", np.isfinite(least)), (f"<= {most:g}", np.isfinite(most)))
+        return " and ".join(text for text, known in ends if known)
+
+    @property
+    def limits(self) -> str:
+        """The limits as text."""
+        if self.yardstick:
+            return "null model"
+        each, mean = self._rule(self.least, self.most), self._rule(self.least_mean, self.most_mean)
+        return "; ".join(filter(None, (each, mean and f"mean {mean}")))
+
+
+def table_of(title: str, names: Sequence[str], figures: Sequence[Figure]) -> Table:
+    """Return figures of axes as a table, failures in red."""
+    table = Table(title=title)
+    table.add_column("")
+    for name in (*names, "mean", "must be"):
+        table.add_column(name, justify="right")
+    for one in figures:
+        shown = [format(v, one.form) if np.isfinite(v) else "" for v in one.values]
+        mean = format(one.mean, one.form) if np.isfinite(one.mean) else ""
+        style = "red" if any(one.failures) else "dim" if one.yardstick else None
+        table.add_row(one.title, *shown, mean, one.limits, style=style)
+    return table

@@ -1,0 +1,373 @@
+"""The KUKA KR300 R2500 ultra, identified on one measured run, against that and further ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from arm_emulator.extension.base import Array, config_folder
+from arm_emulator.extension.machine import Scene, load_scene
+from arm_emulator_identification.filtered import Filtered, filtered, smooth_motion
+from arm_emulator_identification.free_run import Starts, drift, free_runs, starts
+from arm_emulator_identification.measured_run import MeasuredRun
+from arm_emulator_identification.read_run import read_run
+from arm_emulator_identification.torque_fit import explained
+from arm_emulator_identification.torque_model import TorqueModel
+from arm_emulator_identification.validation.figure import Figure, table_of
+from arm_emulator_identification.wind_up import WindUp, wind_up
+
+DATA = config_folder() / "validation" / "kuka_kr300"
+SHIPPED = (DATA / "run_A.npz", DATA / "run_B.npz")
+# Found once on run A, the same for every axis and run.
+DELAYS = {"tau": 2e-3, "q_link": 3e-3}  # s
+LOW_PASS = 10.0  # Hz
+MOVES = np.radians(1.0)  # rad/s: at rest stiction leaves torques undetermined
+IN_MOTION = np.radians(5.0)  # rad/s: of the fastest axis, where free runs begin
+EVERY = 0.1  # s, from one free run to the next
+LONG = (0.6, 2.0)  # s, free runs
+JUDGED = (1, 2)  # axes whose wind-up is judged: axis 1 carries too little to be judged
+
+# Limits of the identified machine on any run. The shares of null models give a figure its meaning:
+# with gears ten times too stiff 0.91 of a wind-up remains, with ours 0.30 to 0.68.
+LEAST_EXPLAINED, LEAST_OF_AXIS = 87.0, 80.0  # %, in motion
+LEAST_OF_ALL = 65.0  # %, mean over all samples: at rest stiction takes any torque
+LEAST_CAUSAL = 83.0  # %, mean, in motion, low-passed one way
+MOST_DRIFT = {0.6: (8.0, 15.0), 2.0: (40.0, 60.0)}  # %, mean and each axis, after seconds
+MOST_OF_NULL = 0.6  # free runs: their mean, of that of the best null model
+MOST_OF_RIGID = 0.85  # wind-up: of that of rigid gears, each axis
+MOST_BESIDE_WAVE = 0.7  # the same beside the encoder's wave
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of one run with the scene."""
+
+    run: MeasuredRun
+    data: Filtered  # every sample, low-passed
+    torques: Array  # N m at the links (K, N), computed
+    wind_up: WindUp
+    paths: Array  # of the free runs of the first length: motor angles (K, S, N)
+    begins: Array  # their first samples (S,)
+    figures: tuple[Figure, ...]
+
+    @property
+    def failures(self) -> list[str]:
+        """Limits that are not kept, a line each."""
+        return [line for one in self.figures for line in one.failures]
+
+    @property
+    def good(self) -> bool:
+        """Whether all limits are kept."""
+        return not self.failures
+
+
+@dataclass(frozen=True)
+class Known:
+    """Results of run A beside the machine's numbers."""
+
+    per_axis: PerAxis
+    wave_order: Array  # of the encoder at the link, waves per turn (N,)
+    wave: Array  # its amplitude [rad] (N,)
+
+
+@cache
+def known() -> Known:
+    """Return the null models and the encoder's wave, identified on run A."""
+    scene = load_scene("kuka_kr300")
+    run = load(SHIPPED[0], scene)
+    data = _filtered(run, scene)
+    of_gears = wind_up(run, scene)
+    return Known(PerAxis.fitted(data), of_gears.order, of_gears.ripple)
+
+
+def load(path: Path, scene: Scene) -> MeasuredRun:
+    """Read a run as published: degrees, at the link; late signals taken from later."""
+    return read_run(path, scene, angles="deg").shifted(DELAYS)
+
+
+def compare(path: Path, scene: Scene | None = None) -> Comparison:
+    """Compare a run with the scene.
+
+    Raises:
+        Refusal: the file is not such a run.
+    """
+    scene = scene or load_scene("kuka_kr300")
+    run = load(path, scene)
+    data, torques = torques_of(scene, run)
+    of_gears = wind_up(run, scene)
+    paths, begins, drifting = _free_runs(scene, run)
+    figures = (
+        *torque_figures(scene, run, data, torques),
+        *drifting,
+        *wind_up_figures(run, of_gears),
+    )
+    return Comparison(run, data, torques, of_gears, paths, begins, figures)
+
+
+def _filtered(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
+    return filtered(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1, causal=causal)
+
+
+def _torques(scene: Scene, data: Filtered) -> Array:
+    one = np.ones(len(scene.joints))
+    model = TorqueModel(scene, (one, one), 1.0)
+    return model.of(data).torques(model.start)
+
+
+def torques_of(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
+    """Return a run low-passed, and the machine's torques for it (K, N) [N m]."""
+    data = _filtered(run, scene)
+    return data, _torques(scene, data)
+
+
+def torque_figures(
+    scene: Scene, run: MeasuredRun, data: Filtered, torques: Array
+) -> Iterator[Figure]:
+    """Yield the share of the measured torque that a machine explains, see `torques_of`."""
+    every = np.ones_like(data.moving)
+    null = known().per_axis.torques(data)
+    alone = explained(data.tau, null - data.tau, data.moving)
+    yield Figure("torque explained in motion, %: each axis by itself", alone, ".1f", yardstick=True)
+    shares = explained(data.tau, torques - data.tau, data.moving)
+    least = max(LEAST_EXPLAINED, float(alone.mean()))
+    yield Figure(
+        "torque explained in motion, %", shares, ".1f", least=LEAST_OF_AXIS, least_mean=least
+    )
+    causal = _filtered(run, scene, causal=True)
+    shares = explained(causal.tau, _torques(scene, causal) - causal.tau, causal.moving)
+    yield Figure("  low-passed one way, %", shares, ".1f", least_mean=LEAST_CAUSAL)
+    alone = explained(data.tau, null - data.tau, every)
+    yield Figure("  all samples, %: each axis by itself", alone, ".1f", yardstick=True)
+    shares = explained(data.tau, torques - data.tau, every)
+    least = max(LEAST_OF_ALL, float(alone.mean()))
+    yield Figure("  all samples, %", shares, ".1f", least_mean=least)
+
+
+def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figure]]:
+    paths, begins, figures = np.zeros(0), np.zeros(0), list[Figure]()
+    for seconds in LONG:
+        begin = starts(run, scene, seconds, EVERY, IN_MOTION)
+        looks = range(1, round(seconds / run.period) + 1)
+        angles = free_runs(scene, run, begin, looks)
+        if not paths.size:
+            paths, begins = angles, begin.at
+        title = f"free run of {seconds:g} s, % off"
+        nulls = {
+            "constant speed": constant_speed(run, begin, seconds),
+            "constant acceleration": constant_acceleration(run, begin, seconds, LOW_PASS),
+            "each axis by itself": known().per_axis.free_run(
+                run, begin, seconds, scene.gear_ratios
+            ),
+        }
+        best = np.full(len(scene.joints), np.inf)
+        for name, ends in nulls.items():
+            null = 100.0 * drift(run, begin, len(looks), ends).share
+            best = min(best, null, key=np.mean)
+            figures.append(Figure(f"{title}: {name}", null, ".1f", yardstick=True))
+        off = 100.0 * drift(run, begin, len(looks), angles[-1]).share
+        mean, each = MOST_DRIFT[seconds]
+        figures.append(Figure(title, off, ".1f", most=each, most_mean=mean))
+        share = float(off.mean() / best.mean())
+        figures.append(
+            Figure(
+                "  of the best of these", off / best, ".2f", most_mean=MOST_OF_NULL, overall=share
+            )
+        )
+    return paths, begins, figures
+
+
+def wind_up_figures(run: MeasuredRun, of_gears: WindUp) -> Iterator[Figure]:
+    """Yield the measured wind-up that remains beside the computed one."""
+    rigid = np.degrees(of_gears.unexplained)
+    yield Figure("wind-up, deg rms: rigid gears", rigid, ".4f", yardstick=True)
+    share = of_gears.residual / of_gears.unexplained
+    yield _of_rigid("  not computed, of that", share, MOST_OF_RIGID)
+    # Only the phase of the encoder's wave is specific to the run, as its zero is.
+    wave, q = known(), run.q_motor[np.searchsorted(run.t, of_gears.t)]
+    left, whole = (
+        _without_wave(error, q, wave.wave_order, wave.wave)
+        for error in (of_gears.measured - of_gears.computed, of_gears.measured)
+    )
+    yield _of_rigid("  the same beside the encoder's wave of run A", left / whole, MOST_BESIDE_WAVE)
+
+
+def _of_rigid(title: str, share: Array, most: float) -> Figure:
+    judged = np.full(len(share), np.nan)
+    judged[list(JUDGED)] = share[list(JUDGED)]
+    return Figure(title, judged, ".2f", most=most, needed=JUDGED)
+
+
+def _without_wave(error: Array, q: Array, order: Array, amplitude: Array) -> Array:
+    """Return the root of mean square (N,) of errors (K, N) beside a wave whose phase is free."""
+    phase = np.angle(np.mean(error * np.exp(-1j * order * q), axis=0))
+    rest = error - amplitude * np.cos(order * q + phase)
+    return np.asarray(np.sqrt(np.mean((rest - rest.mean(axis=0)) ** 2, axis=0)))
+
+
+# Null models of the KUKA KR300: a comparison must distinguish them from our machine.
+#
+# None of them models the arm. Their numbers, if any, come from run A, as the machine's do.
+
+STEP = 1e-3  # s, of `PerAxis.free_run`
+
+
+@dataclass(frozen=True)
+class PerAxis:
+    """Each axis by itself: inertia, viscous and dry friction, a weight that turns with the angle.
+
+    tau = c0 + c1 sign(v) + c2 v + c3 a + c4 cos(q) + c5 sin(q)
+    """
+
+    coefficients: Array  # (N, 6)
+
+    @classmethod
+    def fitted(cls, data: Filtered) -> PerAxis:
+        """Return the least-squares fit to a record, over its samples in motion."""
+        rows = []
+        for j in range(data.q.shape[1]):
+            A, moving = _features(data, j), data.moving[:, j]
+            rows.append(np.linalg.lstsq(A[moving], data.tau[moving, j], rcond=None)[0])
+        return cls(np.array(rows))
+
+    def torques(self, data: Filtered) -> Array:
+        """Return the torques of a motion (K, N) [N m]."""
+        axes = range(len(self.coefficients))
+        return np.column_stack([_features(data, j) @ self.coefficients[j] for j in axes])
+
+    def free_run(self, run: MeasuredRun, begin: Starts, seconds: float, ratio: Array) -> Array:
+        """Return angles (S, N) [rad] after some time under the measured torques; gears (N,)."""
+        c = self.coefficients.T
+        q, v = begin.q.copy(), begin.v.copy()
+        every = round(run.period / STEP)
+        tau = run.tau / ratio
+        for sample in range(round(seconds / run.period)):
+            at = begin.at + sample
+            torque = 0.5 * (tau[at] + tau[at + 1])
+            for _ in range(every):
+                rest = c[0] + c[1] * np.sign(v) + c[2] * v + c[4] * np.cos(q) + c[5] * np.sin(q)
+                v += STEP * (torque - rest) / c[3]
+                q += STEP * v
+        end: Array = q
+        return end
+
+
+def constant_speed(run: MeasuredRun, begin: Starts, seconds: float) -> Array:
+    """Return angles (S, N) [rad] after some time at the speed of the start."""
+    return np.asarray(run.q_motor[begin.at] + seconds * begin.v)
+
+
+def constant_acceleration(run: MeasuredRun, begin: Starts, seconds: float, low: float) -> Array:
+    """Return angles (S, N) [rad] after some time at the acceleration of the start.
+
+    Args:
+        run: the record.
+        begin: the starts.
+        seconds: time of each.
+        low: low-pass of the acceleration [Hz]; it looks ahead, so that this one knows more than the
+            machine does.
+    """
+    a = smooth_motion(run.q_motor, run.period, low)[2][begin.at]
+    ends: Array = constant_speed(run, begin, seconds) + 0.5 * seconds**2 * a
+    return ends
+
+
+def _features(data: Filtered, j: int) -> Array:
+    q, v = data.q[:, j], data.v[:, j]
+    one = np.ones(len(q))
+    return np.column_stack([one, data.direction[:, j], v, data.a[:, j], np.cos(q), np.sin(q)])
+
+
+WIDTH = 150  # characters of the tables
+
+
+def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[str, Any]:
+    """Compare with runs, print, draw into a folder, and return the same for programs.
+
+    Args:
+        runs: files as run_A.npz; none: the shipped ones.
+        folder: of the pictures.
+        console: for the tables.
+
+    Raises:
+        Refusal: a file is not such a run.
+    """
+    scene = load_scene("kuka_kr300")
+    paths = list(runs) or list(SHIPPED)
+    found = [
+        compare(path, scene) for path in track(paths, "kuka_kr300", console=Console(stderr=True))
+    ]
+    compared = []
+    for one in found:
+        title = f"KUKA KR300, identified on run A, beside {one.run.where}"
+        console.print(table_of(title, scene.joint_names, one.figures))
+        picture = folder / f"kuka_kr300_{Path(one.run.where).stem}.png"
+        draw(one, scene.joint_names, picture)
+        for failure in one.failures:
+            console.print(f"[red]{failure}")
+        console.print(f"{one.run.where}: {'good' if one.good else 'NOT GOOD'}; picture: {picture}")
+        figures = [
+            {"title": f.title, "values": f.values, "mean": f.mean, "limits": f.limits}
+            for f in one.figures
+        ]
+        compared.append(
+            {
+                "record": one.run.where,
+                "good": one.good,
+                "failures": one.failures,
+                "figures": figures,
+                "picture": picture,
+            }
+        )
+    return {"good": all(one.good for one in found), "runs": compared}
+
+
+DRAWN = 5  # free runs: one of this many is drawn
+
+
+def draw(one: Comparison, names: tuple[str, ...], file: Path) -> None:
+    """Draw torques, free runs and wind-up of each axis."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    N, data, run = len(names), one.data, one.run
+    figure, axes = plt.subplots(N, 3, figsize=(15, 1.9 * N), layout="constrained", sharex=True)
+    for j, (row, name) in enumerate(zip(axes, names, strict=True)):
+        torque, free, wound = row
+        moving = np.where(data.moving[:, j], 1.0, np.nan)
+        torque.plot(data.t, data.tau[:, j], color="0.6", lw=1.2)
+        torque.plot(data.t, one.torques[:, j] * moving, "C0", lw=1.0)
+        torque.plot(data.t, (data.tau - one.torques)[:, j] * moving, "C3", lw=0.7)
+        torque.set_ylabel(name)
+        free.plot(run.t, np.degrees(run.q_motor[:, j]), color="0.6", lw=1.2)
+        for k in range(0, len(one.begins), DRAWN):
+            at = one.begins[k]
+            t = run.t[at + 1 : at + 1 + len(one.paths)]
+            free.plot(t, np.degrees(one.paths[:, k, j]), "C0", lw=1.0)
+        if np.isfinite(one.wind_up.measured[:, j]).any():
+            t, measured = one.wind_up.t, np.degrees(one.wind_up.measured[:, j])
+            computed = np.degrees(one.wind_up.computed[:, j])
+            wound.plot(t, measured, color="0.6", lw=0.8)
+            wound.plot(t, computed, "C0", lw=1.0)
+            wound.plot(t, measured - computed, "C3", lw=0.6)
+        else:
+            wound.set_axis_off()
+        for each in row:
+            each.grid(alpha=0.3)
+    titles = ("torque at the link, N m, below 10 Hz", "motor at the link, deg: free runs",
+              "wind-up, deg")  # fmt: skip
+    for each, title in zip(axes[0], titles, strict=True):
+        each.set_title(f"{title}\ngrey: measured, blue: computed, red: residual", fontsize="small")
+    for each in axes[-1]:
+        each.set_xlabel("s")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=85)
+    plt.close(figure)

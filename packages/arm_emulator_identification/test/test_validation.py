@@ -1,0 +1,136 @@
+"""Validation: what it measures of our machines, and that it rejects machines that are wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator import Refusal, Scene, load_scene
+from arm_emulator_identification.validation import manutec_r3
+from arm_emulator_identification.validation.figure import Figure
+from arm_emulator_identification.validation.kuka_kr300 import (
+    SHIPPED,
+    compare,
+    known,
+    load,
+    torque_figures,
+    torques_of,
+    wind_up_figures,
+)
+from arm_emulator_identification.validation.manutec_r3 import MOST, SHOWN, manutec_failures
+from arm_emulator_identification.wind_up import wind_up
+
+
+def figures(scene: Scene, path: Path) -> Iterator[Figure]:
+    """Checks without a simulation."""
+    run = load(path, scene)
+    yield from torque_figures(scene, run, *torques_of(scene, run))
+    yield from wind_up_figures(run, wind_up(run, scene))
+
+
+def failures(scene: Scene, path: Path) -> list[str]:
+    return [line for one in figures(scene, path) for line in one.failures]
+
+
+def wrong(kind: str) -> Scene:
+    """The identified machine with one thing wrong."""
+    scene = load_scene("kuka_kr300")
+    elastic = {
+        f"joints.{joint.name}.gear": joint.gear
+        for joint in scene.joints
+        if joint.gear.stiffness is not None
+    }
+    changes: dict[str, Any] = {}
+    if kind == "no compliance":
+        changes = {f"{name}.stiffness": None for name in elastic}
+        changes |= {f"{name}.damping": None for name in elastic}
+    elif kind.endswith("times as stiff"):
+        factor = float(kind.split(maxsplit=1)[0])
+        changes = {f"{name}.stiffness": factor * gear.stiffness for name, gear in elastic.items()}
+    elif kind == "no counterbalance":
+        changes = {"joints.*.counterbalance": None}
+    elif kind == "no friction":
+        changes = {"joints.*.motor.friction": None}
+    elif kind == "another payload":
+        changes = {"payload": {"mass": 100.0, "com": [0.0, 0.0, 0.3]}}
+    return load_scene("kuka_kr300", changes)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_the_identified_machine_keeps_every_limit(path: Path) -> None:
+    assert not failures(load_scene("kuka_kr300"), path)
+
+
+WRONG = [
+    ("no compliance", "wind-up|not computed"),
+    ("10 times as stiff", "not computed"),
+    ("0.3 times as stiff", "not computed"),
+    ("no counterbalance", "torque explained"),
+    ("no friction", "torque explained"),
+    ("another payload", "torque explained"),
+]
+
+
+@pytest.mark.parametrize("path", some(SHIPPED[::-1], 1), ids=lambda path: path.stem)
+@pytest.mark.parametrize(("kind", "word"), WRONG, ids=[kind for kind, _ in WRONG])
+def test_a_wrong_machine_is_rejected_on_every_run(kind: str, word: str, path: Path) -> None:
+    """A limit that a machine without the thing in question keeps would prove nothing."""
+    lines = failures(wrong(kind), path)
+    assert any(each in line for each in word.split("|") for line in lines), lines
+
+
+@pytest.mark.parametrize("path", some(SHIPPED, 0))
+def test_free_runs_are_nearer_than_null_models(path: Path) -> None:
+    found = compare(path)
+    assert found.good, found.failures
+    judged = [one for one in found.figures if not one.yardstick]
+    assert {one.title.strip().split(",")[0] for one in judged} >= {
+        "free run of 0.6 s", "free run of 2 s",
+    }  # fmt: skip
+    for one in judged:  # every figure that is shown can fail
+        ends = [
+            list(dataclasses.replace(one, values=np.full(6, end), overall=None).failures)
+            for end in (-1e9, 1e9)
+        ]
+        assert any(ends), one.title
+
+
+def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:
+    """826 waves per turn of the link: it comes again in both runs."""
+    scene = load_scene("kuka_kr300")
+    of_b = wind_up(load(SHIPPED[1], scene), scene)
+    assert of_b.order[1] == pytest.approx(known().wave_order[1], abs=2.0)
+    assert of_b.ripple[1] == pytest.approx(known().wave[1], rel=0.2)
+
+
+def test_the_verdict_on_the_manutec_takes_order_speed_and_every_figure() -> None:
+    axes = np.ones(6)
+
+    def like(period: float, **more: Any) -> tuple[manutec_r3.Comparison, float]:
+        size = (period / SHOWN) ** 2
+        given = {name: 0.5 * most * size * axes for name, most in MOST.items()}
+        one = manutec_r3.Comparison(**given, other_modes=20, rows=4688)
+        speed = more.pop("speed", 100.0)
+        return dataclasses.replace(one, **more), speed
+
+    periods = (2e-4, SHOWN, 2e-5, 1e-5, 5e-6)
+    good = {period: like(period) for period in periods}
+    assert not list(manutec_failures(good))
+    for name in MOST:
+        bad = {**good, SHOWN: like(SHOWN, **{name: 2.0 * MOST[name] * axes})}
+        assert any(name in line for line in manutec_failures(bad)), name
+    assert list(manutec_failures({**good, SHOWN: like(SHOWN, speed=0.5)}))
+    assert list(manutec_failures({**good, 2e-4: like(2e-4, other_modes=100)}))
+    first = {period: like(period, q=1e-6 * period / SHOWN * axes) for period in periods}
+    assert any("order" in line for line in manutec_failures(first))
+
+
+def test_a_record_of_another_machine_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Refusal):
+        compare(tmp_path / "none.npz")

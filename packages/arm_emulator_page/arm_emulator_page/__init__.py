@@ -1,0 +1,1 @@
+"""A page in the browser: a run, its moments, the machine and its controls."""

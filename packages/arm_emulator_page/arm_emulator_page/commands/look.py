@@ -1,0 +1,66 @@
+"""Look at a recorded run in the browser, or at two, one over the other."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.extension.bags import EVENT_KINDS as KINDS
+from arm_emulator.extension.bags import RecordedMachine, explain_moment
+from arm_emulator.extension.commands import RunNumber, SceneName, command, output
+from arm_emulator.extension.page import TermsNow, Timeline
+from arm_emulator_page.run_page import RunPage
+from arm_emulator_page.subject import Subject
+
+
+@command(until_stopped=True, keys="`url`, `scene`, `ticks`")
+def look(
+    bag: Path,
+    other: Path | None = None,
+    /,
+    *,
+    scene: SceneName | None = None,
+    other_scene: SceneName | None = None,
+    run: RunNumber = -1,
+    other_run: RunNumber = -1,
+    port: Annotated[str, Parameter(metavar="[HOST:]PORT")] = "0",
+) -> int:
+    """Serve a page with a recorded run to browsers, until Ctrl-C.
+
+    A second run is laid over the first, at the same ticks, and its signals can be subtracted.
+
+    Args:
+        bag: folder of the bag.
+        other: folder of the bag whose run is laid over it.
+        scene: scene file or name (default: the one that the bag names).
+        other_scene: likewise of the other bag.
+        run: which run of the bag, from 1 on (default: the last).
+        other_run: likewise of the other bag.
+        port: TCP port (default: any that is free); on this machine alone without HOST.
+    """
+    machine = RecordedMachine.of(bag, scene, run)
+    over = None if other is None else _subject(RecordedMachine.of(other, other_scene, other_run))
+
+    def explained() -> tuple[TermsNow, list[str]]:
+        now = explain_moment(machine)
+        return now.terms, now.active
+
+    page = RunPage(_subject(machine), explained, port, over)
+    output.line(page.url)
+    output.facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
+    try:
+        threading.Event().wait()
+    finally:
+        page.close()
+    return 0
+
+
+def _subject(machine: RecordedMachine) -> Subject:
+    events = tuple(
+        (tick, ", ".join(str(KINDS.get(one.kind, one.kind)) for one in made))
+        for tick, made in sorted(machine.changes.items())
+    )
+    return Subject.of(Timeline(machine), machine.last, events)

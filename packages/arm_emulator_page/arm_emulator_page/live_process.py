@@ -1,0 +1,52 @@
+"""The process that serves the page of a running machine, see `arm_emulator.page.watched`.
+
+It ends when its input does: the run is over, however it ended.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.page import Hands, RowEnd, SharedRing
+from arm_emulator_page.live_page import LivePage
+
+FRAME = 0.05  # s, wall, between two pictures
+GRACE = 3.0  # s, wall: nothing is lost by its end
+
+
+def main() -> None:
+    """Serve the page until the run is over; hand the run the page's address at first."""
+    end = RowEnd(niceness=10, grace=GRACE)
+    task = end.task
+    try:
+        ring = SharedRing(task["memory"], task["kind"])
+        hands: Hands = task["hands"]()
+        page = LivePage(
+            task["scene"], task["columns"], task["kind"], hands, task["at"], task["varied"]
+        )
+    except Refusal as no:
+        end.leave(no)
+    end.answer(page.url)
+    _show_all(end, ring, page)
+    end.end_in_time()
+    hands.close()
+    page.close()
+    end.leave("")
+
+
+def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:
+    """Show rows until the run is over, whatever a browser has made of the controls."""
+    reported = ""
+    while not end.is_over(FRAME):
+        page.take(ring.take(), ring.dropped)
+        try:
+            page.draw()
+        except Exception as error:
+            if reported != (reported := repr(error)):
+                print("page: not drawn", traceback.format_exc(), sep="\n", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

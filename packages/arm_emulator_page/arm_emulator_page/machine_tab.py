@@ -1,0 +1,135 @@
+"""Controls of the machine as a whole: power, reset, varied numbers, saved machines, gains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from arm_emulator.extension.base import Refusal, markdown_text
+from arm_emulator.extension.machine import Scene
+from arm_emulator_page.arm_scene import ArmScene
+
+FAULTS = "faults."  # names of varied numbers that are faults begin so
+
+
+def machine_tab(page: Any, gui: Any, scene: Scene) -> None:
+    """Add the controls for what a page's hands can do, in the tab in whose context this is called.
+
+    Args:
+        page: a `LivePage`.
+        gui: of its server.
+        scene: the machine.
+    """
+    can = page.hands.can()
+    if "power" in can:
+        buttons = gui.add_button_group("Power", ("on", "off"))
+        buttons.on_click(lambda event: page.ask("power", event.target.value == "on"))
+    if "reset" in can:
+        gui.add_button("Reset").on_click(lambda _: page.ask("reset"))
+    if "set_varied" in can:
+        _add_varied(page, gui, scene)
+    if "save" in can:
+        name = gui.add_text("Name of a machine", "here")
+        both = gui.add_button_group("Machine", ("save", "restore"))
+        both.on_click(lambda event: page.ask(event.target.value, name.value))
+    if "set_gain" in can:
+        _add_gains(page, gui)
+    if not can & {"power", "reset", "set_varied", "save", "set_gain"}:
+        gui.add_markdown("This machine can only be watched.")
+
+
+def _add_varied(page: Any, gui: Any, scene: Scene) -> None:
+    """Add a field for each varied number, and for the magnitude of each fault."""
+    for title, of_faults in (("Varied numbers", False), ("Faults (0: off)", True)):
+        numbers = {k: v for k, v in page.varied.items() if k.startswith(FAULTS) == of_faults}
+        if not numbers:
+            continue
+        with gui.add_folder(title):
+            for name, value in numbers.items():
+                label = name.removeprefix(FAULTS)
+                box = gui.add_number(label, value, step=0.01 * abs(value) or 0.01)
+                box.on_update(lambda _, name=name, box=box: page.ask("set_varied", name, box.value))
+
+
+def _add_gains(page: Any, gui: Any) -> None:
+    with gui.add_folder("Gains of the servo"):
+        read = gui.add_button("Read")
+        choice = gui.add_dropdown("Gain", ("not read yet",))
+        box = gui.add_number("Value", 0.0, step=0.1)
+        known: dict[str, float] = {}
+
+        def show() -> None:
+            if choice.value in known:
+                box.value = known[choice.value]
+
+        def fill() -> None:
+            try:
+                known.update(page.hands.do("gains"))
+            except Refusal as reason:
+                page.answer.content = markdown_text(str(reason))
+                return
+            if known:
+                names = tuple(sorted(known))
+                box.value = known[names[0]]
+                choice.options, choice.value = names, names[0]
+
+        def put() -> None:
+            if choice.value in known and page.ask("set_gain", choice.value, float(box.value)):
+                known[choice.value] = float(box.value)
+
+        read.on_click(lambda _: fill())
+        choice.on_update(lambda event: show() if event.client is not None else None)
+        box.on_update(lambda event: put() if event.client is not None else None)
+
+
+SIZE = 0.25  # m, of the handle
+
+
+class TargetTab:
+    """Controls in the tab in whose context this is made.
+
+    Args:
+        page: a `LivePage`.
+        server: of viser.
+        arm: that is shown.
+    """
+
+    def __init__(self, page: Any, server: Any, arm: ArmScene) -> None:
+        gui, self._page, self._server, self._arm = server.gui, page, server, arm
+        at = tuple(float(one) for one in arm.p_WT)
+        self._place = gui.add_vector3("Position [m], world axes", at, step=0.01)
+        gui.add_button("Copy the tool's pose").on_click(lambda _: self._take())
+        self._drags = gui.add_checkbox("Drag a handle in the picture", False)
+        self._drags.on_update(lambda _: self._switch())
+        gui.add_button("Send the tool there").on_click(lambda _: self._send())
+        self._handle: Any = None
+        self._wxyz: tuple[float, ...] | None = None  # that was taken or dragged to
+
+    def _take(self) -> None:
+        with self._page.exclusive:
+            self._place.value = tuple(float(one) for one in self._arm.p_WT)
+            self._wxyz = self._arm.wxyz_WT
+            if self._handle is not None:
+                self._handle.position, self._handle.wxyz = self._place.value, self._wxyz
+
+    def _switch(self) -> None:
+        with self._page.exclusive:
+            if not self._drags.value:
+                if self._handle is not None:
+                    self._handle.remove()
+                self._handle = None
+                return
+            self._take()
+            self._handle = self._server.scene.add_transform_controls(
+                "/target", SIZE, position=self._place.value, wxyz=self._wxyz, depth_test=False
+            )
+            self._handle.on_update(lambda _: self._dragged())
+
+    def _dragged(self) -> None:
+        self._place.value = tuple(float(one) for one in self._handle.position)
+        self._wxyz = tuple(float(one) for one in self._handle.wxyz)
+
+    def _send(self) -> None:
+        if self._wxyz is None:
+            self._wxyz = self._arm.wxyz_WT
+        place = tuple(float(one) for one in self._place.value)
+        self._page.ask("aim", place, self._wxyz)

@@ -1,0 +1,81 @@
+"""A plot of one quantity of a machine, all joints together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.extension.base import Column
+from arm_emulator.extension.base import ColumnRows as Rows
+
+COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+FIRST = "q"  # quantity of the first plot
+HEIGHT = 260  # px
+SCALES: dict[str, Any] = {"x": {"time": False}}  # of seconds, which are no date
+
+
+def grouped(columns: Sequence[Column]) -> dict[str, list[Column]]:
+    """Return the columns of each quantity, such as "measured.current"."""
+    groups: dict[str, list[Column]] = {}
+    for one in columns:
+        if len(one.path) > 1:
+            groups.setdefault(".".join(one.path[:-1]), []).append(one)
+    return groups
+
+
+def lines_of(columns: Sequence[Column]) -> tuple[Any, ...]:
+    """Return how the columns of a quantity are drawn over time."""
+    lines: list[dict[str, Any]] = [{"label": "t [s]"}]
+    lines += [
+        {"label": f"{one.path[-1]} [{one.unit}]", "stroke": color, "width": 1.5}
+        for one, color in zip(columns, itertools.cycle(COLORS), strict=False)
+    ]
+    return tuple(lines)
+
+
+class SignalPlot:
+    """A plot with the choice of its quantity, in the tab in whose context it is made.
+
+    Args:
+        gui: of the server.
+        columns: of the rows.
+        changed: is called when another quantity is chosen.
+    """
+
+    def __init__(self, gui: Any, columns: Sequence[Column], changed: Callable[[], None]) -> None:
+        self._groups = grouped(columns)
+        self._choice = gui.add_dropdown("Signal", tuple(self._groups), initial_value=FIRST)
+        self._choice.on_update(lambda _: changed())
+        self._drawn = FIRST
+        lines = lines_of(self._groups[FIRST])
+        empty = tuple(np.zeros(0) for _ in lines)
+        self._chart = gui.add_uplot(empty, lines, scales=SCALES, height=HEIGHT)
+
+    @property
+    def data(self) -> tuple[Any, ...]:
+        """Times [s] and the columns that are plotted over them."""
+        data: tuple[Any, ...] = self._chart.data
+        return data
+
+    def show(self, rows: Rows) -> None:
+        """Plot the chosen quantity of rows (K,)."""
+        group = chosen(self._choice, self._groups)
+        columns = self._groups[group]
+        values = [one.of(rows).astype(np.float64) for one in columns]
+        data = (rows["t"].astype(np.float64), *values)
+        if group == self._drawn:
+            self._chart.data = data
+            return
+        self._drawn = group
+        self._chart.data, self._chart.series = data, lines_of(columns)
+
+
+def chosen(control: Any, known: Collection[str]) -> str:
+    """Return the value of a dropdown; the first known one replaces any other value."""
+    value = str(control.value)
+    if value not in known:
+        control.value = value = next(iter(known))
+    return value

@@ -1,0 +1,84 @@
+"""The part of a run that a page shows, with the history of its signals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.machine import RecordRow, columns_of
+from arm_emulator.extension.page import Timeline
+from arm_emulator_page.signal_plot import grouped
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A run up to some tick.
+
+    Attributes:
+        line: timeline of a run with `session`.
+        last: last tick that can be visited.
+        history: signals up to there.
+        events: ticks and texts of what happened.
+    """
+
+    line: Timeline[Any]
+    last: int
+    history: SignalHistory
+    events: tuple[tuple[int, str], ...]
+
+    @classmethod
+    def of(
+        cls, line: Timeline[Any], last: int, events: tuple[tuple[int, str], ...] | None = None
+    ) -> Subject:
+        """Return a run from its first tick on; its events are its changes if none are given."""
+        at = line.tick
+        line.go_to(line.first)
+        history = SignalHistory(line, last)
+        line.go_to(at)
+        made = tuple((one.tick, one.name) for one in line.changes) if events is None else events
+        return cls(line, last, history, made)
+
+
+MOST = 2000  # samples of a plot
+
+
+class SignalHistory:
+    """Rows of a machine at some ticks of a run.
+
+    Attributes:
+        ticks: of the samples (K,).
+        groups: quantities with their columns, such as "q".
+
+    Args:
+        line: timeline of a run with `session`, at its first tick; afterwards at the last.
+        last: its last tick.
+    """
+
+    def __init__(self, line: Timeline[Any], last: int) -> None:
+        every = max(1, -(-last // MOST))
+        row = RecordRow(line.run.session.plant)
+        rows, ticks = [row.take()], [line.tick]
+        while line.tick < last:
+            line.advance(min(every, last - line.tick))
+            rows.append(row.take())
+            ticks.append(line.tick)
+        self.ticks = np.array(ticks)
+        self._rows = np.concatenate(rows)
+        self.groups = grouped(columns_of(line.run.session.scene))
+
+    def values(self, group: str) -> NDArray[np.float64]:
+        """Return a quantity at all samples (K, columns)."""
+        columns = [one.of(self._rows).astype(np.float64) for one in self.groups[group]]
+        return np.stack(columns, axis=1)
+
+    def paths(self, group: str) -> list[tuple[str, ...]]:
+        """Return the names of a quantity's columns; empty: the run has no such quantity."""
+        return [tuple(one.path) for one in self.groups.get(group, ())]
+
+    def minus(self, other: SignalHistory, group: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Return ticks that both have (K,), and the quantity there minus that of the other."""
+        ticks, here, there = np.intersect1d(self.ticks, other.ticks, return_indices=True)
+        return ticks, self.values(group)[here] - other.values(group)[there]

@@ -1,0 +1,32 @@
+"""The arm in the browser, without a browser."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+from arm_emulator import load_scene
+from arm_emulator_page.arm_scene import ArmScene
+
+pytest.importorskip("trimesh", reason="see requirements-peers.txt")
+SCENE = load_scene("three_axis")
+VISUAL = re.compile(r"<visual>.*?</visual>", re.S)
+UNREADABLE = '<visual><geometry><mesh filename="file:///no/such.stl"/></geometry></visual>'
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"), [("", "the robot description has none"), (UNREADABLE, "/no/such.stl")]
+)
+def test_an_arm_without_readable_shapes_is_shown_by_its_tool(shape: str, words: str) -> None:
+    scene = dataclasses.replace(SCENE, urdf=VISUAL.sub(shape, SCENE.urdf))
+    assert scene.urdf != SCENE.urdf
+    whole, bare = (ArmScene(MagicMock(), one) for one in (SCENE, scene))
+    assert whole.missing == "" and words in bare.missing
+    assert bare.size == pytest.approx(whole.size, rel=0.5)
+    for arm in (whole, bare):
+        arm.show(np.array(SCENE.start) + 0.3)
+    np.testing.assert_array_equal(bare.p_WT, whole.p_WT)

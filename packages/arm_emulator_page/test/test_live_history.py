@@ -1,0 +1,53 @@
+"""Rows of a running machine in bounded memory: what is kept, and what a plot gets of it."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator_page.live_page import MOST, NEWEST, LiveHistory
+
+KIND = np.dtype([("t", "f8"), ("tick", "i8"), ("q", "f8", (2,))])
+
+
+def rows(begin: int, end: int) -> np.ndarray:
+    ticks = np.arange(begin, end)
+    found = np.zeros(len(ticks), KIND)
+    found["tick"], found["t"], found["q"] = ticks, 1e-3 * ticks, ticks[:, None]
+    return found
+
+
+@pytest.mark.parametrize("seed", some(range(50), 8))
+def test_the_newest_rows_stand_one_by_one_and_the_run_is_thinned_evenly(seed: int) -> None:
+    draw, history, end = random.Random(seed), LiveHistory(KIND), 0
+    last = draw.choice((50, 3000, 9000, 60_000))
+    while end < last:
+        begin, end = end, min(last, end + draw.randrange(0, 4000))
+        history.add(rows(begin, end))
+    assert history.newest["tick"].tolist() == [last - 1] and history.count == last
+    kept = history._whole["tick"]
+    assert len(kept) <= MOST and kept[0] == 0 and len(history._newest) == min(last, NEWEST)
+    assert len(set(np.diff(kept))) <= 1, "evenly"
+    for tick in (0, last // 2, last - 1):
+        every = kept[1] - kept[0] if len(kept) > 1 else 1
+        near = 0 if tick >= last - NEWEST else every // 2 + 1
+        assert abs(history.near(tick)["tick"][0] - tick) <= near
+    for seconds in (0.5e-3 * last, math.inf):
+        shown = history.since(seconds, 200)
+        assert 0 < len(shown) <= 200 and shown["tick"][-1] == last - 1
+        assert np.all(np.diff(shown["t"]) > 0.0)
+        assert shown["t"][0] >= 1e-3 * (last - 1) - seconds
+
+
+def test_a_machine_that_begins_anew_has_no_rows_of_before() -> None:
+    history = LiveHistory(KIND)
+    history.add(rows(0, 500))
+    history.add(np.concatenate([rows(500, 600), rows(0, 20)]))
+    assert history.count == 20 and history.newest["tick"][0] == 19
+    history.add(rows(3, 5))
+    assert history.count == 2 and history.near(0)["tick"][0] == 3
+    assert not len(LiveHistory(KIND).near(3)) and not len(LiveHistory(KIND).since(1.0, 10))

@@ -1,0 +1,332 @@
+"""Outputs of parts, declared once: every door and display has all of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from documents import DOCS
+from machines import GRAVITY, LINK, write_scene
+from rclpy.serialization import deserialize_message
+
+from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.build.c_header import NULL, text
+from arm_emulator.core import BOUNDARY
+from arm_emulator.design.tuned import data_sheet
+from arm_emulator.machine import outputs
+from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.outputs import (
+    ALWAYS,
+    KNOWN,
+    SYMBOLS,
+    outputs_of,
+    readings_of,
+    reported_by_parts,
+)
+from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
+from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+from arm_emulator.machine.real_time import real_time_session
+from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.ros.middleware import Outgoing, middleware
+from arm_emulator_fieldbus.converter import Converter, blocks
+from arm_emulator_fieldbus.declared import index_of, places
+from arm_emulator_fieldbus.drives import Drives
+from arm_emulator_fieldbus.drives_unit import CANOPEN
+from arm_emulator_fieldbus.modbus_rtu import ModbusException
+from arm_emulator_fieldbus.object_dictionary import Aborted
+from arm_emulator_fmu.variables import variables
+from arm_emulator_msgs.msg import MotorState
+from docs import tables
+
+PMSM = {
+    "kind": "pmsm", "resistance": 0.4, "inductance_d": 2e-3, "inductance_q": 3e-3, "flux": 0.05,
+    "pole_pairs": 4, "rotor_inertia": 2e-4,
+    "winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0},
+}  # fmt: skip
+
+# A joint has one motor: outputs of other kinds stand where this machine has one, too.
+OTHERS = {one for kind in MOTORS if kind.kind != PMSM["kind"] for one in kind.outputs}
+HERE = {name: one for name, one in KNOWN.items() if one not in OTHERS}
+
+
+def everything(folder: Path, **more: Any) -> Scene:
+    """A machine that has every output: a turn, a slide."""
+    text = '<robot name="all"><link name="base"/>'
+    for name, kind, parent in (("turn", "continuous", "base"), ("slide", "prismatic", "turn_link")):
+        text += LINK.format(
+            name=name, kind=kind, parent=parent, xyz="0.1 0.2 0.3", rpy="0.3 -0.5 1.2",
+            axis="0 0 1", com="0.05 0.1 0.02", com_rpy="0 0 0", mass=1.5,
+            ixx=0.03, iyy=0.04, izz=0.05, ixy=0.0, ixz=0.0, iyz=0.01,
+        )  # fmt: skip
+    analog = {kind.section: {"noise": 0.01, "offset": 0.5} for kind in ANALOG}
+    joint = {
+        "motor": PMSM,
+        "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 5.0},
+        "brake": {"torque": 1.0},
+        "encoder": {"counts_per_turn": 1000, "index": "latch"},
+        "link_encoder": {"counts_per_turn": 4096, "index": "latch"},
+        **analog,
+    }
+    imus = {name: {"link": "slide_link"} for name in ("hand", "other")}
+    joints = {"turn": joint, "slide": joint}
+    file = write_scene(
+        folder, text + "</robot>", joints, imus=imus, seed=3, gravity=GRAVITY, **more
+    )
+    return load_scene(file)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return everything(tmp_path_factory.mktemp("everything"))
+
+
+@pytest.fixture(scope="module")
+def plant(scene: Scene) -> Plant:
+    """One that has moved, so that outputs are no zeros."""
+    plant = Plant(scene)
+    for tick in range(40):
+        plant.exchange(np.array([30.0, -30.0]) * (1 if tick < 20 else -1), command_d=[2.0, -3.0])
+    return plant
+
+
+def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> None:
+    assert {one.name for one in outputs_of(scene)} == set(HERE)
+    assert {one.symbol for one in OTHERS} <= {one.symbol for one in HERE.values()}
+
+
+def test_symbols_are_those_of_the_header() -> None:
+    header = (BOUNDARY / "arm.h").read_text()
+    for symbol in SYMBOLS:
+        field = symbol.partition(".")[2] or symbol
+        assert f" {field};" in header or f"*{field};" in header or f" {field}[" in header, symbol
+
+
+def test_an_output_without_a_place_in_c_is_refused(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of any class; and so is one that an instance reports and its class does not declare."""
+    lost = Output("lost", "what nobody has", "sensors.lost", "N m")
+    monkeypatch.setattr(TorqueSensor, "outputs", (lost,))
+    with pytest.raises(Refusal, match=r"output lost must be declared .* got 'sensors.lost'"):
+        scene_unit(scene)
+    monkeypatch.setitem(outputs.KNOWN, "lost", lost)
+    with pytest.raises(Refusal, match=r"output lost must be declared .* place in arm\.h"):
+        scene_unit(scene)
+
+
+def test_draws_of_sensors_are_their_own() -> None:
+    """No two draw the same noise, at any joints."""
+    draws = [range(first, first + stride * 100, stride) for first, stride in
+             (kind.draws() for kind in ANALOG)]  # fmt: skip
+    everyone = [who for draw in draws for who in draw]
+    encoders = {4 * j + k for j in range(100) for k in (0, 1)}
+    assert len(set(everyone) | encoders) == len(everyone) + len(encoders)
+    assert max(everyone) < 2**31, "an int"
+
+
+def test_measured_has_all_of_it(scene: Scene, plant: Plant) -> None:
+    measured = plant.measured
+    N = len(scene.joints)
+    for name, one in KNOWN.items():
+        values = getattr(measured, name)
+        assert values.shape == ((len(scene.imus), 3) if one.per_unit else (N,)), name
+        assert np.isfinite(values).all(), name
+        assert name in dir(measured)
+    assert measured.applied.tolist() == plant.measured.applied.tolist()
+    with pytest.raises(AttributeError, match="Measured has no colour"):
+        _ = measured.colour
+
+
+def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
+    rows = readings_of(scene)
+    for row in range(len(rows) + 1):
+        for joint in range(3):
+            one = ARM.new("arm_reading")
+            result = plant.core.arm_describe_reading(row, joint, one)
+            assert result == (row == len(rows) or joint == 2), "refused"
+            if result == 0:
+                expected = rows[row].unit_at(scene.chain.joints[joint].kind)
+                assert (text(one.name), text(one.unit)) == (rows[row].name, expected)
+                assert one.present == 1
+
+
+def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
+    shown = {one.name[0] for one in variables(scene) if one.role == "output"}
+    assert set(HERE) | {"powered", "truth"} == shown
+
+
+def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> None:
+    types = MotorState.get_fields_and_field_types()
+    fields, measured = MeasuredFields(scene, types), plant.measured
+    own = [one.name for one in fields.own]
+    assert {*fields.in_all, *own, *fields.listed} >= {one.name for one in reported_by_parts(scene)}
+    assert not fields.absent
+    empty = MotorState()
+    fields.begin(empty, Plant(scene).measured)
+    layout = FixedLayout(empty)
+    fields.fill(layout.message, measured)
+    message = deserialize_message(layout.data(), MotorState)
+    for name in (*fields.in_all, *own):
+        np.testing.assert_array_equal(getattr(message, name), getattr(measured, name).ravel())
+    fields.begin(empty, Plant(scene).measured)
+    unpublished: Any = None
+    sent = Outgoing(unpublished, empty, further=fields.places(plant.measured_place))
+    middleware().ros_fill(sent.struct, 0, 0, NULL)
+    copied = deserialize_message(bytes(sent.layout.bytes), MotorState)
+    assert copied == message, "C copies the same"
+    rows = np.array(message.readings).reshape(len(message.reading_names), -1)
+    for name, row in zip(message.reading_names, rows, strict=True):
+        np.testing.assert_array_equal(row, getattr(measured, name), name)
+
+
+def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) -> None:
+    session = Session(scene, "realtime", "first_answer")
+    converter = Converter(session, 0)
+    for _ in range(20):
+        session.advance_under(np.array([30.0, -20.0]))
+    rows = [one for one in blocks(scene) if 1003 <= one.address < 2000]
+    units = len(scene.imus)
+    names = [
+        (one.name, unit)
+        for one in dict.fromkeys((*ALWAYS, *HERE.values()))
+        for unit in (range(units) if one.per_unit else (...,))
+    ]
+    assert len(rows) == len(names), [one.name for one in rows]
+    at = 1003
+    for (name, unit), block in zip(names, rows, strict=True):
+        assert block.address == at, name
+        words = np.array(converter.read(block.address, block.count), ">u2")
+        kind = {"float32": ">f4", "int32": ">i4", "uint16": ">u2"}[block.kind]
+        expected = getattr(session.measured, name)[unit]
+        np.testing.assert_allclose(words.view(kind), expected, rtol=1e-7, atol=0, err_msg=name)
+        at += block.count
+    with pytest.raises(ModbusException):
+        converter.read(at, 1)
+
+
+def test_real_time_hands_over_the_same(scene: Scene) -> None:
+    session = real_time_session(scene, "paused")
+    assert session.step() == ""
+    fresh = Plant(scene)
+    fresh.exchange(np.zeros(2))
+    for name in KNOWN:
+        mine, its = getattr(session.measured, name), getattr(fresh.measured, name)
+        assert mine.tobytes() == its.tobytes(), name
+    session.paused = False
+    while not session.wait(1.0) or not session.take():
+        pass
+    session.paused = True
+    ticks = session.tick
+    for _ in range(ticks - 1):
+        fresh.exchange(np.zeros(2))
+    for name in KNOWN:
+        mine, its = getattr(session.measured, name), getattr(fresh.measured, name)
+        assert mine.tobytes() == its.tobytes(), f"{name} by the loop at tick {ticks}"
+    session.close()
+
+
+def test_a_faultless_sensor_has_the_bits_of_the_truth() -> None:
+    """However the compiler rounds where it folds the core into what asks."""
+    plant = Plant(load_scene("three_axis", {"joints.*.torque_sensor": {}}))
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        plant.exchange(rng.uniform(-20.0, 20.0, 3))
+        assert plant.measured.torque.tobytes() == plant.state.gear_torque.tobytes()
+        assert plant.measured.current.tobytes() == plant.state.current.tobytes()
+
+
+def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
+    """In the unit of the output or a thousandth, at each joint, also after a restart."""
+    known = load_gains(find_scene("three_axis")).servo
+    servo = dataclasses.replace(
+        known,
+        period=scene.servo_period,
+        supply_voltage=scene.supply_voltage,
+        joints=tuple(
+            dataclasses.replace(
+                known.joints[0], name=joint.name, **data_sheet(joint, scene.supply_voltage)
+            )
+            for joint in scene.joints
+        ),
+    )
+    plant = Plant(scene)
+    plant.reset([2.0 * np.pi - 1e-3, 2.001])  # before a turn of the link, and 2 m
+    drives = Drives(plant, servo, CANOPEN)
+    entries = {(one.index, one.sub): one for one in drives.entries}
+    assert len({index_of(one) for one in KNOWN.values()}) == len(KNOWN), "an object each"
+    changed = dict.fromkeys(HERE, 0)
+    further = [joint.inputs[1:] for joint in scene.joints]
+    for tick in range(160):
+        # Both in torque; the brake of the second one closes.
+        for j, sign in enumerate((1, -1)):
+            drives.set(j, 0x6502, 1 << 9)  # these gains are not for it
+            drives.write(j, 0x6060, 10)
+            drives.write(j, 0x6071, sign * 1000)
+            for one in further[j]:
+                drives.give(j, index_of(one), 0.5 * sign)
+            drives.write(j, 0x6040, (6, 7, 15)[min(tick, 2)])
+        if tick == 140:
+            drives.write(1, 0x60FE, 1, 2)
+            drives.write(1, 0x60FE, 1, 1)
+        drives.period()
+        if tick == 150:
+            drives.restart(0)
+        elif 3 < tick < 140:
+            for one in further[0]:
+                assert getattr(drives.plant.measured, one.applied).tolist() == [0.5, -0.5]
+        for name, output in HERE.items():
+            measured = np.asarray(getattr(drives.plant.measured, name), float)
+            index = index_of(output)
+            if output.per_unit:
+                shown = [drives.reading(1, index, sub) for sub in range(1, 7)]
+                assert shown == measured.astype(np.float32).ravel().tolist(), name
+                assert drives.reading(0, index, 1) == 0.0, "no unit on its link"
+                continue
+            entry = entries[index, 0]
+            assert entry.access == "ro" and entry.tx, name
+            whole = entry.type != "REAL32"
+            times = 1e3 if whole and entry.unit.startswith("m") else 1.0
+            for j, value in enumerate(times * measured):
+                off = abs(drives.reading(j, index) - value)
+                assert off <= (0.5 if whole else 1e-7 * abs(value)), f"{name} of joint {j}"
+            changed[name] += len(np.unique(measured)) > 1
+    same = {name for name, one in HERE.items() if not one.per_unit and not changed[name]}
+    assert same <= {"faults"}
+
+
+def test_drives_refuse_values_that_no_object_can_carry(scene: Scene) -> None:
+    """Units beyond those of a link, numbers that are not finite, inputs that a motor has not."""
+    rule = "imus must be at most 1 on the link of slide, for drives on a field bus, got 2"
+    with pytest.raises(Refusal, match=rule):
+        places(scene, 1)
+    file = find_scene("three_axis")
+    drives = Drives(Plant(load_scene(file)), load_gains(file).servo, CANOPEN)
+    for one in scene.joints[0].inputs[1:]:
+        drives.give(0, index_of(one), 0.0)
+        for value in (1.0, np.nan, np.inf):
+            with pytest.raises(Aborted, match="06090030"):
+                drives.give(0, index_of(one), value)
+
+
+def test_tables_of_the_site_have_all_of_them() -> None:
+    """As they are generated from what parts declare; each line leads to a page that is there."""
+    rows = tables.outputs("")
+    assert all(f"| `{name}` |" in rows for name in KNOWN)
+    rows = tables.inputs("")
+    assert all(f"| `{one.name}` |" in rows for kind in MOTORS for one in kind.inputs)
+    rows = tables.sensors("")
+    for one in SENSOR_PARTS:
+        assert "| `imus` |" in rows if one.owners == "imus" else one.section in rows, one.section
+    rows = tables.parts("../reference/scene.md")
+    for page in re.findall(r"\]\((\S+)\)", rows):
+        assert (DOCS / "concepts" / page).is_file(), page
+    assert all(f"`{one.section}`" in rows for one in PARTS if one not in MOTORS)

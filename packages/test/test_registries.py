@@ -1,0 +1,85 @@
+"""Registries: parts, schemes and faults are those that are registered, whatever inherits them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from arm_emulator import Refusal, load_scene
+from arm_emulator.base.registry import Registry
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.registry import kinds_of, register_part
+from arm_emulator.machine.schemes.known import KNOWN
+from arm_emulator.machine.schemes.paper import Paper
+from arm_emulator_campaign.fault import known_faults
+from arm_emulator_campaign.faults.payload import Payload
+
+# Before anything of the emulator has read a registry, as in the first lines of a user's file.
+HIJACK = """
+import importlib, pkgutil, sys
+from arm_emulator.machine import parts, schemes
+from arm_emulator.machine.parts.part import Part
+from arm_emulator_campaign import fault, faults
+made = []
+for package in (parts, schemes, faults):
+    for module in pkgutil.iter_modules(package.__path__):
+        if module.name in ("known", "sensors"):
+            continue  # they read the registry
+        for kind in vars(importlib.import_module(f"{package.__name__}.{module.name}")).values():
+            if isinstance(kind, type) and kind.__module__.startswith(package.__name__ + "."):
+                if issubclass(kind, (Part, schemes.scheme.Scheme, fault.Fault)):
+                    made.append(type("My" + kind.__name__, (kind,), {}))
+assert len(made) > 50, len(made)
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.schemes.known import KNOWN
+from arm_emulator import load_scene
+kinds = [*PARTS, *ANALOG, *KNOWN.values(), *fault.known_faults().values()]
+for joint in load_scene("ur5").joints:
+    kinds += map(type, (*joint.parts, *joint.sensors.parts.values()))
+strangers = {kind.__name__ for kind in kinds if not kind.__module__.startswith("arm_emulator")}
+print(*sorted(strangers))
+print(*[kind.__name__ for kind in PARTS])
+"""
+
+
+def test_classes_that_inherit_replace_nothing(tmp_path: Path) -> None:
+    """A subclass of each part, scheme and fault, made before the registries are read."""
+    file = tmp_path / "mine.py"
+    file.write_text(HIJACK)
+    done = subprocess.run(
+        [sys.executable, file], check=False, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    strangers, parts = done.stdout.splitlines()
+    assert strangers == ""
+    assert parts.split() == [kind.__name__ for kind in PARTS]
+
+
+def test_a_second_owner_of_a_name_is_refused() -> None:
+    for kind in kinds_of(Part):
+        with pytest.raises(Refusal, match=r"have one owner") as refused:
+            register_part(type("Second", (kind,), {}))
+        assert str(refused.value.got).endswith(kind.__name__)
+    assert kinds_of(Part) and load_scene("three_axis").joints
+
+
+def test_a_class_that_comes_too_late_is_refused() -> None:
+    """In place of a part that scenes ignore without a word."""
+    late = type("Late", (Part,), {"section": "late"})
+    with pytest.raises(Refusal, match="registered before the parts are read"):
+        register_part(late)
+
+
+def test_a_registry_has_each_class_by_its_name() -> None:
+    registry = Registry[type]("thing", "arm_emulator.machine.schemes", lambda kind: kind.__name__)
+    names = {registry.register(type(name, (), {})) for name in "ba"}
+    assert [*registry.kinds()] == ["a", "b"] and set(registry.kinds().values()) == names
+
+
+def test_the_registries_have_their_own_names() -> None:
+    assert KNOWN["paper"] is Paper and known_faults()["payload"] is Payload
