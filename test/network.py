@@ -93,6 +93,7 @@ class User:
         self.machine = 0  # the emulator whose states are recorded, 0 for any
         self.own_states: set[bytes] = set()  # what was sent as a motor state, by this user
         self._gone: set[bytes] = set()  # listeners whose process was killed
+        self._met: set[tuple[str, bytes]] = set()  # topics, and listeners that know this publisher
         self.status: EmulatorStatus | None = None
         self.truth: JointState | None = None
         self.joint_states: JointState | None = None
@@ -207,19 +208,23 @@ class User:
     def await_listener(self, publisher: Any) -> None:
         """Wait until the node that acts on a topic listens to this user.
 
-        To count listeners is not enough: recorders and other nodes listen, too.
+        To count listeners is not enough: recorders and other nodes listen, too. And a node that
+        reads with best effort loses what comes before it knows this publisher.
         """
-        receiver = RECEIVER[publisher.topic_name.removeprefix(self.node.get_namespace()).strip("/")]
+        topic = publisher.topic_name
+        receiver = RECEIVER[topic.removeprefix(self.node.get_namespace()).strip("/")]
 
-        def listens() -> bool:
-            known = self._listeners(publisher.topic_name)
+        def listeners() -> set[tuple[str, bytes]]:
+            known = self._listeners(topic)
+            there = {(topic, who) for who, node in known if node == receiver}
             # A discovered node is matched a moment later; the number confirms that all of them are.
-            return (
-                any(node == receiver and who not in self._gone for who, node in known)
-                and len(known) <= publisher.get_subscription_count()
-            )
+            matched = len(known) <= publisher.get_subscription_count()
+            return {one for one in there if one[1] not in self._gone} if matched else set()
 
-        self.wait(f"{receiver} to listen on {publisher.topic_name}", listens)
+        there = self.wait(f"{receiver} to listen on {topic}", listeners)
+        if not there <= self._met:
+            assert self.node.meet(receiver, PATIENCE), f"{receiver} does not know this user"
+            self._met |= there
 
     def await_start(self) -> None:
         """Wait until a paused network has met, and this user hears the machine's states.

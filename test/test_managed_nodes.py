@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 import rclpy
@@ -33,27 +33,19 @@ LABELS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 
 class Client:
-    """Asks a node for its states and changes them, as `ros2 lifecycle` does.
-
-    A server that has not discovered a client yet loses its answer. So the first request to each
-    service is one that may be repeated: one that its server refuses, or that only reads.
-    """
-
-    REFUSED: ClassVar[dict[type, Any]] = {
-        ChangeState: ChangeState.Request(transition=Transition(label="none"))
-    }
+    """Asks a node for its states and changes them, as `ros2 lifecycle` does."""
 
     def __init__(self, user: User, node: str) -> None:
         self._user, self._node = user, node
         self._clients: dict[str, Any] = {}
 
     def client(self, kind: Any, service: str) -> Any:
-        """Return a client that the server of a service has answered before."""
+        """Return a client that the server of a service knows: before, it loses its answers."""
         if service not in self._clients:
             name = f"{self._node}/{service}"
             client = self._clients[service] = self._user.node.create_client(kind, name)
-            first = self.REFUSED.get(kind) or kind.Request()
-            assert self._user.node.ask(client, first, PATIENCE) is not None, name
+            self._user.wait(f"service {name}", client.service_is_ready)
+            assert self._user.node.meet(self._node, PATIENCE), f"{self._node} does not answer"
         return self._clients[service]
 
     def call(self, kind: Any, service: str, request: Any = None) -> Any:

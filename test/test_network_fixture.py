@@ -1,12 +1,18 @@
 """`arm_emulator.testing.network`: acknowledged targets, the bag of a failure, equal bits."""
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import Int64
 
 from arm_emulator import Refusal, testing
 from arm_emulator.cli.commands.check_bag import check_bag
@@ -106,3 +112,34 @@ def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:
             assert acting.spin_until(lambda: "tool_target" in acting.newest, LONGEST)
         finally:
             context.try_shutdown()
+
+
+def test_a_node_that_was_met_gets_what_is_published_once() -> None:
+    """By a best-effort subscription, which loses what comes from a publisher not known yet."""
+    with own_domain() as domain:
+        contexts = [Context(), Context()]
+        for one in contexts:
+            rclpy.init(context=one, domain_id=domain)
+        sender, node = NetworkGuest("sender", "", contexts[0]), Node("acting", context=contexts[1])
+        heard: list[Int64] = []
+        node.create_subscription(Int64, "numbers", heard.append, qos_profile_sensor_data)
+        executor = SingleThreadedExecutor(context=contexts[1])
+        executor.add_node(node)
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        try:
+            for k in range(20):
+                publisher = sender.create_publisher(Int64, "numbers", 1)
+                assert sender.spin_until(
+                    lambda one=publisher: one.get_subscription_count(), LONGEST
+                )
+                assert sender.meet("acting", LONGEST)
+                publisher.publish(Int64(data=k))
+                assert sender.spin_until(lambda k=k: len(heard) > k, LONGEST), f"number {k}"
+            assert [one.data for one in heard] == list(range(20))
+            assert not sender.meet("nobody", 0.5)
+        finally:
+            executor.shutdown()
+            thread.join()
+            for one in contexts:
+                one.try_shutdown()

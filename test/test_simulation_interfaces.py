@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
-from network import ASK_AGAIN, User, assert_same_bits, network, offline_states, user
+from network import PATIENCE, User, assert_same_bits, network, offline_states, user
 from rclpy.action import ActionClient
 from test_managed_nodes import Client
 
@@ -66,13 +65,6 @@ STOPPED, PLAYING, PAUSED = (
 class Simulation(Client):
     """A client that knows simulation_interfaces alone."""
 
-    REFUSED: ClassVar[dict[type, Any]] = {
-        **Client.REFUSED,
-        SetSimulationState: SetSimulationState.Request(state=SimulationState(state=77)),
-        StepSimulation: StepSimulation.Request(steps=0),
-        ResetSimulation: ResetSimulation.Request(scope=254),
-    }
-
     def __init__(self, user: User) -> None:
         super().__init__(user, "emulator")
         self.user = user
@@ -80,19 +72,11 @@ class Simulation(Client):
 
     @property
     def goals(self) -> ActionClient:
-        """The client of the action, after a first goal, which is refused, was answered."""
+        """The client of the action, which its server knows."""
         if self._goals is None:
             self._goals = ActionClient(self.user.node, SimulateSteps, "emulator/simulate_steps")
             self.user.wait("the action", self._goals.server_is_ready)
-            asked: list[Any] = []
-
-            def answered() -> bool:
-                if not asked or time.monotonic() > asked[-1][1]:
-                    future = self._goals.send_goal_async(SimulateSteps.Goal(steps=0))
-                    asked.append((future, time.monotonic() + ASK_AGAIN))
-                return any(future.done() for future, _ in asked)
-
-            self.user.wait("an answer of the action", answered)
+            assert self.user.node.meet("emulator", PATIENCE), "the emulator does not answer"
         return self._goals
 
     @property

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -86,6 +87,23 @@ class NetworkGuest(Node):
             futures.append(client.call_async(request))
             self.spin_until(is_answered, min(left, ASK_AGAIN))
         return next((future.result() for future in futures if future.done()), None)
+
+    def meet(self, node: str, patience: float) -> bool:
+        """Wait until a node knows what this one has made so far; False: not within this time [s].
+
+        Before that it may lose a message to a best-effort subscription, and answers to a client.
+        The middleware reports publishers and clients in the order in which they were made, so a
+        node that answers a new client knows all earlier ones.
+
+        Args:
+            node: its name, relative to the namespace.
+            patience: time to wait at most [s].
+        """
+        client = self.create_client(GetParameters, f"{node}/get_parameters")
+        try:
+            return self.ask(client, GetParameters.Request(), patience) is not None
+        finally:
+            self.destroy_client(client)
 
     def is_heard(self, publisher: Publisher, by: str) -> bool:
         """Return whether a message now published gets to all subscribers, and to a certain node.
