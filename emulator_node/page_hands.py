@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -30,6 +31,7 @@ from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetVaried
 from emulator_node.event_words import change_words, words_of
 
 PATIENCE = 5.0  # s, wall: for an answer
+ASK_AGAIN = 1.0  # s, wall, after which a node that is to be met is asked once more
 PHASES = ("running free", "waiting", "running", "paused", "stopped")
 
 
@@ -52,6 +54,7 @@ class RosHands(Hands):
         self._refusals: dict[str, str] = {}
         self._phase = -1
         self._clients: dict[str, Any] = {}
+        self._met: set[str] = set()  # services whose nodes know the client
         self._targets = node.create_publisher(PoseStamped, "tool_target", 1)
         self._pushes = node.create_publisher(WrenchStamped, "external_wrench_in_world", 1)
         for kind, topic, callback, qos in (
@@ -246,6 +249,16 @@ class RosHands(Hands):
             self._clients[name] = self._node.create_client(kind, name)
         return self._clients[name]
 
+    def _meet(self, node: str) -> None:
+        """Wait until a node knows all clients made so far, see `NetworkGuest.meet`."""
+        client = self._node.create_client(GetParameters, f"{node}/get_parameters")
+        until, met = time.monotonic() + PATIENCE, threading.Event()
+        while not met.is_set() and time.monotonic() < until:
+            if client.wait_for_service(timeout_sec=ASK_AGAIN):
+                client.call_async(GetParameters.Request()).add_done_callback(lambda _: met.set())
+                met.wait(ASK_AGAIN)
+        self._node.destroy_client(client)
+
     def _result(self, name: str, kind: Any, request: Any) -> Any:
         """Return what a service answers.
 
@@ -255,6 +268,9 @@ class RosHands(Hands):
         client, done = self._client(name, kind), threading.Event()
         if not client.wait_for_service(timeout_sec=PATIENCE):
             raise Refusal("page", f"service {name}", "be there", "no answer")
+        if name not in self._met:
+            self._meet(name.rpartition("/")[0])
+            self._met.add(name)
         future = client.call_async(request)
         future.add_done_callback(lambda _: done.set())
         if not done.wait(PATIENCE):

@@ -18,6 +18,7 @@ from draws import some
 from in_process import in_process
 from network import (
     ASK_AGAIN,
+    JOINTS,
     RECEIVER,
     SOLE_PUBLISHER,
     SharedNetwork,
@@ -35,6 +36,7 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
+from emulator_node.page_hands import RosHands
 
 TICKS = 400
 
@@ -305,6 +307,22 @@ def test_services_in_lock_step(lockstep: SharedNetwork) -> None:
         go(user)
         user.wait("the run", lambda: user.tick >= TICKS)
         assert_same_bits(user.motor_states(), reference(), TICKS)
+
+
+def test_the_first_actions_of_a_page_are_answered(lockstep: SharedNetwork) -> None:
+    with lockstep() as (user, _):
+        user.await_start()
+        hands = RosHands("/", 1e-3, lockstep=True)
+        try:
+            assert hands.pause(False) == "going on at tick 0"
+            user.wait("the run", lambda: user.tick > 20)
+            assert hands.pause(True).startswith("paused at tick ")
+            tick = int(hands.step(1).removeprefix("at tick "))
+            user.wait("the step", lambda: user.tick == tick)
+            gains = hands.gains()
+            assert {f"joints.{name}.position_gain" for name in JOINTS} <= set(gains)
+        finally:
+            hands.close()
 
 
 def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
