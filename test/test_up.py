@@ -7,14 +7,14 @@ import signal
 import socket
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 import pytest
 from draws import some
 from network import PATIENCE, User
-from rclpy.parameter_client import AsyncParameterClient
+from node_parameters import Parameters
 from test_launch import start, wait
 
 from arm_emulator.ros.ros_domain import own_domain
@@ -48,11 +48,29 @@ def up(
                 what = f"{child} to end"
                 wait(lambda child=child: not child.is_running() or child.status() == "zombie", what)
         finally:
-            launcher.kill()
-            for child in children:
-                if child.is_running():
-                    child.kill()
-            launcher.communicate()
+            end(launcher, children)
+
+
+def end(launcher: subprocess.Popen[str], children: list[psutil.Process]) -> None:
+    """Kill what a test has left of a network: the launcher, and all that it has started."""
+    started = list(children)
+    if launcher.poll() is None:
+        started += psutil.Process(launcher.pid).children(recursive=True)
+    for one in started:
+        with suppress(psutil.NoSuchProcess):
+            one.kill()
+    launcher.kill()
+    launcher.communicate()
+
+
+@contextmanager
+def started(*command: str) -> Iterator[subprocess.Popen[str]]:
+    """Start a module, which ends with the block at the latest."""
+    process = start(*command)
+    try:
+        yield process
+    finally:
+        end(process, [])
 
 
 def node_of(process: psutil.Process) -> str:
@@ -94,34 +112,36 @@ def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
     with up() as (launcher, children):
         emulator = next(child for child in children if node_of(child) == "emulator")
         assert "real_time_factor:=1.0" in emulator.cmdline(), "real pace, unless another is given"
-        late = start(
-            "emulator_node.node", "--ros-args", "-p", "alone:=true", "-r", "__node:=emulator_2"
-        )
-        _, complaint = late.communicate(timeout=PATIENCE)
-        assert late.returncode == 2, complaint
-        assert f"process {emulator.pid}" in complaint, complaint
-        elsewhere = start("arm_emulator", "up", "three_axis", "--namespace", "cell2")
-        second = start("arm_emulator", "up", "three_axis")
-        printed, complaint = second.communicate(timeout=PATIENCE)
-        assert second.returncode == 2, complaint
-        # Fast DDS prints where another process takes a port of its shared memory at the same time.
-        ours = [line for line in printed.splitlines() if "RTPS_TRANSPORT_SHM" not in line]
-        assert ours in ([], ["emulator ended with exit code 2; ending the others"]), printed
-        pids = "|".join(str(child.pid) for child in children)
-        rule = rf"^.*(network|emulator) must be the only one .*process ({pids})\b"
-        assert re.search(rule, complaint, re.MULTILINE), complaint
-        assert launcher.poll() is None and elsewhere.poll() is None
-        elsewhere.send_signal(signal.SIGINT)
-        _, complaint = elsewhere.communicate(timeout=PATIENCE)
-        assert elsewhere.returncode == 0, complaint
+        alone = ("--ros-args", "-p", "alone:=true", "-r", "__node:=emulator_2")
+        with started("emulator_node.node", *alone) as late:
+            _, complaint = late.communicate(timeout=PATIENCE)
+            assert late.returncode == 2, complaint
+            assert f"process {emulator.pid}" in complaint, complaint
+        network = ("arm_emulator", "up", "three_axis")
+        with started(*network, "--namespace", "cell2") as elsewhere, started(*network) as second:
+            printed, complaint = second.communicate(timeout=PATIENCE)
+            assert second.returncode == 2, complaint
+            # Fast DDS prints where another process takes a port of shared memory at the same time.
+            ours = [line for line in printed.splitlines() if "RTPS_TRANSPORT_SHM" not in line]
+            assert ours in ([], ["emulator ended with exit code 2; ending the others"]), printed
+            pids = "|".join(str(child.pid) for child in children)
+            rule = rf"^.*(network|emulator) must be the only one .*process ({pids})\b"
+            assert re.search(rule, complaint, re.MULTILINE), complaint
+            assert launcher.poll() is None and elsewhere.poll() is None
+            elsewhere.send_signal(signal.SIGINT)
+            _, complaint = elsewhere.communicate(timeout=PATIENCE)
+            assert elsewhere.returncode == 0, complaint
         launcher.send_signal(signal.SIGINT)
         assert launcher.wait(PATIENCE) == 0
 
 
 def test_up_reports_of_a_node_that_cannot_start() -> None:
     """The port of the Rerun stream is taken: the emulator states no, and the others end."""
-    with own_domain(), socket_on_a_port() as port:
-        launcher = start("arm_emulator", "up", "three_axis", "--rerun-port", str(port))
+    with (
+        own_domain(),
+        socket_on_a_port() as port,
+        started("arm_emulator", "up", "three_axis", "--rerun-port", str(port)) as launcher,
+    ):
         printed, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 2, complaint
         assert "emulator ended with exit code 2; ending the others" in printed, printed
@@ -144,9 +164,8 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
         "/**/emulator:\n  ros__parameters: {real_time_factor: 3.0}\n"
     )
     words = ("--namespace", "cell1", "--use-sim-time", "--params-file", str(file))
-    with own_domain() as domain:
+    with own_domain() as domain, started("arm_emulator", "up", *words) as launcher:
         user = User(domain, "/cell1")
-        launcher = start("arm_emulator", "up", *words)
         try:
             names = {f"cell1/{name}" for name in ("emulator", "servo", "motion_controller")}
             user.wait("their health", lambda: names <= set(user.diagnostics))
@@ -154,16 +173,10 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
                 assert user.diagnostics[name].hardware_id.startswith("cell1/"), name
                 # Of logical time, which is seconds since 0, not since 1970.
                 user.wait(f"time of {name}", lambda n=name: 0 < user.stamps[n] < 10**6 * 10**9)
-            client = AsyncParameterClient(user.node, "motion_controller")
-            user.wait("its parameters", client.services_are_ready)
-            asked = client.get_parameters(["weight"])
-            user.wait("the weight", asked.done)
-            weight = asked.result().values[0].double_value
+            weight = Parameters(user).get("motion_controller", "weight")
             assert weight == 0.125, "the weight of the file"
             launcher.send_signal(signal.SIGINT)
             _, complaint = launcher.communicate(timeout=PATIENCE)
             assert launcher.returncode == 0, complaint
         finally:
             user.close()
-            launcher.kill()
-            launcher.communicate()
