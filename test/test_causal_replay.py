@@ -31,6 +31,7 @@ TICKS = 600  # 12 motion periods
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replays begin beside the nodes, whose imports take long on a busy machine."""
     monkeypatch.setattr(causal_replay, "DISCOVERY", PATIENCE)
+    monkeypatch.setattr(causal_replay, "PATIENCE", PATIENCE)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +149,7 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The bag has a motion period's first states and answers, and not the targets for them."""
-    monkeypatch.setattr(causal_replay, "PATIENCE", 1.0)
+    monkeypatch.setattr(causal_replay, "PATIENCE", 10.0)
     last = 500  # a motion period begins
     cut = tmp_path / "cut"
     cut.mkdir()

@@ -68,6 +68,7 @@ def test_joint_jogs_over_a_network(tmp_path: File) -> None:
             messages.JointJog, "motion_controller/delta_joint_cmds", SEND_QOS
         )
         name = user.joint_names[0]
+        user.wait("the run", lambda: user.tick > 200)  # before, jogs are refused
         before = user.wait("joint states", lambda: user.truth).position[0]
         user.publish(jogs, messages.JointJog(joint_names=[name], velocities=[0.5]))
         user.wait("its motion", lambda: abs(user.truth.position[0] - before) > 1e-3)

@@ -363,16 +363,16 @@ def test_reports_that_no_recorder_wrote_stop_nothing() -> None:
     assert one.names == []
 
 
-def test_recorders_are_known_before_the_network_reports_of_them(monkeypatch: Any) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "93")
-    with RecorderPresence(None) as every, RecorderPresence(["cell1/motor_states", "clock"]) as some:
-        with RecorderPresence(["clock"]):
-            assert recorders_of("/cell1/motor_states") == {every.recorder, some.recorder}
-        assert recorders_of("/motor_states") == {every.recorder}
-        monkeypatch.setenv("ROS_DOMAIN_ID", "94")
-        assert recorders_of("/motor_states") == set()
-        monkeypatch.setenv("ROS_DOMAIN_ID", "93")
-    assert recorders_of("/cell1/motor_states") == set()
+def test_recorders_are_known_before_the_network_reports_of_them() -> None:
+    topics = ["cell1/motor_states", "clock"]
+    with own_domain():
+        with RecorderPresence(None) as every, RecorderPresence(topics) as one:
+            with RecorderPresence(["clock"]):
+                assert recorders_of("/cell1/motor_states") == {every.recorder, one.recorder}
+            assert recorders_of("/motor_states") == {every.recorder}
+            with own_domain():  # another one
+                assert recorders_of("/motor_states") == set()
+        assert recorders_of("/cell1/motor_states") == set()
 
 
 @pytest.mark.parametrize("waits", [True, False])

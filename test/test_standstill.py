@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import rclpy
 from draws import some
+from network import PATIENCE
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -262,18 +263,18 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -
                     executor.spin_once(0.02)
                 return period * PERIOD_NS in answers
 
-            assert answered(1, 10.0), "a servo that publishes no state moves all joints"
+            assert answered(1, PATIENCE), "a servo that publishes no state moves all joints"
             reports = servo.create_publisher(ServoState, "servo_states", 10)
-            end = time.monotonic() + 30.0
+            end = time.monotonic() + PATIENCE
             while not node._servo_reports and time.monotonic() < end:
                 executor.spin_once(0.02)
             assert not answered(2, 0.5)
             report = ServoState(joint_names=scene.joint_names, movable=[1] * 3)
             report.header.stamp = stamp(2 * PERIOD_NS)
             reports.publish(report)
-            assert answered(2, 10.0)
+            assert answered(2, PATIENCE)
             servo.destroy_publisher(reports)
-            assert answered(3, 10.0), "it has gone"
+            assert answered(3, PATIENCE), "it has gone"
         finally:
             rclpy.try_shutdown()
             own.join()

@@ -18,7 +18,7 @@ from arm_emulator.doors.json_lines import LONGEST, TcpServer
 from arm_emulator.machine.real_time import real_time_session
 
 SCENE = load_scene("three_axis")
-PATIENCE = 30.0  # s
+PATIENCE = 120.0  # s
 
 
 def lockstep() -> Session:

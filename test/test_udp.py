@@ -27,7 +27,7 @@ from arm_emulator.machine.real_time import real_time_session
 
 SCENE = load_scene("three_axis")
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "udp_servo.c"
-PATIENCE = 30.0  # s
+PATIENCE = 120.0  # s
 TICKS = 2000  # of the example
 PMSM = {"kind": "pmsm", "resistance": 0.5, "inductance_d": 1e-3, "inductance_q": 1e-3, "flux": 0.01,
         "pole_pairs": 4, "rotor_inertia": 1e-4}  # fmt: skip

@@ -15,7 +15,7 @@ from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.json_lines import UnixSocketServer
 
 SCENE = load_scene("three_axis")
-PATIENCE = 30.0  # s
+PATIENCE = 120.0  # s
 
 
 def lockstep() -> Session:

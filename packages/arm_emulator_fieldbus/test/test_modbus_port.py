@@ -22,6 +22,8 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator_fieldbus import converter as registers
 from arm_emulator_fieldbus.modbus_rtu import is_sound
 
+PATIENCE = 120.0  # s
+
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
@@ -44,7 +46,7 @@ def served(tmp_path: Path, *arguments: str) -> Iterator[tuple[int, subprocess.Po
             yield port, process
             os.close(port)
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=30)
+            out, err = process.communicate(timeout=PATIENCE)
             assert process.returncode == 0 and "Traceback" not in err, out + err
             assert not link.is_symlink(), "the link is taken away"
         finally:
@@ -96,7 +98,7 @@ def test_port_in_real_time_takes_the_time_of_the_line_and_watches(tmp_path: Path
         least = 3 * ((19 + 23) * 11 / 9600 + 3.5 * 11 / 9600)
         assert time.monotonic() - started >= least
         status = sound(struct.pack(">BBHH", 1, 4, 1000, 3))
-        until = time.monotonic() + 20.0
+        until = time.monotonic() + PATIENCE
         while not ask(port, status, 11)[4] & registers.WATCHDOG:
             assert time.monotonic() < until, "drives still on"
         off = ask(port, status, 11)
