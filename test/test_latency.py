@@ -15,14 +15,21 @@ from arm_emulator.cli.output import output
 @pytest.mark.parametrize("rate", [200.0, 3000.0])
 def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
     began = time.monotonic()
-    found = wake_ups(load_scene("three_axis"), 1.0 / rate, 0.5)
+    found = wake_ups(load_scene("three_axis"), 1.0 / rate, 2.5)
     wall = time.monotonic() - began
     periods = len(found.late) + found.lost
-    assert 0.4 * rate <= periods <= wall * rate, "those that begin and end within it"
+    # A busy machine may keep the thread from its last wake-ups.
+    assert 2.0 * rate <= periods <= wall * rate, "those that begin and end within it"
     assert (found.late >= 0.0).all() and (found.spent > 0.0).all()
     assert found.quantiles == sorted(found.quantiles) and found.quantiles[-1] == found.late.max()
     # A wake-up that is late by whole periods has lost them.
     assert found.lost == int(np.sum(np.floor(found.late / round(1e9 / rate) * 1e9 + 1e-9)))
+
+
+def test_a_wake_up_is_waited_for_beyond_the_time_given() -> None:
+    """A machine may be so busy that the thread does not run meanwhile."""
+    found = wake_ups(load_scene("three_axis"), 0.02, 0.0)
+    assert len(found.late) > 0 and found.quantiles[0] >= 0.0
 
 
 def test_emulator_and_servo_run_at_another_rate() -> None:

@@ -176,18 +176,21 @@ def wake_ups(scene: Scene, period: float, seconds: float) -> WakeUps:
     Args:
         scene: the machine, of which each period computes the steps of one servo period.
         period: wall time between wake-ups [s].
-        seconds: how long [s].
+        seconds: how long, or until the first wake-up [s].
 
     Raises:
-        Refusal: see `RealTimeLoop`.
+        Refusal: see `RealTimeLoop`; or no wake-up comes.
     """
     plant = Plant(scene)
     loop = RealTimeLoop(plant, round(period * 1e9), scene.cores[0])
     late, spent = [], []
     loop.start(0)
-    until = time.monotonic() + seconds
+    begun = time.monotonic()
     try:
-        while time.monotonic() < until:
+        while (passed := time.monotonic() - begun) < seconds or not late:
+            if passed > seconds + PATIENCE:
+                what, rule = f"the thread of {1.0 / period:g} Hz", f"wake up within {PATIENCE:g} s"
+                raise Refusal("latency", what, rule, "no wake-up")
             loop.wait(0.1)
             while (reached := loop.take()) is not None:
                 late.append(reached.lateness)
