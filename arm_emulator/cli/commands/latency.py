@@ -183,7 +183,7 @@ def wake_ups(scene: Scene, period: float, seconds: float) -> WakeUps:
     """
     plant = Plant(scene)
     loop = RealTimeLoop(plant, round(period * 1e9), scene.cores[0])
-    late, spent = [], []
+    late, spent = list[int](), list[int]()
     loop.start(0)
     begun = time.monotonic()
     try:
