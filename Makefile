@@ -160,10 +160,11 @@ install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 # hand without --symlink-install removes the linked setup.py, and the next command links again.
 BESIDE := $(notdir $(patsubst %/setup.py,%,$(wildcard packages/*/setup.py)))
 PYTHON_PACKAGES := arm_emulator $(BESIDE)
-LINKED := $(foreach name,$(PYTHON_PACKAGES),$(if $(wildcard build/$(name)/setup.py),,$(name)))
+LINKED := $(strip $(foreach name,$(PYTHON_PACKAGES),$(if $(wildcard build/$(name)/setup.py),,$(name))))
 SHARED := $(shell find config launch resource -type f 2>/dev/null)
 # What `pip install .` has left in the environment: a copy of this checkout, and a command that runs it.
-COPIED := $(foreach name,$(PYTHON_PACKAGES),  $(if $(wildcard .venv/lib/python*/site-packages/$(name)-*.dist-info),$(name)))
+COPIED := $(strip $(foreach name,$(PYTHON_PACKAGES),\
+  $(if $(wildcard .venv/lib/python*/site-packages/$(name)-*.dist-info),$(name))))
 LAUNCHER := $(shell grep -ls '$(CURDIR)/install/setup.sh' .venv/bin/arm_emulator 2>/dev/null)
 
 install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
