@@ -13,6 +13,7 @@ help:
 	@echo 'make page               get the page of look, run --page and up --page (viser)'
 	@echo 'make robots             get the descriptions of ur5 and panda; demo and test do it by themselves'
 	@echo 'make test               run the tests; PACKAGES="core fmu": those of some packages'
+	@echo 'make test-slow          run the long tests that make test leaves out'
 	@echo 'make test-in-full       run the tests with every case of each class'
 	@echo 'make test-peers         run the tests with masters, compilers and simulators of others'
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
@@ -203,7 +204,10 @@ TESTS = $(foreach name,$(PACKAGES),$(if $(filter core,$(name)),test,packages/arm
 
 # At -O1, which takes the compiler half of the time and gives the same bits; test-in-full tests -O3.
 test: setup .venv/.robots
-	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) $(TESTS) $(ARGS)
+	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) -m 'not slow' $(TESTS) $(ARGS)
+
+test-slow: setup .venv/.robots
+	@$(RUN) && $(PYTEST) -m slow $(TESTS) $(ARGS)
 
 test-in-full: setup .venv/.robots
 	@$(RUN) && FULL=1 $(PYTEST) $(TESTS) $(ARGS)
@@ -266,4 +270,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup page robots demo test test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE
+.PHONY: help setup page robots demo test test-slow test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE

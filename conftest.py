@@ -39,17 +39,17 @@ pytest.register_assert_rewrite(
 # Files that take more than 5 s, the longest first: one that comes late would leave the other half
 # of the machine idle.
 LONGEST = """
-sensitivities lockstep snippets part_contract campaign schemes by_hand_bags new doubles
-fleet up recording network stream external_wrench mode_loops bags doctor ways
-identification faults_at_doors library_examples motor_kinds couplings threads collisions
-doubtful_records validation compiler copies arm_loops at_rest linearised sensors recorder search
-launch random_scenes json located load_friction spoiled_files brake hard_cases stability inputs
-motion_orders fuzz varied_axes varied current_loop fleet_follow splitting campaign_lanes lanes
-dynamics ideal_motors firmware_faults by_hand faults driven_machine progressive_gear negative_ratio
-fault_replay torque_terms command_line jog random_machines motors mounting efforts advice repair
-bound case_bag first_difference rotor_friction readings end_stops demo working_folder topic_based
-ethercat_mailbox lugre coupled_moves winding tune alone target_ways outputs documents standstill
-manutec loaded_libraries trees pmsm backlash boundary stribeck number
+lockstep snippets part_contract campaign schemes by_hand_bags new doubles fleet up recording
+network stream external_wrench mode_loops bags ways identification faults_at_doors
+library_examples motor_kinds couplings threads collisions doubtful_records validation compiler
+copies arm_loops at_rest linearised sensors recorder search launch random_scenes json located
+load_friction spoiled_files brake hard_cases stability inputs motion_orders fuzz varied_axes
+varied current_loop fleet_follow splitting campaign_lanes lanes sensitivities doctor dynamics
+ideal_motors firmware_faults by_hand faults driven_machine progressive_gear negative_ratio
+fault_replay torque_terms command_line jog motors mounting efforts advice repair bound case_bag
+first_difference rotor_friction readings end_stops demo working_folder topic_based
+ethercat_mailbox lugre coupled_moves winding tune target_ways outputs documents standstill manutec
+loaded_libraries trees pmsm backlash boundary stribeck number
 """.split()
 
 

@@ -76,6 +76,7 @@ def test_any_message_is_taken_or_refused(
         at_the_doors.give(RECEIVER[topic], topic, message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", some(["lockstep", "realtime"], 1))
 def test_a_network_survives_random_messages(clock: str, tmp_path: Path) -> None:
     number = 480 if FULL else 60
@@ -84,6 +85,7 @@ def test_a_network_survives_random_messages(clock: str, tmp_path: Path) -> None:
 
 
 # The second one once broke something: no steps under rows of voltages, out of bounds already.
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "number", "largest"), some([(1, 1, 4), (0, 0, 2), (0, 1, 2)], 1))
 def test_a_random_machine_answers_or_refuses(
     seed: int, number: int, largest: int, tmp_path: Path
@@ -99,6 +101,7 @@ cores.case(0, 0, Path(sys.argv[1]), largest=1)
 """
 
 
+@pytest.mark.slow
 def test_the_core_is_clean_under_its_sanitizers(tmp_path: Path) -> None:
     """One machine of one joint: a compiler takes long with sanitizers."""
     environment = cores.environment(tmp_path)

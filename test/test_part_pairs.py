@@ -34,6 +34,7 @@ def judge(share: int, scheme: str, folder: Path) -> None:
             assert verdict.in_order, verdict
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "scheme"), some(itertools.product(SHARES, LOCATING_SCHEMES), 1))
 def test_located_events_keep_order_two(share: int, scheme: str, tmp_path: Path) -> None:
     judge(share, scheme, tmp_path)

@@ -8,6 +8,8 @@ from draws import some
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
 from oracles.random_machines import judge
 
+pytestmark = pytest.mark.slow
+
 
 # 10 and 31 have progressive gears, limits and dry friction; the current of 138 touches its limit,
 # a link of 381 breaks away for a moment, and one of 470 sets out and rests within some us.

@@ -103,12 +103,14 @@ def mixture(folder: Path, seed: int) -> Scene:
     return load_scene(write_mixture(folder, seed), {"integrator.scheme": scheme})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20) if FULL else [8])
 def test_derivatives_by_every_number_of_a_mixture(seed: int, tmp_path: Path) -> None:
     scene = mixture(tmp_path, seed)
     compare(scene, commands(scene, seed))
 
 
+@pytest.mark.slow
 def test_derivatives_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
     """As many as fill a vector, one more and one less: what is shared by several does not change.
 
