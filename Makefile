@@ -247,6 +247,7 @@ lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy \
 	  && mypy --config-file test/mypy.ini && lint-imports --no-logo --no-cache
 	@.venv/bin/python test/banned_words.py
+	@.venv/bin/python test/name_checker.py
 	@$(RUN) && python -m docs.generated --check
 	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
 

@@ -1,0 +1,200 @@
+"""Names of identifiers: terms of the field, verbs for functions, one class per name.
+
+`make lint` runs this file. It prints figures per package and fails beyond the limits below, which
+only move towards the aims: at most one name in 50 fails. `--list` prints each name that fails.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+ENDINGS = {".py", ".c", ".h", ".cpp", ".hpp"}
+CLAIMS = {
+    "test",
+    "examples",
+}  # a test is named after its claim: only the words of its names are judged
+# (limit, aim); a figure may lie between them, not beyond the limit
+FOREIGN = (7.6, 2.0)  # percent of names with a word that is no term of the field
+NO_VERB = (63.1, 40.0)  # percent of functions whose name does not begin with a verb
+NO_PREFIX = (161, 0)  # functions and properties of bool without is_, has_, can_
+TWICE = (42, 20)  # class names that several modules define
+WORDS = (1.4, 1.9)  # at least: mean number of words in the name of a function
+# A word that is no term of the field, and what to write instead.
+INSTEAD = {
+    "one": "joint, part, number, file", "other": "second, neighbour", "given": "argument, input",
+    "kept": "stored, saved", "wanted": "expected, target", "turns": "lock", "stood": "was_immobile",
+    "came": "arrived, received", "itself": "self_clocked", "hands": "controls", "desk": "server",
+    "crew": "pool", "guest": "client", "laws": "controllers", "instructor": "executor",
+    "way": "path", "ways": "paths", "sought": "identifiable", "wound": "wind_up",
+    "wish": "setpoint", "held": "zoh", "standing": "inactive", "anyway": "watchdog",
+    "anew": "again", "doubles": "duplicates", "precede": "priority", "lasting": "shared",
+    "uncopied": "non_copyable", "known": "registry", "drawn": "sample", "usual": "regular",
+    "nobody": "none", "glance": "sensor_input", "course": "schedule", "whole": "full, atomic",
+    "slips": "mistakes", "doubts": "warnings", "intake": "subscriptions", "outbox": "publisher",
+    "leader": "primal", "follower": "derivative", "judges": "evaluators", "needless": "duplicate",
+    "answers": "commands, responses", "spread": "low_discrepancy", "subject": "run",
+    "watched": "monitored", "attends": "poll", "heed": "handle", "perhaps": "hint",
+    "found": "result", "got": "received", "made": "result", "most": "maximum",
+    "least": "minimum", "seen": "visited", "gone": "removed", "shown": "text",
+    "asked": "requested", "what": "quantity",
+}  # fmt: skip
+VERBS = set(
+    """accelerate accept acquire activate add advance aim align allocate allow answer apply approach
+    approve arm ask assemble assert attach begin bind blend bound brake break build bump
+    calibrate call can cancel cap change check choose clamp clear clip clone close coerce
+    collect combine command compare compensate compile complete compose compute configure
+    connect consume contain continue convert copy correct count create cut deactivate decide
+    declare decode delete deliver derive describe detach detect determine differentiate disable
+    discard discretise do drain draw drive drop dump emit enable encode end ensure enter
+    enumerate estimate evaluate exchange execute exit expand expect export extend extract
+    extrapolate fail fetch fill filter finalise find finish fit flatten flush fold follow force
+    forget fork format free freeze gather generate get give go grow guard guess handle has hide
+    hold identify ignore import index infer inform init insert inspect install instruct
+    integrate interpolate invert is iterate join judge jump keep kill launch leave let limit
+    linearise link list listen load locate lock log look lower main make map mark match may
+    measure merge mirror mix modify monitor move multiply name normalise note notify observe
+    offer open pack pad parse pass pause perform permute place plan play plot poll pop post
+    predict prepare press print probe process project propagate publish pull push put quantise
+    query quit raise randomise reach read receive recompute record recover reduce refine refuse
+    register reject release reload remember remove rename render repair repeat replace replay
+    report request require rescale reserve reset resolve respond restart restore resume retry
+    retune return reverse rewind rotate round run sample save scale scan schedule search see
+    select send serve set settle shift show shrink shut simulate skip sleep slow smooth solve
+    sort spawn spin split start state step stop store subtract suggest sum sweep switch
+    synchronise take terminate test tick track transform translate transmit trigger
+    truncate try tune turn undo unite unlock unpack unregister update upload use validate
+    verify visit wait wake warn watch weigh wrap write yield zero""".split()
+)
+TYPE_LINE = re.compile(
+    r"^[ \t]*(?:(?:static|inline|constexpr|extern|virtual|const|explicit|struct|class)\s+)*"
+    r"(?:[A-Za-z_][\w:]*(?:<[^;(){}]*>)?[\s*&]+)([A-Za-z_]\w*)\s*(?=[({;=,\[])",
+    re.M,
+)
+COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"", re.S)
+STATEMENTS = {"return", "else", "delete", "throw", "using", "goto", "case", "new", "typedef"}
+
+
+def words_of(name: str) -> list[str]:
+    """Split a name at underscores and capitals."""
+    return [part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)]
+
+
+class Figures:
+    """Counts of one package."""
+
+    def __init__(self) -> None:
+        self.names: set[tuple[str, str]] = set()
+        self.foreign: set[tuple[str, str]] = set()
+        self.functions: list[str] = []
+        self.no_verb: list[str] = []
+        self.no_prefix: list[str] = []
+
+    def add(self, file: str, name: str) -> None:
+        """Count a name once per file."""
+        if name.startswith("__") or len(name) < 2:
+            return
+        self.names.add((file, name))
+        if any(word in INSTEAD for word in words_of(name)):
+            self.foreign.add((file, name))
+
+    def add_function(self, file: str, node: ast.FunctionDef | ast.AsyncFunctionDef) -> None:
+        """Count a function and judge its name; properties need no verb."""
+        if node.name.startswith("__") or not (words := words_of(node.name)):
+            return
+        decorators = {ast.unparse(one).split(".")[-1] for one in node.decorator_list}
+        whether = isinstance(node.returns, ast.Name) and node.returns.id == "bool"
+        if whether and words[0] not in ("is", "has", "can", "are", "was", "may"):
+            self.no_prefix.append(f"{file}:{node.lineno} {node.name}")
+        if decorators & {"property", "cached_property", "setter"}:
+            return
+        self.functions.append(node.name)
+        if words[0] not in VERBS:
+            self.no_verb.append(f"{file}:{node.lineno} {node.name}")
+
+
+def files() -> Iterator[tuple[str, Path]]:
+    """Yield each tracked file that is checked, with its package."""
+    for name in subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines():
+        path, parts = ROOT / name, name.split("/")
+        if path.suffix in ENDINGS and path.is_file():
+            nested = len(parts) > 2 and parts[0] in ("arm_emulator", "packages")
+            yield "/".join(parts[: 2 if nested else 1]), path
+
+
+def check() -> tuple[dict[str, Figures], dict[str, set[str]]]:
+    """Return the figures of each package and the modules of each class name."""
+    figures: dict[str, Figures] = defaultdict(Figures)
+    classes: dict[str, set[str]] = defaultdict(set)
+    for package, path in files():
+        file, text, found = str(path.relative_to(ROOT)), path.read_text(), figures[package]
+        if path.suffix != ".py":
+            for kind in TYPE_LINE.finditer(COMMENT.sub(" ", text)):
+                if kind.group(0).split()[0] not in STATEMENTS:
+                    found.add(file, kind.group(1))
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                found.add(file, node.name)
+                if not CLAIMS & set(file.split("/")):
+                    found.add_function(file, node)
+            elif isinstance(node, ast.ClassDef):
+                found.add(file, node.name)
+                if not CLAIMS & set(file.split("/")):
+                    classes[node.name].add(file)
+            elif isinstance(node, ast.arg):
+                found.add(file, node.arg)
+            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                found.add(file, node.id)
+            elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+                found.add(file, node.attr)
+    return figures, classes
+
+
+def main() -> int:
+    """Print the figures; return 1 if any is beyond its limit."""
+    figures, classes = check()
+    everything = Figures()
+    print(f"{'package':32} {'names':>6} {'foreign':>7} {'functions':>9} {'no verb':>7} {'bool':>5}")
+    for package, found in [*sorted(figures.items()), ("all", everything)]:
+        print(
+            f"{package:32} {len(found.names):6} {len(found.foreign):7} {len(found.functions):9}"
+            f" {len(found.no_verb):7} {len(found.no_prefix):5}"
+        )
+        everything.names |= found.names
+        everything.foreign |= found.foreign
+        for part in ("functions", "no_verb", "no_prefix"):
+            if found is not everything:
+                getattr(everything, part).extend(getattr(found, part))
+    twice = {name for name, modules in classes.items() if len(modules) > 1}
+    lengths = [len(words_of(name)) for name in everything.functions]
+    results = {
+        "percent of names that are no terms of the field": (
+            100 * len(everything.foreign) / len(everything.names), FOREIGN),
+        "percent of functions without a verb": (
+            100 * len(everything.no_verb) / len(everything.functions), NO_VERB),
+        "functions of bool without is_, has_, can_": (len(everything.no_prefix), NO_PREFIX),
+        "class names that several modules define": (len(twice), TWICE),
+        "words in the name of a function": (sum(lengths) / len(lengths), WORDS),
+    }  # fmt: skip
+    failed = False
+    for what, (figure, (limit, aim)) in results.items():
+        print(f"name_checker: {what}: {figure:.2f}, limit {limit}, aim {aim}")
+        failed |= figure > limit if limit >= aim else figure < limit
+    if failed or "--list" in sys.argv:
+        counts = Counter(word for _, name in everything.foreign for word in words_of(name))
+        for word, count in counts.most_common():
+            if word in INSTEAD:
+                print(f"{word}: {count} names; write {INSTEAD[word]}")
+        print("\n".join([*everything.no_prefix, *everything.no_verb, *sorted(twice)]))
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
