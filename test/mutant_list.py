@@ -1,0 +1,505 @@
+"""Plausible mistakes for `mutants.py`, each with the tests that must notice it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Mutant(NamedTuple):
+    """One mistake in one file.
+
+    Attributes:
+        file: path of the source.
+        old: text that stands there once.
+        new: text that replaces it.
+        tests: arguments of pytest, relative to test/, separated by spaces.
+    """
+
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+PARTS, MACHINE, MOTION = (
+    "arm_emulator/machine/parts",
+    "arm_emulator/machine",
+    "arm_emulator/motion",
+)
+CORE_PARTS, MECHANICS, SCHEMES = (
+    "arm_emulator/core/parts",
+    "arm_emulator/core/mechanics",
+    "arm_emulator/core/schemes",
+)
+
+MUTANTS = (
+    # Declared numbers of parts.
+    Mutant(
+        f"{PARTS}/dc_motor.py",
+        '"L", "H", at_least=0.0, default=0.0,',
+        '"L", "H", at_least=0.0, default=1.0,',
+        "test_parts.py test_motors.py",
+    ),
+    Mutant(
+        f"{PARTS}/dc_motor.py",
+        '"L", "H", at_least=0.0, default=0.0,',
+        '"L", "H", at_least=-5.0, default=0.0,',
+        "test_parts.py test_motors.py",
+    ),
+    Mutant(
+        f"{PARTS}/winding.py", "default=0.0039", "default=0.0045", "test_parts.py test_winding.py"
+    ),
+    Mutant(
+        f"{PARTS}/winding.py",
+        'default=20.0,\n        text="temperature at which',
+        'default=25.0,\n        text="temperature at which',
+        "test_parts.py test_winding.py",
+    ),
+    Mutant(f"{PARTS}/gear.py", "at_most=1e3", "at_most=1e1", "test_parts.py test_scene.py"),
+    Mutant(f"{PARTS}/elastic_gear.py", '"N m s/rad"', '"N m/rad"', "test_parts.py test_scene.py"),
+    Mutant(
+        f"{PARTS}/encoder.py",
+        '"bits", at_least=1, at_most=48',
+        '"bits", at_least=1, at_most=64',
+        "test_parts.py test_encoders.py test_scene.py",
+    ),
+    Mutant(
+        f"{PARTS}/encoder.py",
+        "ends=(0.0, 0.5)",
+        "ends=(0.0, 1.0)",
+        "test_parts.py test_encoders.py",
+    ),
+    Mutant(
+        f"{PARTS}/brake.py",
+        '"release_delay",\n        "s",\n        ends=(0.0, 10.0)',
+        '"release_delay",\n        "s",\n        ends=(0.0, 1.0)',
+        "test_parts.py test_brake.py",
+    ),
+    Mutant(
+        f"{PARTS}/end_stops.py",
+        '"K", "N m/rad", above=0.0',
+        '"K", "N m/rad", at_least=0.0',
+        "test_parts.py test_end_stops.py",
+    ),
+    Mutant(
+        f"{PARTS}/analog_sensor.py",
+        '"gain_error", "1", ends=(-1.0, 1.0)',
+        '"gain_error", "1", ends=(-0.1, 0.1)',
+        "test_parts.py test_sensors.py",
+    ),
+    Mutant(
+        f"{PARTS}/backlash_gear.py",
+        '"play", "rad", at_least=0.0',
+        '"play", "rad", at_least=-1.0',
+        "test_parts.py test_backlash.py",
+    ),
+    Mutant(
+        f"{PARTS}/friction.py",
+        'follows="coulomb",',
+        "at_least=0.0,",
+        "test_parts.py test_stribeck.py test_breakaway.py",
+    ),
+    # Scenes, faults, states and rows of a machine.
+    Mutant(f"{MACHINE}/scene.py", "ends=(1e-6, 1.0)", "ends=(1e-6, 10.0)", "test_scene.py"),
+    Mutant(
+        f"{MACHINE}/payload.py",
+        "xx, yy, zz, xy, xz, yz = entries",
+        "xx, yy, zz, xy, yz, xz = entries",
+        "test_dynamics.py test_scene.py",
+    ),
+    Mutant(
+        f"{MACHINE}/urdf_tree.py",
+        "for axis in (2, 1, 0)",
+        "for axis in (0, 1, 2)",
+        "test_dynamics.py",
+    ),
+    Mutant(
+        f"{MACHINE}/faults/motors.py",
+        '"{x} * (1.0 - {m}) * (1.0 - {m})"',
+        '"{x} * (1.0 - {m})"',
+        "test_faults.py test_fault_effects.py test_motor_faults.py",
+    ),
+    Mutant(
+        f"{MACHINE}/faults/drive_trains.py",
+        '"gear.stiffness", "gear.damping", "gear.cubic_stiffness"',
+        '"gear.stiffness", "gear.damping"',
+        "test_faults.py test_fault_effects.py test_progressive_gear.py",
+    ),
+    Mutant(
+        f"{MACHINE}/plant_state.py",
+        '"motor velocity", "rad/s", VELOCITY.most / ratio',
+        '"motor velocity", "rad/s", VELOCITY.most * ratio',
+        "test_by_hand.py test_bound.py",
+    ),
+    Mutant(
+        f"{MACHINE}/plant_state.py",
+        '"q": "m", "v": "m/s"',
+        '"q": "m", "v": "rad/s"',
+        "test_recorder.py test_public_names.py",
+    ),
+    Mutant(
+        f"{MACHINE}/record_row.py",
+        'rows["t"], rows["tick"] = self.truth.time, self.measurement.tick',
+        'rows["t"], rows["tick"] = self.truth.time, self.measurement.answered',
+        "test_recorder.py test_public_names.py test_condition.py",
+    ),
+    Mutant(
+        f"{MACHINE}/pace.py", "(tick + 1 - self._first)", "(tick - self._first)", "test_pace.py"
+    ),
+    Mutant(
+        f"{MACHINE}/external_wrench.py",
+        "point = applied(frame.R, point) + frame.p",
+        "point = applied(frame.R, point)",
+        "test_external_wrench.py",
+    ),
+    Mutant(
+        f"{MACHINE}/varied.py",
+        "factor = R[i, k] * R[j, m] + (R[i, m] * R[j, k] if k != m else 0.0)",
+        "factor = R[i, k] * R[j, m]",
+        "test_varied.py test_varied_axes.py",
+    ),
+    Mutant(
+        f"{MACHINE}/answers.py",
+        "        self.pointer.known = 0\n",
+        "",
+        "test_session.py",
+    ),
+    # The compiled core.
+    Mutant(
+        f"{CORE_PARTS}/dc_motor.hpp",
+        "if (L == 0.0) i[0] = (V - Kb * wm) / R_circuit();",
+        "if (L == 0.0) i[0] = (V + Kb * wm) / R_circuit();",
+        "test_motors.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/dc_motor.hpp",
+        "return 0.5 * L * i[0] * i[0];",
+        "return L * i[0] * i[0];",
+        "test_located.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/drive.hpp",
+        "dry += rotor.law.holding(gear.Ng * T) / magnitude(gear.Ng);",
+        "dry += rotor.law.holding(T) / magnitude(gear.Ng);",
+        "test_load_friction.py test_rotor_friction.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/drive.hpp",
+        "motor.Mm / (gear.Ng * gear.Ng)",
+        "motor.Mm / magnitude(gear.Ng)",
+        "test_motors.py test_limits.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/load_friction.hpp",
+        "return dry + mu * magnitude(T);",
+        "return dry + mu * T;",
+        "test_load_friction.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/encoder.hpp",
+        "(c > disc ? to : to + 1) * per_turn",
+        "to * per_turn",
+        "test_encoders.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/encoder.hpp",
+        "return turn * per_turn > counts ? turn - 1 : turn;",
+        "return turn;",
+        "test_encoders.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/analog_sensor.hpp",
+        "__builtin_floor(y / resolution + 0.5)",
+        "__builtin_floor(y / resolution)",
+        "test_sensors.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/sensors.hpp",
+        "least(encoder[j].delay), least(link_encoder[j].delay);",
+        "least(encoder[j].delay);",
+        "test_sensors.py test_readings.py test_encoders.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/sensors.hpp",
+        "is_held(imu.gyroscope[k].held, of_channel(3 + k), tick)",
+        "is_held(imu.gyroscope[k].held, of_channel(k), tick)",
+        "test_sensors.py test_sensor_bits.py test_imu.py test_faults.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/sensors.hpp",
+        "    if (anew) drifted_ = {};\n",
+        "",
+        "test_sensors.py test_faults.py test_readings.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/imu.hpp",
+        "Vec3<double>{2.0 * m.omega.y * v[i], -2.0 * m.omega.x * v[i], a[i]}",
+        "Vec3<double>{m.omega.y * v[i], -m.omega.x * v[i], a[i]}",
+        "test_imu.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/backlash.hpp",
+        "return 0.5 * play;",
+        "return play;",
+        "test_backlash.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/brake.hpp",
+        "return Law::sliding(w, T) + closed * brake.torque;",
+        "return Law::sliding(w, T);",
+        "test_brake.py",
+    ),
+    Mutant(
+        "arm_emulator/core/machine/machine.hpp",
+        "value_of(S::brake_delays[k][way] / dt) + 0.5)",
+        "value_of(S::brake_delays[k][way] / dt))",
+        "test_brake.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/winding.hpp",
+        "f[rise] += resistance(z) * Motor::copper_loss(z);",
+        "f[rise] += resistance(z) * Motor::dissipated(z);",
+        "test_winding.py test_motor_faults.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/winding.hpp",
+        "winding.beta * (winding.ambient - winding.reference + z[rise])",
+        "winding.beta * z[rise]",
+        "test_winding.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/current_loop.hpp",
+        "held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);",
+        "I() * (u - z[0]);",
+        "test_current_loop.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/counterbalance.hpp",
+        "return F0 * h / (h + compressing() * (l - l0));",
+        "return F0 * h / (h + (l - l0));",
+        "test_counterbalance.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/pmsm.hpp",
+        "(psi + (Ld - Lq) * z[0])",
+        "(psi + (Lq - Ld) * z[0])",
+        "test_pmsm.py",
+    ),
+    Mutant(
+        f"{SCHEMES}/located.hpp", "      left -= t;\n", "      left = h_ - t;\n", "test_located.py"
+    ),
+    Mutant(
+        f"{SCHEMES}/linearly_implicit.hpp",
+        "        past().torque[j] += n_.carried(j) * a[j];\n",
+        "",
+        "test_located.py",
+    ),
+    Mutant(
+        f"{SCHEMES}/paper.hpp",
+        "x.q[j] = fma(h_, x.v[j], x.q[j]);\n      x.v[j] = fma(h_, a[j], x.v[j]);",
+        "x.v[j] = fma(h_, a[j], x.v[j]);\n      x.q[j] = fma(h_, x.v[j], x.q[j]);",
+        "test_schemes.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/coulomb.hpp",
+        "return Ds(j) * (1.0 + kRounding) - magnitude(held_[j]);",
+        "return Dc(j) * (1.0 + kRounding) - magnitude(held_[j]);",
+        "test_breakaway.py test_located.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/link_tree.hpp",
+        "cross(omega, body.I * omega, body.I * alpha)",
+        "body.I * alpha",
+        "test_dynamics.py",
+    ),
+    # The servo.
+    Mutant(
+        "arm_emulator/servo/c/servo.c",
+        "(off < 0 ? -off : off) <= HALF * joint->count_angle",
+        "(off < 0 ? -off : off) <= joint->count_angle",
+        "test_servo.py test_servo_loop.py",
+    ),
+    Mutant(
+        "arm_emulator/servo/c/servo.c",
+        "joint->reset_rate * (i_ref - feedforward - state->integral)",
+        "joint->reset_rate * (i_ref - state->integral)",
+        "test_servo.py",
+    ),
+    Mutant(
+        "arm_emulator/servo/c/servo_clock.h",
+        "(silence > dog->hold_after)",
+        "(silence >= dog->hold_after)",
+        "test_watchdog.py",
+    ),
+    Mutant(
+        "arm_emulator/servo/c/servo_clock.h",
+        "  arm->aimed = lost ? none : arm->aimed;\n",
+        "",
+        "test_servo.py test_brake.py test_power.py test_servo_targets.py",
+    ),
+    Mutant(
+        "arm_emulator/servo/servo_numbers.py",
+        "joint.velocity_gain * ratio**2 / torque_constant",
+        "joint.velocity_gain * abs(ratio) / torque_constant",
+        "test_servo.py test_servo_loop.py",
+    ),
+    Mutant(
+        "arm_emulator/servo/servo_config.py",
+        'if scalars["cut_after"] <= scalars["hold_after"]:',
+        'if scalars["cut_after"] < scalars["hold_after"]:',
+        "test_servo_parameters.py test_watchdog.py",
+    ),
+    # Motion control.
+    Mutant(
+        f"{MOTION}/jacobian.py",
+        "(0.5 * e) ** 2 * (1.0 - (s / e) ** 2)",
+        "(0.5 * e) ** 2",
+        "test_jacobian.py",
+    ),
+    Mutant(
+        f"{MOTION}/kinematics.py",
+        "            if self.model.parents[joint] > 0:\n                length",
+        "            if joint > 0:\n                length",
+        "test_kinematics.py",
+    ),
+    Mutant(
+        f"{MOTION}/motion_config.py",
+        '        1e-3,\n        "largest distance of a tool that has',
+        '        1e-2,\n        "largest distance of a tool that has',
+        "test_run_time_parameters.py test_motion_orders.py test_target_ways.py",
+    ),
+    Mutant(
+        f"{MOTION}/jog_order.py",
+        "twist = np.concatenate([R_WL @ twist[:3], R_WL @ twist[3:]])",
+        "twist = np.concatenate([R_WL @ twist[:3], twist[3:]])",
+        "test_jog.py",
+    ),
+    Mutant(
+        f"{MOTION}/tolerances.py",
+        "                if value:\n",
+        "                if value > 0.0:\n",
+        "test_follow_goal.py",
+    ),
+    Mutant(
+        f"{MOTION}/paced.py",
+        "3.0 * one.a * rate * change",
+        "one.a * rate * change",
+        "test_stopping_on_the_way.py",
+    ),
+    Mutant(
+        f"{MOTION}/cpp/chain.hpp",
+        "(2.0 * v[i]) * cross(w, z)",
+        "v[i] * cross(w, z)",
+        "test_arm_tree.py test_couplings.py",
+    ),
+    # Ticks, runs and nodes.
+    Mutant(
+        "arm_emulator/tick/c/tick.c",
+        "if (result == ARM_OK) ++at->tick;",
+        "++at->tick;",
+        "test_tick.py",
+    ),
+    Mutant(
+        "arm_emulator/tick/c/answers.c",
+        "!memcmp(answers->before, command, bytes)",
+        "!memcmp(answers->newest, command, bytes)",
+        "test_session.py",
+    ),
+    Mutant(
+        "arm_emulator/tick/c/breakpoint.c",
+        "  one->held = holds;\n",
+        "  one->held |= holds;\n",
+        "test_breakpoint.py",
+    ),
+    Mutant(
+        "arm_emulator/tick/c/record_ring.c",
+        "return writer->ring->written - taken < writer->capacity;",
+        "return writer->ring->written - taken <= writer->capacity;",
+        "test_recorder.py",
+    ),
+    Mutant(
+        "arm_emulator/runs/servo_fleet.cpp",
+        "fleet.since[row + 1] <= tick",
+        "fleet.since[row + 1] < tick",
+        "test_fleet_follow.py test_target_table.py",
+    ),
+    Mutant(
+        "arm_emulator/runs/target_table.py",
+        "np.diff(t) <= 0.0",
+        "np.diff(t) < 0.0",
+        "test_target_table.py test_goal.py",
+    ),
+    Mutant(
+        "arm_emulator/runs/servo_step.c",
+        "    one->closed[j] = joint->brake;\n",
+        "",
+        "test_brake.py test_target_table.py test_fleet_follow.py",
+    ),
+    Mutant(
+        "emulator_node/c/answered_ticks.c",
+        "  if (tick % ticks->report_ticks) return;\n",
+        "  if ((tick + 1) % ticks->report_ticks) return;\n",
+        "test_hot_path.py test_network.py",
+    ),
+    Mutant(
+        "emulator_node/c/motor_commands.c",
+        " || (own->machine && own->machine != own->emulator)",
+        "",
+        "test_doubles.py test_sole_publisher.py",
+    ),
+    Mutant(
+        "servo_node/c/answered_states.c",
+        " && are_aimed_at(own))",
+        ")",
+        "test_hot_path.py test_sole_publisher.py test_lockstep.py",
+    ),
+    Mutant(
+        "servo_node/node.py",
+        "silence < self._config.cut_after",
+        "silence < self._config.hold_after",
+        "test_network.py test_sole_publisher.py",
+    ),
+    Mutant(
+        "motion_controller_node/order_topics.py",
+        "given = times if len(set(times)) > 1 else None",
+        "given = times if times else None",
+        "test_motion_node.py",
+    ),
+    # Input.
+    Mutant(
+        "arm_emulator/base/number.py",
+        "return LARGEST if self.at_most is None else float(np.min(self.at_most))",
+        "return LARGEST if self.at_most is None else float(np.max(self.at_most))",
+        "test_number.py test_bound.py",
+    ),
+    Mutant(
+        "arm_emulator/base/bound.py",
+        'FORCE = Number.within("force", "N", 1e6)',
+        'FORCE = Number.within("force", "N", 1e9)',
+        "test_bound.py test_external_wrench.py",
+    ),
+    Mutant(
+        "arm_emulator/base/bound.py",
+        "np.minimum(LARGEST_COUNT, counts) - 1.0",
+        "np.minimum(LARGEST_COUNT, counts)",
+        "test_bound.py",
+    ),
+    Mutant(
+        "arm_emulator/base/joint_order.py",
+        "array[[self._index[name] for name in names]] = given",
+        "array = given[[self._index[name] for name in names]]",
+        "test_session.py test_manners.py test_lockstep.py",
+    ),
+    Mutant(
+        "arm_emulator/base/formula.py",
+        'strict = sign in ("<", ">")',
+        'strict = sign == "<"',
+        "test_condition.py",
+    ),
+    Mutant(
+        "arm_emulator/base/section.py",
+        "            below.finish()\n",
+        "            pass\n",
+        "test_scene.py",
+    ),
+)
