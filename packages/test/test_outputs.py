@@ -103,6 +103,47 @@ def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> Non
     assert {one.symbol for one in OTHERS} <= {one.symbol for one in HERE.values()}
 
 
+# Units at joints that turn and that slide, written down apart from the declarations. "" of counts,
+# flags, bits, and of what is in the unit of an input.
+UNITS = {
+    "encoder_counts": ("", ""),
+    "current": ("A", "A"),
+    "current_d": ("A", "A"),
+    "applied_d": ("", ""),
+    "applied_b": ("", ""),
+    "applied": ("command", "command"),
+    "faults": ("", ""),
+    "brake_closed": ("", ""),
+    "index_counts": ("", ""),
+    "index_pulses": ("", ""),
+    "link_encoder_counts": ("", ""),
+    "link_index_counts": ("", ""),
+    "link_index_pulses": ("", ""),
+    "torque": ("N m", "N"),
+    "motor_speed": ("rad/s", "rad/s"),
+    "link_position": ("rad", "m"),
+    "link_speed": ("rad/s", "m/s"),
+    "motor_temperature": ("degC", "degC"),
+    "specific_force": ("m/s2", "m/s2"),
+    "angular_rate": ("rad/s", "rad/s"),
+}
+INPUTS = {
+    ("dc", "command"): "V",
+    ("current", "command"): "A",
+    ("torque", "command"): "N m",
+    ("pmsm", "command"): "V",
+    ("pmsm", "command_d"): "V",
+    ("stepper", "command"): "A",
+    ("stepper", "command_b"): "A",
+}
+
+
+def test_outputs_and_inputs_have_the_units_of_the_table() -> None:
+    kinds = ("revolute", "prismatic")
+    assert {name: tuple(map(one.unit_at, kinds)) for name, one in KNOWN.items()} == UNITS
+    assert {(kind.kind, one.name): one.unit for kind in MOTORS for one in kind.inputs} == INPUTS
+
+
 def test_symbols_are_those_of_the_header() -> None:
     header = (BOUNDARY / "arm.h").read_text()
     for symbol in SYMBOLS:
