@@ -7,10 +7,12 @@ import pytest
 from test_command_line import run
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.pace import BEHIND, GRAIN, UNLIMITED, Pace, factor_of
+from arm_emulator.machine.pace import UNLIMITED, Pace, factor_of
 from emulator_node.node import EmulatorParameters, check_pace
 
 PERIOD = 1e-3
+# s, wall: lost time that is made up for, and the interval at which short periods are left.
+BEHIND, GRAIN = 0.1, 5e-3
 
 
 class Wall:

@@ -30,8 +30,7 @@ from arm_emulator.ros.bag_writer import BagWriter, repair
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.recorder import Numbered
 from arm_emulator.ros.recorder_presence import RecorderPresence, recorders_of
-from arm_emulator.ros.recorders import AHEAD, Recorders
-from arm_emulator.ros.recorders import PATIENCE as RECORDER_PATIENCE
+from arm_emulator.ros.recorders import Recorders
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.ros.run_record import RunRecord
 from arm_emulator_msgs.msg import MotorState, RecorderReport
@@ -345,11 +344,11 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
             tick += 1
             one.published += 1
         kept = [w for name, w in written.items() if name in one.names]
-        assert one.published - min(kept, default=one.published) <= AHEAD + 1
+        assert one.published - min(kept, default=one.published) <= 100 + 1
     assert one.names == [names[2]], "who is gone, or writes nothing, is let go"
     printed = " ".join(one.news)
     assert f"recorder {gone} has ended" in printed
-    assert f"recorder {asleep} has written nothing for {RECORDER_PATIENCE:g} s" in printed
+    assert f"recorder {asleep} has written nothing for 120 s" in printed
     assert tick > 1000, "the machine went on"
 
 

@@ -15,8 +15,6 @@ from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop
 from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import (
-    OVERSHOOT,
-    SENSITIVITY,
     GearData,
     MotorData,
     ServoGains,
@@ -220,10 +218,10 @@ def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
             loop = SampledLoop(plant, [servo], delay)
             assert loop.stable, f"grows by {loop.radius} with {inertia:g} kg m2"
             margins = loop.margins()[0]
-            # The design looks at fewer frequencies.
-            assert margins.sensitivity < 1.1 * SENSITIVITY, f"{margins}"
+            # docs/how_to/gains.md promises 2 and 10 %. The design looks at fewer frequencies.
+            assert margins.sensitivity < 1.1 * 2.0, f"{margins}"
             rows = loop.step(0, 1000, max(1, round(0.02 / gains.position_gain / axis.period)))
-            assert rows.max() < 1.0 + OVERSHOOT + 0.05, "overshoot of the link"
+            assert rows.max() < 1.0 + 0.1 + 0.05, "overshoot of the link"
 
 
 @pytest.mark.parametrize("seed", some(range(4), 2))

@@ -17,7 +17,6 @@ from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tool_path import (
     LONGEST,
     MOST_POSES,
-    ROUNDED,
     ToolCurve,
     ToolLimits,
     ToolPath,
@@ -106,14 +105,14 @@ def test_rounded_corners_are_smooth_and_stay_near(seed: int) -> None:
 
 
 def test_flat_corners_are_rounded_and_passed_near_by() -> None:
-    """A polygon of a circle has no corner left, and stays within the rounding of its poses."""
+    """A polygon of a circle has no corner left, and passes its poses within 50 um."""
     turn = np.linspace(0.0, 2 * np.pi, 101)
     points = [pose([0.1 * math.cos(t), 0.1 * math.sin(t), 0.0]) for t in turn]
     path = ToolPath(points, LIMITS)
     assert len(path.stops) == 2, "it stops nowhere between"
     way = path.curve.poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
     for one in points:
-        assert np.linalg.norm(way - one.p_WT, axis=1).min() < 1.1 * ROUNDED
+        assert np.linalg.norm(way - one.p_WT, axis=1).min() < 1.1 * 5e-5
 
 
 # Paths of an arm
