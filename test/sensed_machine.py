@@ -121,7 +121,9 @@ def motion(plant: Plant, rng: np.random.Generator, ticks: int) -> list[tuple[Mea
     reported = [(plant.measured, plant.state)]
     for tick in range(ticks):
         if tick % 50 == 0:
-            voltage = rng.choice([-1.0, 1.0], 3) * rng.uniform(35.0, 48.0, 3)
+            voltage = (rng.choice([-1.0, 1.0], 3) * rng.uniform(35.0, 48.0, 3))[
+                : len(plant.scene.joints)
+            ]
         plant.exchange(voltage)
         reported.append((plant.measured, plant.state))
     return reported

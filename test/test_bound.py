@@ -17,6 +17,7 @@ from arm_emulator import OfflineRun, Pose, Refusal, Servo, Session, load_scene, 
 from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.number import Number
+from arm_emulator.machine.plant_state import bounds_of
 from arm_emulator.motion.coming_orders import MOST_TARGETS
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.instructor import Instructor
@@ -65,6 +66,17 @@ def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
         else:
             with pytest.raises(Refusal, match=r"^here: q must be numbers within \+-\S+ rad, got"):
                 bound.row("here", values, N)
+
+
+def test_what_is_set_of_a_motor_is_bounded_as_its_link_is() -> None:
+    """1e6 rad and 1e6 rad/s at the links of both ends of a gear, whatever way it turns."""
+    scene = load_scene("three_axis", {"joints.elbow.gear.ratio": -0.004})
+    ratios, bounds = np.abs(scene.gear_ratios), bounds_of(scene)
+    assert (ratios < 0.1).all() and 0.004 in ratios
+    np.testing.assert_allclose(ratios * bounds["theta_m"].at_most, 1e6, rtol=1e-15)
+    np.testing.assert_allclose(ratios * bounds["omega_m"].at_most, 1e6, rtol=1e-15)
+    np.testing.assert_array_equal(bounds["q"].at_most, 1e6)
+    assert (bounds["v"].at_most, bounds["current"].at_most) == (1e6, 1e9)
 
 
 def test_encoder_counts_keep_the_joint_and_the_hold_of_it_within_its_position() -> None:

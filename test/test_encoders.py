@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from machines import MOTOR, one_link_urdf, write_scene
 from sensed_machine import (
     DRAWS,
     SIGMAS,
@@ -29,10 +31,11 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write(tmp_path_factory.mktemp("sensed")))
 
 
-def test_index_pulses_come_where_a_turn_is_full(scene: Scene) -> None:
+@pytest.mark.parametrize("way", [1.0, -1.0], ids=["up", "down"])
+def test_index_pulses_come_where_a_turn_is_full(scene: Scene, way: float) -> None:
     """As often as the disc passes a multiple of a turn between ticks; the newest is latched."""
     plant = Plant(scene)
-    plant.reset(v=np.array([6.0, 6.0, 6.0]))
+    plant.reset(v=way * np.array([6.0, 6.0, 6.0]))
     reported = motion(plant, np.random.default_rng(2), 400)
     for joint, per_turn, delay, names in (
         (0, 1000, 0, ("encoder_counts", "index_counts", "index_pulses")),
@@ -51,6 +54,17 @@ def test_index_pulses_come_where_a_turn_is_full(scene: Scene) -> None:
         held = ~came
         np.testing.assert_array_equal(index[1:][held], index[:-1][held], f"{names[1]} between")
         assert delay or came.sum() > 4, f"{came.sum()} pulses"
+
+
+def test_an_encoder_at_a_link_may_be_the_only_sensor_that_is_late(tmp_path: Path) -> None:
+    encoder = {"counts_per_turn": 100_000, "delay": 3}
+    joint = {"motor": MOTOR, "gear": {"ratio": 0.02}, "link_encoder": encoder}
+    plant = Plant(load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint})))
+    reported = motion(plant, np.random.default_rng(4), 60)
+    # An angle on an edge, as at the start, counts on despite its rounding.
+    there = np.floor(truth(reported, "q") * 100_000 / TURN + 1e-9)
+    np.testing.assert_array_equal(rows(reported, "link_encoder_counts"), late(there, 3))
+    assert np.ptp(there) > 100, "a motion"
 
 
 ENCODERS = (

@@ -98,6 +98,39 @@ def test_sticking_and_slipping_follow_the_closed_form_with_order_two(
     assert orders == pytest.approx(2.0, abs=0.15), errors
 
 
+@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated"])
+def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str) -> None:
+    """A constant torque against dry friction, then the opposite one, behind a rigid gear.
+
+    Accelerations are constant between events, so that a scheme of order two is exact, also in the
+    step after an event: its past must have the torque that accelerates the rotor.
+    """
+    Kt, Ng, Mm, V, Dc = 0.1, 0.01, 5e-5, 6.0, 20.0
+    motor = {"resistance": 1.0, "torque_constant": Kt, "back_emf_constant": 0.0}
+    joint = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng}}
+    joint["friction"] = {"coulomb": Dc}
+    period, rows, steps = 0.013, 8, 4
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": joint}, **located(scheme, period / steps, period)
+    )
+    plant = Plant(load_scene(file))
+    commands = np.where(np.arange(rows) < 3, V, -V)[:, None]
+    q = plant.run(commands, steps)[:, 0]
+    J, T = LINK_INERTIA + Mm / Ng**2, Kt * V / Ng
+    up, down, back = (T - Dc) / J, (T + Dc) / J, (T - Dc) / J
+    turns = 3 * period  # where the torque changes its sign
+    rests = turns + up * turns / down
+    t = period * np.arange(1, rows + 1)
+    truth = np.where(
+        t <= turns,
+        0.5 * up * t**2,
+        0.5 * up * turns * rests - 0.5 * np.where(t < rests, down, back) * (t - rests) ** 2,
+    )
+    assert turns < rests < t[-1] and (rests * steps / period) % 1.0 > 0.1, "within a step"
+    # Events are located to 1e-10 of a step.
+    np.testing.assert_allclose(q, truth, rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("scheme", some(SECOND_ORDER[::-1], 1))
 @pytest.mark.parametrize("seed", range(2))
 def test_currents_at_limits_follow_the_closed_form_with_order_two(

@@ -130,6 +130,16 @@ def truth_of(plant: Plant) -> dict[str, Any]:
     return found
 
 
+def test_a_row_has_the_time_and_the_tick_of_its_measurement(scene: Scene) -> None:
+    plant = Plant(scene)
+    row = RecordRow(plant)
+    for tick in range(3):
+        taken = row.take()
+        assert taken["tick"].tolist() == [tick]
+        assert taken["t"] == pytest.approx(tick * scene.servo_period, rel=1e-12)
+        plant.exchange(np.zeros(len(scene.joints)))
+
+
 def test_every_kind_of_file_is_tested() -> None:
     assert set(READERS) == set(SUFFIXES)
 

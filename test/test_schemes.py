@@ -300,6 +300,30 @@ def sliding(
     return plant
 
 
+@pytest.mark.parametrize(("scheme", "twice"), [("paper", -1), ("implicit", 1)])
+def test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end(
+    tmp_path: Path, scheme: str, twice: int
+) -> None:
+    """Under a constant acceleration q is a h^2 (k^2 -+ k) / 2 after k steps.
+
+    The paper's links go forward, by the speed at the begin; implicit Euler by that at the end. The
+    order alone does not tell them apart.
+    """
+    Kt, V, Ng, Mm, h = 0.05, 8.0, 0.02, 1e-4, 1e-3
+    motor = {"resistance": 1.0, "torque_constant": Kt, "back_emf_constant": 0.0}
+    joint = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng}}
+    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint})
+    plant = Plant(load_scene(file, {"integrator": {"scheme": scheme, "dt": h}}))
+    a = Kt * V / Ng / (LINK_INERTIA + Mm / Ng**2)
+    for k in (1, 2, 3, 10):
+        plant.reset()
+        plant.advance([V], k)
+        assert plant.state.v[0] == pytest.approx(k * a * h, rel=1e-12), "many roundings"
+        assert plant.state.q[0] == pytest.approx(
+            0.5 * a * h**2 * (k**2 + twice * k), rel=1e-12, abs=1e-18
+        )
+
+
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 @pytest.mark.parametrize("viscous", [0.0, 0.4])
 def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: float) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import CONFIG, GRAVITY, MOTOR, write_scene
+from machines import CONFIG, GRAVITY, MOTOR, one_link_urdf, write_scene
 from scipy import stats
 from sensed_machine import (
     AXES,
@@ -134,6 +134,34 @@ def test_gain_offset_range_and_resolution_are_as_the_equation_states(
     np.testing.assert_allclose(steps, np.rint(steps), rtol=0, atol=1e-9, err_msg="multiples")
     assert np.abs(y - wanted).max() <= 0.5 * res * (1.0 + 1e-9), "rounded to the next multiple"
     assert np.abs(y).max() <= limit + 0.5 * res, "limited"
+
+
+def test_a_drift_grows_with_time_and_ends_with_a_reset(tmp_path: Path) -> None:
+    joint = {"motor": MOTOR, "gear": {"ratio": 0.02}, "current_sensor": {"drift": 0.5}}
+    plant = Plant(load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint})))
+    for _ in range(2):
+        assert plant.measured.current == plant.state.current, "nothing has drifted at the start"
+        for _ in range(20):
+            plant.exchange([3.0])
+            off = plant.measured.current - plant.state.current
+            assert off == pytest.approx(0.5 * plant.t, rel=1e-9), "A in so many seconds"
+        plant.reset()
+
+
+def test_readings_of_a_unit_are_lost_independently_of_each_other(scene: Scene) -> None:
+    """Each of the six channels keeps its reading in half of the ticks."""
+    plant = Plant(scene)
+    names = ("accelerometer", "gyroscope")
+    set_all(plant, {f"imus.at_hand.{one}.held": 0.5 for one in names})
+    reported = motion(plant, np.random.default_rng(6), 600)
+    channels = (rows(reported, name)[:, 0] for name in ("specific_force", "angular_rate"))
+    held = np.diff(np.hstack([*channels]), axis=0) == 0.0
+    shares = held.mean(axis=0)
+    assert np.abs(shares - 0.5).max() < 5.0 * 0.5 / math.sqrt(len(held)), "five deviations"
+    together = np.corrcoef(held.T) - np.eye(6)
+    assert np.abs(together).max() < 5.0 / math.sqrt(len(held)), (
+        "five deviations, of independent ones"
+    )
 
 
 def test_a_machine_that_diverged_is_measured_where_it_stays(tmp_path: Path) -> None:
