@@ -68,7 +68,7 @@ def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
                 bound.row("here", values, N)
 
 
-def test_what_is_set_of_a_motor_is_bounded_as_its_link_is() -> None:
+def test_motors_are_set_within_the_bounds_of_their_links() -> None:
     """1e6 rad and 1e6 rad/s at the links of both ends of a gear, whatever way it turns."""
     scene = load_scene("three_axis", {"joints.elbow.gear.ratio": -0.004})
     ratios, bounds = np.abs(scene.gear_ratios), bounds_of(scene)

@@ -307,7 +307,7 @@ def test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end(
     """Under a constant acceleration q is a h^2 (k^2 -+ k) / 2 after k steps.
 
     The paper's links go forward, by the speed at the begin; implicit Euler by that at the end. The
-    order alone does not tell them apart.
+    order alone does not distinguish them.
     """
     Kt, V, Ng, Mm, h = 0.05, 8.0, 0.02, 1e-4, 1e-3
     motor = {"resistance": 1.0, "torque_constant": Kt, "back_emf_constant": 0.0}
