@@ -139,7 +139,7 @@ MUTANTS = (
         f"{MACHINE}/plant_state.py",
         '"motor velocity", "rad/s", VELOCITY.most / ratio',
         '"motor velocity", "rad/s", VELOCITY.most * ratio',
-        "test_bound.py",
+        "test_bound.py::test_motors_are_set_within_the_bounds_of_their_links",
     ),
     Mutant(
         f"{MACHINE}/plant_state.py",
@@ -151,7 +151,7 @@ MUTANTS = (
         f"{MACHINE}/record_row.py",
         'rows["t"], rows["tick"] = self.truth.time, self.measurement.tick',
         'rows["t"], rows["tick"] = self.truth.time, self.measurement.answered',
-        "test_recorder.py",
+        "test_recorder.py::test_a_row_has_the_time_and_the_tick_of_its_measurement",
     ),
     Mutant(
         f"{MACHINE}/pace.py", "(tick + 1 - self._first)", "(tick - self._first)", "test_pace.py"
@@ -302,13 +302,13 @@ MUTANTS = (
         f"{SCHEMES}/linearly_implicit.hpp",
         "        past().torque[j] += n_.carried(j) * a[j];\n",
         "",
-        "test_located.py",
+        "test_located.py::test_a_rotor_reverses_with_its_link_on_parabolas",
     ),
     Mutant(
         f"{SCHEMES}/paper.hpp",
         "x.q[j] = fma(h_, x.v[j], x.q[j]);\n      x.v[j] = fma(h_, a[j], x.v[j]);",
         "x.v[j] = fma(h_, a[j], x.v[j]);\n      x.q[j] = fma(h_, x.v[j], x.q[j]);",
-        "test_schemes.py",
+        "test_schemes.py::test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end",
     ),
     Mutant(
         f"{MECHANICS}/coulomb.hpp",
@@ -382,7 +382,7 @@ MUTANTS = (
         f"{MOTION}/jog_order.py",
         "twist = np.concatenate([R_WL @ twist[:3], R_WL @ twist[3:]])",
         "twist = np.concatenate([R_WL @ twist[:3], twist[3:]])",
-        "test_jog.py",
+        "test_jog.py::test_a_twist_is_along_any_link",
     ),
     Mutant(
         f"{MOTION}/tolerances.py",
@@ -400,7 +400,7 @@ MUTANTS = (
         f"{MOTION}/cpp/chain.hpp",
         "(2.0 * v[i]) * cross(w, z)",
         "v[i] * cross(w, z)",
-        "test_arm_tree.py test_couplings.py",
+        "test_arm_tree.py",
     ),
     # Ticks, runs and nodes.
     Mutant(

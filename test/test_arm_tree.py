@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from draws import some
+from machines import random_chain_urdf
 
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.arm_tree import ArmTree
@@ -15,9 +19,21 @@ from oracles.own_robots import OWN
 GRAVITY = (1.0, -2.0, -9.0)
 
 
-@pytest.mark.parametrize("name", some(sorted(OWN), 6))
-def test_it_is_pinocchio_in_rows(name: str) -> None:
-    urdf = OWN[name]()
+def sliding() -> str:
+    """Return a chain of random joints, some of which slide on links that turn."""
+    urdf = random_chain_urdf(np.random.default_rng(2), 6)
+    kinds = re.findall(r'<joint name="\w+" type="(\w+)"', urdf)
+    assert kinds.count("prismatic") == 3 and "revolute" in kinds[:2], kinds
+    return urdf
+
+
+# Of the last one joints slide on links that turn.
+ARMS = [*((name, OWN[name]) for name in some(sorted(OWN), 6)), ("slides", sliding)]
+
+
+@pytest.mark.parametrize("make", [make for _, make in ARMS], ids=[name for name, _ in ARMS])
+def test_it_is_pinocchio_in_rows(make: Callable[[], str]) -> None:
+    urdf = make()
     scene_free = moving_joints(urdf)
     tool = _last_link(urdf)
     kinematics = Kinematics(urdf, scene_free, tool)

@@ -109,13 +109,13 @@ def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
 def test_a_delay_of_whole_steps_is_so_many_steps_though_its_quotient_is_rounded(
     tmp_path: Path,
 ) -> None:
-    """3e-4 / 1e-4 is a little less than 3 in binary numbers, 7e-4 / 1e-4 a little less than 7."""
-    brake = {"torque": 0.6, "close_delay": 3e-4, "release_delay": 7e-4}
-    assert 3e-4 / 1e-4 < 3.0 and 7e-4 / 1e-4 < 7.0
+    """3e-4 / 1e-4 is a little less than 3 in binary numbers, 6e-4 / 1e-4 a little less than 6."""
+    brake = {"torque": 0.6, "close_delay": 3e-4, "release_delay": 6e-4}
+    assert 3e-4 / 1e-4 < 3.0 and 6e-4 / 1e-4 < 6.0
     joint = {"motor": MOTOR, "gear": {"ratio": 0.02}, "brake": brake}
     file = write_scene(tmp_path, one_link_urdf(), {"joint": joint})
     plant = Plant(load_scene(file, {"integrator.dt": 1e-4, "servo_period": 1e-3}))
-    for on, steps in ((False, 3), (True, 7)):
+    for on, steps in ((False, 3), (True, 6)):
         plant.powered = on
         plant.advance(np.zeros(1), steps - 1)
         assert plant.measured.brake_closed[0] == on, f"{steps - 1} steps after a request"

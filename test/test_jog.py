@@ -136,6 +136,12 @@ def test_a_twist_is_along_any_link(link: str) -> None:
     one.jog(0.3, one.twist(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, link=link))
     way = one.tool()[-1] - one.tool()[0]
     np.testing.assert_allclose(way / np.linalg.norm(way), R_WL[:, 0], atol=0.08)
+    # The same of a turn about another axis of the link.
+    one = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
+    one.jog(0.3, one.twist(0.0, 0.0, 0.0, 0.0, 0.4, 0.0, link=link))
+    before, after = (one.kinematics.forward(one.q[k])[0] for k in (0, -1))
+    turn = pin.log3(after @ before.T)
+    np.testing.assert_allclose(turn / np.linalg.norm(turn), R_WL[:, 1], atol=0.08)
 
 
 def test_commands_time_out() -> None:

@@ -143,6 +143,11 @@ def test_task_follows_from_the_number_of_joints() -> None:
 def test_base_and_reach() -> None:
     assert three_axis().kinematics.base == "base"
     assert three_axis().kinematics.reach == pytest.approx(0.9)
+    on_a_post = THREE_AXIS.replace(
+        '<parent link="base"/>', '<origin xyz="0 0 2"/><parent link="base"/>'
+    )
+    assert Kinematics(on_a_post, NAMES, "tool").forward(np.zeros(3))[1][2] > 1.9, "a post of 2 m"
+    assert Kinematics(on_a_post, NAMES, "tool").reach == pytest.approx(0.9), "it reaches no farther"
 
 
 def test_limits_of_the_description_are_taken() -> None:

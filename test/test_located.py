@@ -105,7 +105,7 @@ def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str
     Accelerations are constant between events, so that a scheme of order two is exact, also in the
     step after an event: its past must have the torque that accelerates the rotor.
     """
-    Kt, Ng, Mm, V, Dc = 0.1, 0.01, 5e-5, 6.0, 20.0
+    Kt, Ng, Mm, V, Dc = 0.1, 0.01, 5e-5, 6.0, 17.0
     motor = {"resistance": 1.0, "torque_constant": Kt, "back_emf_constant": 0.0}
     joint = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng}}
     joint["friction"] = {"coulomb": Dc}

@@ -17,6 +17,7 @@ from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.obstacles import Obstacle
 from arm_emulator.motion.paced import Paced
+from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.way import Way, WayLimits
 
 SECOND = 1_000_000_000
@@ -161,6 +162,41 @@ def test_a_motion_that_is_ended_stops_on_its_way(seed: int, end: str) -> None:
         assert reports[-1][0] is State.ABORTED and "box would touch" in reports[-1][1]
     arm.instructor.add(0, arm.moved(0.0, 0.1, 0.05))
     assert arm.periods(1.8)[-1][0] is State.REACHED
+
+
+class Swing:
+    """Joints that swing, with all derivatives in closed form."""
+
+    duration = 10.0
+    _size, _rate = np.array([0.3, -1.1]), np.array([1.7, 0.6])
+
+    def at(self, time: float) -> Reference:
+        size, rate, angle = self._size, self._rate, self._rate * time
+        return Reference(
+            size * np.sin(angle),
+            size * rate * np.cos(angle),
+            -size * rate**2 * np.sin(angle),
+            -size * rate**3 * np.cos(angle),
+        )
+
+
+@pytest.mark.parametrize("then", [0.0, 0.4, 1.5])
+def test_derivatives_at_another_pace_are_those_of_finite_differences(then: float) -> None:
+    """Where the pace changes, speed, acceleration and jerk have terms of its derivatives."""
+    none = np.full(2, 1e9)
+    paced = Paced(Swing(), 1.0, 1.0, then, WayLimits(none, none, none, none))
+    ramp = 0.05  # s, the shortest change of a pace: no limit needs more
+    h = 1e-3 * ramp
+    for t in np.linspace(0.1, 0.9, 7) * ramp:
+        low, here, high = (paced.at(t + k * h) for k in (-1, 0, 1))
+        pairs = (low.q, high.q, here.v), (low.v, high.v, here.a), (low.a, high.a, here.jerk)
+        for before, after, rate in pairs:
+            # Differences are off by h^2 / 6 times the third derivative of what they are of.
+            np.testing.assert_allclose(
+                (after - before) / (2.0 * h), rate, rtol=1e-4, atol=1e-5 / ramp**2
+            )
+    with_change = paced.at(0.3 * ramp)
+    assert with_change.jerk is not None and np.abs(with_change.a).max() > 1.0, "it changes the pace"
 
 
 @pytest.mark.parametrize("seed", some(range(60), 6))
