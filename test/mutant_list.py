@@ -431,7 +431,7 @@ MUTANTS = (
         "arm_emulator/runs/servo_fleet.cpp",
         "fleet.since[row + 1] <= tick",
         "fleet.since[row + 1] < tick",
-        "test_fleet_follow.py test_target_table.py",
+        "test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",
     ),
     Mutant(
         "arm_emulator/runs/target_table.py",

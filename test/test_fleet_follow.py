@@ -97,6 +97,29 @@ def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
     assert rested > 100, f"joints rest in {rested} periods: the test relies on that"
 
 
+def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> None:
+    """As of machine and servo alone that are given the row of each period."""
+    rng, rows, periods = np.random.default_rng(12), 4, 40
+    servo = load_gains("three_axis").servo
+    since = np.arange(rows) * 7 + rng.integers(0, 6, (COUNT, rows))
+    since[:, 0] = 0
+    q = three_axis.start + rng.uniform(-0.2, 0.2, (COUNT, rows, 3))
+    fleet = Fleet(three_axis, COUNT, workers=1)
+    servos = ServoFleet(fleet, servo)
+    servos.aim_at(since.ravel(), q.reshape(-1, 3), np.arange(COUNT + 1) * rows)
+    links = np.zeros((periods, COUNT, 3))
+    fleet.follow(servos, periods, links=links)
+    for arm in (0, COUNT - 1):
+        plant, drives = Plant(three_axis), Drives(servo)
+        for tick in range(periods):
+            seen, now = plant.measured, round(tick * three_axis.servo_period * 1e9)
+            drives.measure(now, seen.encoder_counts, seen.current, seen.applied, seen.brake_closed)
+            row = np.flatnonzero(since[arm] <= tick)[-1]
+            drives.aim(Target(q[arm, row]))
+            plant.exchange(drives.command(plant.powered))
+            np.testing.assert_array_equal(links[tick, arm], plant.state.q, f"{arm} {tick}")
+
+
 def test_an_arm_moves_as_with_other_neighbours_and_pieces(scene: Scene) -> None:
     """To the last bit: resets of some, periods in pieces, other arms beside it."""
     q, v = targets(scene, np.random.default_rng(8), 120)
