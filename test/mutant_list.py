@@ -12,7 +12,7 @@ class Mutant(NamedTuple):
         file: path of the source.
         old: text that stands there once.
         new: text that replaces it.
-        tests: arguments of pytest, relative to test/, separated by spaces.
+        tests: arguments of pytest, relative to test/, with blanks between them.
     """
 
     file: str
@@ -71,7 +71,7 @@ MUTANTS = (
         f"{PARTS}/encoder.py",
         '"bits", at_least=1, at_most=48',
         '"bits", at_least=1, at_most=64',
-        "test_number.py",
+        "test_encoders.py",
     ),
     Mutant(
         f"{PARTS}/encoder.py",
@@ -407,7 +407,7 @@ MUTANTS = (
         "arm_emulator/tick/c/tick.c",
         "if (result == ARM_OK) ++at->tick;",
         "++at->tick;",
-        "test_tick.py",
+        "../packages/test/test_tick.py",
     ),
     Mutant(
         "arm_emulator/tick/c/answers.c",

@@ -23,7 +23,7 @@ from sensed_machine import (
     write,
 )
 
-from arm_emulator import Plant, Scene, load_scene
+from arm_emulator import Plant, Refusal, Scene, load_scene
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,19 @@ def test_an_encoder_at_a_link_may_be_the_only_sensor_that_is_late(tmp_path: Path
     there = np.floor(truth(reported, "q") * 100_000 / TURN + 1e-9)
     np.testing.assert_array_equal(rows(reported, "link_encoder_counts"), late(there, 3))
     assert np.ptp(there) > 100, "a motion"
+
+
+def test_a_word_has_as_many_bits_as_a_servo_computes_with() -> None:
+    """Up to 48; and as many as a turn takes, 12 for 4096 counts."""
+    encoder = {"kind": "absolute", "counts_per_turn": 4096}
+    for bits in (12, 48):
+        scene = load_scene("three_axis", {"joints.elbow.encoder": encoder | {"bits": bits}})
+        assert scene.joints[2].encoder is not None and scene.joints[2].encoder.wrap == 2**bits
+    for bits in (11, 49, 64):
+        with pytest.raises(
+            Refusal, match=r"elbow.encoder.bits must be a whole number from 12 to 48"
+        ):
+            load_scene("three_axis", {"joints.elbow.encoder": encoder | {"bits": bits}})
 
 
 ENCODERS = (

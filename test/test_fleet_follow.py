@@ -98,7 +98,7 @@ def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
 
 
 def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> None:
-    """As of machine and servo alone that are given the row of each period."""
+    """Each arm does what machine and servo alone do with the row of each period."""
     rng, rows, periods = np.random.default_rng(12), 4, 40
     servo = load_gains("three_axis").servo
     since = np.arange(rows) * 7 + rng.integers(0, 6, (COUNT, rows))

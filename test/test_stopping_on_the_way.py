@@ -182,7 +182,7 @@ class Swing:
 
 @pytest.mark.parametrize("then", [0.0, 0.4, 1.5])
 def test_derivatives_at_another_pace_are_those_of_finite_differences(then: float) -> None:
-    """Where the pace changes, speed, acceleration and jerk have terms of its derivatives."""
+    """Speed, acceleration and jerk have terms of the derivatives of a pace that changes."""
     none = np.full(2, 1e9)
     paced = Paced(Swing(), 1.0, 1.0, then, WayLimits(none, none, none, none))
     ramp = 0.05  # s, the shortest change of a pace: no limit needs more
