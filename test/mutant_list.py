@@ -343,8 +343,8 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/servo/c/servo_clock.h",
-        "  arm->aimed = lost ? none : arm->aimed;\n",
-        "",
+        "holds & (arm->holding == 0)",
+        "holds",
         "test_servo.py test_brake.py test_power.py test_servo_targets.py",
     ),
     Mutant(
