@@ -443,7 +443,7 @@ MUTANTS = (
         "arm_emulator/runs/servo_step.c",
         "    one->closed[j] = joint->brake;\n",
         "",
-        "test_brake.py test_target_table.py test_fleet_follow.py",
+        "test_brake.py::test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does",
     ),
     Mutant(
         "emulator_node/c/answered_ticks.c",

@@ -18,6 +18,11 @@ from machines import CONFIG, MOTOR, MOVED, gantry_urdf, one_link_urdf, write_sce
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.drives import Drives, Target
 
 CLOSE, RELEASE = 0.0205, 0.0335  # s, no whole servo periods
 BRAKE = {"torque": 0.6, "close_delay": CLOSE, "release_delay": RELEASE}
@@ -234,6 +239,25 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
     code, words = check_bag(tmp_path / "bag", scene=str(file)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     assert re.search(r"\d+ changes by hand", words), words
+
+
+def test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does(scene: Scene) -> None:
+    """The bits are those of calls one by one, with power while the brakes are still closed, too."""
+    servo = load_gains("three_axis").servo
+    q = scene.start + np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.15]])
+    table = TargetTable(np.array([0.0, 0.02]), q)
+    run = TableRun(scene, table, ServoStep(Drives(servo), [0, 1, 2]))
+    plant, drives, closed = Plant(scene), Drives(servo), 0
+    for tick in range(150):
+        run.session.powered = plant.powered = not 40 <= tick < 80
+        run.advance(1)
+        seen, now = plant.measured, round(tick * scene.servo_period * 1e9)
+        closed += int(seen.brake_closed.any() and plant.powered)
+        drives.measure(now, seen.encoder_counts, seen.current, seen.applied, seen.brake_closed)
+        drives.aim(Target(q[int(tick >= 20)]))
+        plant.exchange(drives.command(plant.powered))
+        np.testing.assert_array_equal(run.session.state.q, plant.state.q, f"after tick {tick}")
+    assert closed > 20, "ticks with power and a closed brake"
 
 
 def test_an_open_brake_does_nothing(scene: Scene, file: Path) -> None:
