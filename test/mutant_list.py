@@ -345,7 +345,7 @@ MUTANTS = (
         "arm_emulator/servo/c/servo_clock.h",
         "holds & (arm->holding == 0)",
         "holds",
-        "test_servo.py test_brake.py test_power.py test_servo_targets.py",
+        "test_watchdog.py",
     ),
     Mutant(
         "arm_emulator/servo/servo_numbers.py",

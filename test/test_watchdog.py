@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
+from machines import CONFIG
 
+from arm_emulator import load_servo_config
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.servo.drives import Drives
 from arm_emulator.servo.watchdog import Watchdog, WatchdogState
 
 
@@ -65,3 +69,17 @@ def test_watchdog_takes_a_clock_that_jumps_back() -> None:
 def test_watchdog_refuses_times_out_of_order(hold_after: float, cut_after: float) -> None:
     with pytest.raises(Refusal, match="watchdog: "):
         Watchdog(hold_after, cut_after)
+
+
+def test_a_joint_that_holds_keeps_the_angle_at_which_it_began() -> None:
+    """However far it is pushed away: the middle of the first count, seen at the link."""
+    config = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
+    drives, still = Drives(config), np.zeros(len(config.joints))
+    for tick in range(20):
+        counts = still + 500.0 + 7.0 * tick
+        drives.measure(round(tick * config.period * 1e9), counts, still, still)
+        drives.command(True)
+        began = [
+            500.5 * 2.0 * math.pi / one.counts_per_turn * one.gear_ratio for one in config.joints
+        ]
+        np.testing.assert_allclose(drives.servo.state["q_hold"], began, rtol=1e-12)
