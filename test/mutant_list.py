@@ -455,7 +455,7 @@ MUTANTS = (
         "emulator_node/c/motor_commands.c",
         " || (own->machine && own->machine != own->emulator)",
         "",
-        "test_doubles.py test_sole_publisher.py",
+        "test_doubles.py",
     ),
     Mutant(
         "servo_node/c/answered_states.c",
@@ -467,7 +467,7 @@ MUTANTS = (
         "servo_node/node.py",
         "silence < self._config.cut_after",
         "silence < self._config.hold_after",
-        "test_network.py test_sole_publisher.py",
+        "test_diagnostics.py",
     ),
     Mutant(
         "motion_controller_node/order_topics.py",
