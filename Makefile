@@ -214,7 +214,7 @@ test-in-full: setup .venv/.robots
 
 # What it needs beside Python's packages is installed where that is possible, else named in a line; the
 # tests that want it are then skipped.
-test-peers: setup .venv/.robots .venv/.peers
+test-peers: setup .venv/.robots .venv/.peers test-slow
 	@sh test/peers/install.sh
 	@$(RUN) && $(PYTEST) -n 2 $(wildcard test/peers packages/test/peers packages/*/test/peers) $(ARGS)
 
