@@ -7,7 +7,8 @@ It stands on its page between two comments,
     <!-- end generated -->
 
 and follows from the code by `GENERATORS[KIND]`. It is kept in the repository, so that the pages can
-be read there. `make tables` writes it; `make lint` refuses a page whose text has fallen behind.
+be read there, and so are the pictures of docs/architecture.py. `make tables` writes both; `make
+lint` refuses what has fallen behind.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 
-from docs import tables
+from docs import architecture, tables
 from docs.hooks import DOCS, ROOT, Missing, code_block
 
 PLACE = re.compile(
@@ -133,6 +134,7 @@ GENERATORS: dict[str, Callable[[str], str]] = {
     "scene_keys": tables.scene_keys,
     "schemes": tables.schemes,
     "sensors": tables.sensors,
+    "tick": lambda _: architecture.tick_table(),
 }
 
 
@@ -155,11 +157,15 @@ def fill(text: str) -> str:
 
 
 def outdated_pages() -> Iterator[tuple[str, str]]:
-    """Yield the path below docs/ and the new text of each page that has fallen behind the code."""
+    """Yield the path below docs/ and the new text of each page or picture that is outdated."""
     for page in sorted(DOCS.rglob("*.md")):
         text = page.read_text(encoding="utf-8")
         if (filled := fill(text)) != text:
             yield page.relative_to(DOCS).as_posix(), filled
+    for path, text in architecture.pictures():
+        picture = DOCS / path
+        if not picture.is_file() or picture.read_text(encoding="utf-8") != text:
+            yield path, text
 
 
 def main(check: bool) -> int:

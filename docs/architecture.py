@@ -1,0 +1,381 @@
+"""Pictures of the page on the architecture: rooms and their imports, and one tick.
+
+Rooms and floors follow from the contract of layers in pyproject.toml, imports from the sources.
+The stations of a tick are a table here; each one's function must be defined in its file.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+from docs.hooks import ROOT, Missing
+
+NAMESPACE = "arm_emulator"  # imported itself, it gives the public names
+INK, FAINT, PAPER = "#263238", "#90a4ae", "#ffffff"
+BANDS = ("#eceff1", "#ffffff")
+
+
+# ------------------------------------------------------------------------------------------ rooms
+
+
+def floors() -> list[list[str]]:
+    """Return the rooms of each floor, from the top, by the contract of layers.
+
+    The public names lie above all rooms of the namespace.
+    """
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = project["tool"]["importlinter"]["contracts"]
+    layers = next(one["layers"] for one in contracts if one["type"] == "layers")
+    rooms = [[name.strip() for name in re.split("[|:]", layer)] for layer in layers]
+    inside = (k for k, floor in enumerate(rooms) if floor[0].startswith(f"{NAMESPACE}."))
+    rooms.insert(next(inside), [NAMESPACE])
+    return rooms
+
+
+def sources(room: str) -> list[Path]:
+    """Return the Python files of a room.
+
+    Raises:
+        Missing: the contract names a room that has no file.
+    """
+    package, *rest = room.split(".")
+    for top in (ROOT / package, ROOT / "packages" / package / package):
+        place = top.joinpath(*rest)
+        if room == NAMESPACE:
+            return [top / "__init__.py"]
+        if place.is_dir():
+            return sorted(place.rglob("*.py"))
+        if place.with_suffix(".py").is_file():
+            return [place.with_suffix(".py")]
+    raise Missing(f"files of the room {room}, which pyproject.toml names")
+
+
+def _imported(file: Path) -> Iterator[str]:
+    """Yield the dotted names that a file imports, each with the name that it takes from there."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imports_of_rooms() -> dict[str, set[str]]:
+    """Return the rooms that each room imports."""
+    rooms = [room for floor in floors() for room in floor]
+    found: dict[str, set[str]] = {}
+    for room in rooms:
+        found[room] = set()
+        for file in sources(room):
+            for name in _imported(file):
+                parts = name.split(".")
+                prefixes = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
+                target = next((one for one in prefixes if one in rooms), None)
+                if target and target != room:
+                    found[room].add(target)
+    return found
+
+
+def rooms_picture() -> str:
+    """Draw the matrix of imports: a row imports the columns that have a dot."""
+    rows, imports = floors(), imports_of_rooms()
+    rooms = [room for floor in rows for room in floor]
+    cell, left, top = 22, 260, 190
+    width, height = left + cell * len(rooms) + 120, top + cell * len(rooms) + 20
+    parts = [_text(14, 26, "A row imports the columns that have a dot.", 14, weight="bold")]
+    parts.append(_text(14, 46, "Bands are floors: imports go down,", 12))
+    parts.append(_text(14, 62, "so every dot is right of the diagonal.", 12))
+    y = top
+    for k, floor in enumerate(rows):
+        x = left + cell * rooms.index(floor[0])
+        deep = cell * len(floor)
+        parts.append(_rect(8, y, width - 128, deep, BANDS[k % 2]))
+        parts.append(_rect(x, y, deep, deep, "#cfd8dc"))
+        y += deep
+    for k, room in enumerate(rooms):
+        across, down = left + cell * k + cell // 2, top + cell * k + 15
+        shown = "public names" if room == NAMESPACE else room
+        parts.append(_text(left - 8, down, shown, 12, anchor="end"))
+        short = shown.removeprefix(f"{NAMESPACE}.")
+        parts.append(
+            f'<text x="{across + 4}" y="{top - 8}" font-size="12" fill="{INK}" '
+            f'transform="rotate(-60 {across + 4} {top - 8})">{escape(short)}</text>'
+        )
+        for target in sorted(imports[room]):
+            x = left + cell * rooms.index(target) + cell // 2
+            parts.append(
+                f'<circle cx="{x}" cy="{down - 4}" r="6" fill="#00695c">'
+                f"<title>{escape(room)} imports {escape(target)}</title></circle>"
+            )
+    return _svg(width, height, "Rooms and their imports", parts)
+
+
+# ----------------------------------------------------------------------------------------- a tick
+
+
+@dataclass(frozen=True)
+class Station:
+    """A place that a tick passes.
+
+    Attributes:
+        text: what happens there.
+        file: the source, below the repository.
+        function: that does it.
+    """
+
+    text: str
+    file: str
+    function: str
+
+
+@dataclass(frozen=True)
+class Band:
+    """What belongs to one thread or layer: stations of the command, and of the measurement.
+
+    Attributes:
+        title: of the band.
+        down: stations of the command, in their order.
+        up: stations of the measurement, in their order, from the bottom.
+    """
+
+    title: str
+    down: Sequence[Station]
+    up: Sequence[Station]
+
+
+_SERVO_C = "arm_emulator/servo/c/servo.c"
+_SERVO_NODE = "servo_node/c/answered_states.c"
+_EMULATOR = "emulator_node/c/answered_ticks.c"
+_BOUNDARY = "arm_emulator/core/boundary"
+_SCHEMES = "arm_emulator/core/schemes"
+_TICK_C = "arm_emulator/tick/c/tick.c"
+_PUBLISH = "arm_emulator/ros/c/middleware.c"
+
+TICK: tuple[Band, ...] = (
+    Band(
+        "servo node: one period in C",
+        (
+            Station("takes joint_targets", _SERVO_NODE, "answered_states_take_target"),
+            Station("judges stamp and rows", _SERVO_NODE, "answered_states_judge_target"),
+            Station("keeps q, v and tau of each joint", _SERVO_C, "servo_aim"),
+            Station("position, speed, current loop: volts", _SERVO_C, "servo_command"),
+            Station("writes the message motor_commands", _SERVO_NODE, "publish_command"),
+            Station("sends it through rcl: motor_commands", _PUBLISH, "ros_publish"),
+        ),
+        (
+            Station("takes motor_states of this tick", _SERVO_NODE, "answered_states_take"),
+            Station("begins the servo period", _SERVO_NODE, "answered_states_go_on"),
+            Station("counts to angles, speeds, loads", _SERVO_C, "servo_measure"),
+            Station("publishes joint_states, servo_states", _SERVO_NODE, "report"),
+        ),
+    ),
+    Band(
+        "emulator node: one tick in C",
+        (
+            Station("takes motor_commands", _EMULATOR, "answered_ticks_take"),
+            Station("reads the volts and their tick",
+                    "emulator_node/c/motor_commands.c", "motor_commands_read"),
+        ),
+        (
+            Station("writes the message motor_states", _EMULATOR, "report"),
+            Station("sends it through rcl: motor_states", _PUBLISH, "ros_publish"),
+        ),
+    ),
+    Band(
+        "tick layer: two calls, for every door",
+        (Station("the command of tick k leads to tick k + 1", _TICK_C, "tick_exchange"),),
+        (Station("measures the present tick; tick_exchange the next", _TICK_C, "tick_measure"),),
+    ),
+    Band(
+        "arm.h: a scene's library",
+        (
+            Station("checks the command", f"{_BOUNDARY}/boundary.hpp", "arm_exchange"),
+            Station("power, brakes, delays", f"{_BOUNDARY}/arm_machine.hpp", "take_commands"),
+            Station("limits to the supply and the motor",
+                    "arm_emulator/core/mechanics/command_bounds.hpp", "bound_commands"),
+        ),
+        (
+            Station("sensors measure", "arm_emulator/core/mechanics/sensors.hpp", "look"),
+            Station("the encoder counts", "arm_emulator/core/parts/encoder.hpp", "disc"),
+            Station("fills arm_measurement", f"{_BOUNDARY}/arm_machine.hpp", "measure_here"),
+        ),
+    ),
+    Band(
+        "motor thread: the steps of the period",
+        (
+            Station("runs the steps, checks energy and bounds",
+                    "arm_emulator/core/machine/machine.hpp", "advance"),
+            Station("one step after the other", "arm_emulator/core/machine/course.hpp", "march"),
+            Station("one step: motors, then links", f"{_SCHEMES}/two_threads.hpp", "step"),
+            Station("motors by eq. (3)", f"{_SCHEMES}/paper.hpp", "drives"),
+            Station("volts drive the winding, eq. (1)",
+                    "arm_emulator/core/parts/dc_motor.hpp", "rates"),
+        ),
+        (
+            Station("waits for M and nle", f"{_SCHEMES}/two_threads.hpp", "take"),
+            Station("links' accelerations by eq. (4)", f"{_SCHEMES}/paper.hpp", "accelerations"),
+            Station("q and v of the next sample", f"{_SCHEMES}/paper.hpp", "integrate"),
+            Station("hands the sample to the other thread",
+                    f"{_SCHEMES}/two_threads.hpp", "give"),
+        ),
+    ),
+)  # fmt: skip
+# Beside the motor thread; with `threads: 1` one_thread.hpp calls `dynamics` itself.
+NEWTON_EULER = Band(
+    "Newton-Euler thread, with threads: 2",
+    (Station("takes each sample that is handed over", f"{_SCHEMES}/two_threads.hpp", "work"),),
+    (Station("M and nle of the links", "arm_emulator/core/mechanics/link_tree.hpp", "dynamics"),),
+)
+
+
+def defines(text: str, function: str, suffix: str) -> bool:
+    """Return whether a source defines a function, not merely calls or declares it."""
+    name = re.escape(function)
+    if suffix == ".py":
+        return bool(re.search(rf"^\s*def {name}\(", text, re.M))
+    # A type before the name, and a body after the parameters.
+    head = rf"^[ \t]*(?!return\b|else\b)(?:[\w:<>,&*]+[ \t]+)+[&*]?{name}\("
+    for match in re.finditer(head, text, re.M):
+        end = re.compile(r"\)[\w\s()]*\{|;").search(text, match.end())
+        if end and end[0] != ";":
+            return True
+    return False
+
+
+def check_stations(bands: Sequence[Band] = (*TICK, NEWTON_EULER)) -> None:
+    """Check that each station's function is defined in its file.
+
+    Raises:
+        Missing: a file or a function does not exist.
+    """
+    for band in bands:
+        for one in (*band.down, *band.up):
+            file = ROOT / one.file
+            if not file.is_file():
+                raise Missing(f"file {one.file} of the station '{one.text}'")
+            if not defines(file.read_text(encoding="utf-8"), one.function, file.suffix):
+                raise Missing(f"definition of {one.function} in {one.file}")
+
+
+def tick_picture() -> str:
+    """Draw the way of a command down to the motors, and of the measurement back."""
+    check_stations()
+    left, right, box, high, gap = 30, 520, 450, 40, 14
+    parts = [
+        _text(left, 30, "joint_targets: down to volts at the motor", 14, weight="bold"),
+        _text(right, 30, "encoder counts: up to motor_states and joint_states", 14, weight="bold"),
+    ]
+    y = 46
+    tops: dict[Station, int] = {}
+    for k, band in enumerate((*TICK, NEWTON_EULER)):
+        deep = 30 + max(len(band.down), len(band.up)) * (high + gap)
+        parts.append(_rect(10, y, 980, deep, BANDS[k % 2], FAINT))
+        parts.append(_text(20, y + 18, band.title, 12, weight="bold"))
+        for x, column in ((left, band.down), (right, tuple(reversed(band.up)))):
+            for i, one in enumerate(column):
+                at = tops[one] = y + 28 + i * (high + gap)
+                parts.append(_rect(x, at, box, high, PAPER, "#00695c"))
+                parts.append(_text(x + 10, at + 16, one.text, 12))
+                called = f"{one.file}: {one.function}"
+                parts.append(_text(x + 10, at + 32, called, 10.5, family="monospace"))
+        y += deep
+    down = [one for band in TICK for one in band.down]
+    up = [one for band in reversed(TICK) for one in band.up]
+    at = left + box - 30
+    for above, below in pairwise(down):
+        parts.append(_arrow(at, tops[above] + high, at, tops[below]))
+    at = right + box - 30
+    for below, above in pairwise(up):
+        parts.append(_arrow(at, tops[below], at, tops[above] + high))
+    (takes,), (links,) = NEWTON_EULER.down, NEWTON_EULER.up
+    by_name = {one.function: one for one in (*down, *up)}
+    across = (  # from the right column to the left, or the other way
+        (by_name["servo_measure"], by_name["servo_command"]),
+        (down[-1], up[0]),
+        (by_name["give"], takes),
+        (takes, links),
+    )
+    for start, end in across:
+        from_left = start in down or start is takes
+        x1, x2 = (left + box, right) if from_left else (right, left + box)
+        parts.append(_arrow(x1, tops[start] + high // 2, x2, tops[end] + high // 2))
+    parts.append(_arrow(right + 60, tops[links], right + 60, tops[up[0]] + high))
+    return _svg(1000, y + 10, "One tick, from joint target to volts and back", parts)
+
+
+def tick_table() -> str:
+    """Return the stations of a tick as a table with links to their files."""
+    check_stations()
+    rows = ["| way | station | file | function |", "|---|---|---|---|"]
+    for name, stations in (
+        ("down", [one for band in TICK for one in band.down]),
+        ("up", [one for band in reversed(TICK) for one in band.up]),
+        ("beside", [*NEWTON_EULER.down, *NEWTON_EULER.up]),
+    ):
+        for one in stations:
+            link = f"[{one.file}](../../{one.file})"
+            rows.append(f"| {name} | {one.text} | {link} | `{one.function}` |")
+    return "\n".join(rows)
+
+
+# --------------------------------------------------------------------------------------- drawing
+
+
+def _text(
+    x: float,
+    y: float,
+    text: str,
+    size: float,
+    *,
+    anchor: str = "start",
+    weight: str = "normal",
+    family: str = "",
+) -> str:
+    shape = f' font-family="{family}"' if family else ""
+    return (
+        f'<text x="{x}" y="{y}" font-size="{size}" font-weight="{weight}" fill="{INK}" '
+        f'text-anchor="{anchor}"{shape}>{escape(text)}</text>'
+    )
+
+
+def _rect(x: int, y: int, width: int, height: int, fill: str, line: str = "none") -> str:
+    return (
+        f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="{fill}" stroke="{line}"/>'
+    )
+
+
+def _arrow(x1: int, y1: int, x2: int, y2: int) -> str:
+    return (
+        f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="{INK}" stroke-width="1.5" '
+        'marker-end="url(#head)"/>'
+    )
+
+
+def _svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
+    head = (
+        '<marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" '
+        f'orient="auto"><path d="M0 0 L8 4 L0 8 z" fill="{INK}"/></marker>'
+    )
+    return "\n".join(
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
+            f'viewBox="0 0 {width} {height}" font-family="sans-serif">',
+            f"<title>{escape(title)}</title>",
+            f"<defs>{head}</defs>",
+            _rect(0, 0, width, height, PAPER),
+            *parts,
+            "</svg>\n",
+        )
+    )
+
+
+def pictures() -> Iterator[tuple[str, str]]:
+    """Yield the path below docs/ and the text of each picture."""
+    yield "pictures/rooms.svg", rooms_picture()
+    yield "pictures/tick.svg", tick_picture()
