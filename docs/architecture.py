@@ -377,5 +377,5 @@ def _svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
 
 def pictures() -> Iterator[tuple[str, str]]:
     """Yield the path below docs/ and the text of each picture."""
-    yield "pictures/rooms.svg", rooms_picture()
-    yield "pictures/tick.svg", tick_picture()
+    yield "contribute/rooms.svg", rooms_picture()
+    yield "contribute/tick.svg", tick_picture()

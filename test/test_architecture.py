@@ -30,13 +30,13 @@ def test_the_matrix_has_the_imports_that_import_linter_sees() -> None:
         assert found[room] - {architecture.NAMESPACE} == (
             graph.find_modules_directly_imported_by(room) & rooms
         ), room
-    picture = (DOCS / "pictures" / "rooms.svg").read_text()
+    picture = (DOCS / "contribute" / "rooms.svg").read_text()
     drawn = set(re.findall("<title>(\\S+) imports (\\S+)</title>", picture))
     assert drawn == {(room, to) for room, targets in found.items() for to in targets}
 
 
 def test_every_floor_of_the_contract_is_a_row_of_the_picture() -> None:
-    picture = (DOCS / "pictures" / "rooms.svg").read_text()
+    picture = (DOCS / "contribute" / "rooms.svg").read_text()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     layers = next(one for one in project["contracts"] if one["type"] == "layers")["layers"]
     for room in " | ".join(layers).split(" | "):
@@ -48,7 +48,7 @@ def test_a_station_names_a_function_of_its_file(station: architecture.Station) -
     """A definition begins a line with a type, and no statement; its parameters lead to a body."""
     text = re.sub(r"\s+", " ", (ROOT / station.file).read_text())
     assert re.search(rf"[\w>*&] {station.function}\([^;{{}}]*\)[\w ()]*\{{", text)
-    picture = (DOCS / "pictures" / "tick.svg").read_text()
+    picture = (DOCS / "contribute" / "tick.svg").read_text()
     assert f"{station.file}: {station.function}</text>" in picture
 
 
