@@ -136,7 +136,7 @@ class Station:
 
 @dataclass(frozen=True)
 class Band:
-    """What belongs to one thread or layer: stations of the command, and of the measurement.
+    """A thread or layer: stations of the command, and of the measurement.
 
     Attributes:
         title: of the band.

@@ -19,7 +19,7 @@ class Health:
 
     Args:
         own: context with log and machine.
-        timeout: gives the wall time without an answer that is reported [s].
+        timeout: returns after how long a wait for an answer is a fault [s of wall time].
         page: gives how the page has ended before the machine, in words.
     """
 

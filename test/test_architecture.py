@@ -56,7 +56,7 @@ def test_a_station_names_a_function_of_its_file(station: architecture.Station) -
     ("change", "missing"),
     [
         ({"function": "servo_commands"}, "definition of servo_commands in"),
-        ({"function": "drive"}, "definition of drive in servo_node"),  # there is none of this name
+        ({"function": "drive"}, "definition of drive in servo_node"),
         ({"file": "arm_emulator/tick/c/ticks.c"}, "file arm_emulator/tick/c/ticks.c"),
         # It is called there, and defined in servo.c.
         ({"function": "servo_command"}, "definition of servo_command in servo_node"),

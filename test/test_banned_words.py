@@ -65,3 +65,16 @@ def test_a_banned_word_ends_with_a_line_and_exit_code_1(
 def test_released_entries_of_the_change_log_are_not_checked() -> None:
     text = banned_words.text_of(banned_words.ROOT / "CHANGELOG.md")
     assert text.count("\n## ") == 1 and "[Unreleased]" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("def test_the_servo_is_reported_what_voltage_was_applied() -> None:", True),
+        ("a servo that is reported eq. (6)", True),
+        ("def test_a_full_disk_is_reported() -> None:", False),
+        ("The step that is reported is that of the start.", False),
+    ],
+)
+def test_a_receiver_is_not_reported_a_fact(text: str, found: bool) -> None:
+    assert bool([*banned_words.found_in(text, banned_words.banned())]) == found

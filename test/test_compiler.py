@@ -80,7 +80,7 @@ def test_second_use_compiles_nothing(
     assert f"compiling scene three_axis (3 joints) with {using} ... " in printed, printed
     no_compiler(monkeypatch, tmp_path)
     library_of(load_scene("three_axis"))
-    assert capsys.readouterr().err == "", "what is reported at the second use"
+    assert capsys.readouterr().err == "", "the second use prints nothing"
 
 
 def test_compilers_are_reported_apart(

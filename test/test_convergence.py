@@ -72,8 +72,8 @@ def test_closed_forms() -> None:
         assert np.allclose(always_there, (1.0 - w) ** k, rtol=0, atol=1e-13)
 
 
-def test_any_servo_as_reported_step_by_step() -> None:
-    """Against the loop itself: a servo of second order that is reported eq. (6) again and again."""
+def test_the_errors_of_any_servo_are_those_of_the_loop_step_by_step() -> None:
+    """Truth: the loop itself, a servo of second order that receives eq. (6) in every period."""
     rng = np.random.default_rng(1)
     for _ in range(20):
         w = rng.uniform(0.05, 1.0)

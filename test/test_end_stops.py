@@ -160,7 +160,7 @@ def test_stops_stand_at_the_limits_of_the_urdf_on_request(beyond: float) -> None
         with pytest.raises(Refusal, match=r"end_stops\.at must be one of the known"):
             load_scene("ur5", {"joints.elbow_joint.end_stops": K | {"at": bad}})
     for key in ("lower", "upper"):
-        with pytest.raises(Refusal, match=rf"end_stops\.{key} must be absent beside"):
+        with pytest.raises(Refusal, match=rf"end_stops\.{key} must be absent together with"):
             load_scene("ur5", {"joints.elbow_joint.end_stops": K | {"at": "limits", key: 0.1}})
     with pytest.raises(Refusal, match=r"end_stops\.beyond must be a number from 0 to"):
         load_scene("ur5", {"joints.elbow_joint.end_stops": K | {"at": "limits", "beyond": -0.1}})

@@ -240,7 +240,7 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
         nodes.start("motion_controller")
         user.wait("the run to go on", lambda: user.tick >= tick + 150)
         assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
-        # The new one knows of no tool target and holds the arm, until it is reported again.
+        # The new motion controller has no tool target, and holds the arm until it receives one.
         user.wait(
             "it to hold", lambda: user.printed("motion_controller", "holding, no tool target")
         )

@@ -330,8 +330,8 @@ def test_out_of_reach_means_that_the_machine_rests(far: tuple[float, ...]) -> No
     run.advance(500)
     run.instructor.add(run.session.logical_ns, Pose(np.array(far), np.eye(3)))
     while run.instructor.reports.waiting[-1].state is not State.UNREACHABLE:
-        assert run.session.logical_ns < 30 * SECOND, "it is reported"
+        assert run.session.logical_ns < 30 * SECOND, "the target is reported as unreachable"
         run.advance(50)
     for _ in range(40):
         run.advance(50)
-        assert np.abs(run.session.state.v).max() < 0.02, "it rests when it is reported to"
+        assert np.abs(run.session.state.v).max() < 0.02, "the arm rests after its report"

@@ -75,7 +75,7 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_a_gripper_is_reported_from_the_arm(seed: int) -> None:
+def test_a_gripper_is_distinguished_from_the_arm(seed: int) -> None:
     text, arm, fingers = robot_with_gripper(np.random.default_rng(seed))
     choice = choose_joints(ET.fromstring(text), "robot")
     assert list(choice.joints) == arm
@@ -277,7 +277,7 @@ def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "check-scene", "up", "compile"])
-def test_a_robot_in_the_place_of_a_scene_is_reported_what_to_do(
+def test_a_robot_in_place_of_a_scene_is_refused_with_the_command_to_use(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip

@@ -141,7 +141,7 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
         refused(RealTimeLoop, plant, count, -1)
         refused(RealTimeLoop, plant, 1_000_000, count)
         refused(check_count, "here", "count", count, 0, 10**15)
-        if not isinstance(count, int) or count < 0:  # else it takes its time, as it was reported
+        if not isinstance(count, int) or count < 0:  # else it advances that far
             refused(offline.advance, count)
         if count not in (0, -1):
             refused(session.offer, count, names, zero)

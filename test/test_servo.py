@@ -105,10 +105,11 @@ def test_feed_forward_of_the_speed_leaves_no_lag() -> None:
     assert abs(lag["with"]) < 0.05 * lag["without"]
 
 
-def test_the_servo_is_reported_what_voltage_was_applied() -> None:
-    """A fast motor's speed follows from its voltage: another than was asked for, as of a drive
+def test_the_servo_observes_by_the_voltage_that_was_applied() -> None:
+    """A late drive applies another voltage than the servo commanded.
 
-    that answered late, is no surprise to a servo that is reported.
+    A fast motor's speed follows from its voltage. A servo that receives the applied voltage
+    observes the speed as well as before; a servo that does not is off.
     """
     fast = dataclasses.replace(JOINT, rotor_inertia=1e-6, inductance=0.0, counts_per_turn=2**20)
     rng = np.random.default_rng(0)

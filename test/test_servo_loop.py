@@ -283,7 +283,7 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
     margins: Margins = loop.margins()[0]
     assert loop.stable
     if margins.gain_up < 1e3:
-        # The observer is reported the voltage that was applied, as of a drive whose gain is off.
+        # The observer receives the voltage that was applied, as by a drive whose gain is off.
         assert stable(0.97 * margins.gain_up), f"below the gain margin {margins.gain_up:g}"
         assert not stable(1.03 * margins.gain_up), f"beyond the gain margin {margins.gain_up:g}"
     whole = math.floor(min(margins.delay, 30.0) - 0.05)

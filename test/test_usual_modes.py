@@ -70,8 +70,8 @@ def test_drives_that_state_they_are_in_usual_modes_are(tmp_path: Path) -> None:
         return counted.tolist()
 
     at_once, wrongly, usual = ask(0, True)
-    assert wrongly == 0, "a limit, a stop or a brake holds where nothing is reported to"
+    assert wrongly == 0, "a limit, a stop or a brake holds in a mode that is called usual"
     # The rest are links that leave their stop faster than it follows.
-    assert 0.99 * usual < at_once <= usual, "usual modes that are not seen at once"
+    assert 0.99 * usual < at_once <= usual, "usual modes that the quick check misses"
     for joint, brake_open in ((0, False), (1, True), (2, True)):
         assert ask(joint, brake_open)[0] == 0, "friction, teeth and closed brakes must be asked"

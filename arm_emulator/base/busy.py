@@ -1,4 +1,4 @@
-"""Processes that keep processors busy beside what is measured or tested."""
+"""Processes that keep processors busy while something is measured or tested."""
 
 from __future__ import annotations
 

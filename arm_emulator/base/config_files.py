@@ -1,4 +1,4 @@
-"""Paths of configuration files: scenes, files beside them, files shipped with the emulator."""
+"""Paths of configuration files: scenes, files next to them, files shipped with the emulator."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.yaml_file import read_yaml
 
-# Files that may lie beside a scene: parameters of servo and motion controller, and a demo.
+# Files that may be next to a scene: parameters of servo and motion controller, and a demo.
 BESIDE = ("servo", "motion", "demo")
 ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, from which scenes can be made
 
@@ -93,7 +93,7 @@ def find_beside(scene: Path, kind: str) -> Path:
     """Return the file that belongs to a scene, by one rule for all commands and launch files.
 
     The scene's key `kind` names it, relative to the scene file, or by the name of one that comes
-    with the emulator. Without the key it is ``KIND/NAME.yaml`` beside ``NAME.yaml``.
+    with the emulator. Without the key it is ``KIND/NAME.yaml`` next to ``NAME.yaml``.
 
     Args:
         scene: the scene file.

@@ -2,7 +2,7 @@
 
 Each call on a machine holds a lock, so that no thread sees a machine in the middle of a call. A
 fork waits until no call is running: the child has a sound copy of every machine. Threads are not
-copied; objects that depend on threads start them anew in the child.
+copied; objects that depend on threads start them again in the child.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
 
     Other readers of a URDF refuse such a joint, or take 0 for both. A revolute joint becomes a
     continuous one, a prismatic one gets limits of +-`UNLIMITED`. They also refuse a limit without
-    effort or velocity, which becomes 0: unknown. What a limit gives beside its bounds stays.
+    effort or velocity, which becomes 0: unknown. Other attributes of a limit stay.
 
     Returns:
         Whether anything was changed.

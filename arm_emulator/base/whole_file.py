@@ -9,7 +9,7 @@ from typing import IO
 
 
 def write_whole(file: Path, content: str | bytes) -> None:
-    """Write a file beside its place, and move it there."""
+    """Write a temporary file in the same folder, and move it to its place."""
     hidden = hidden_beside(file)
     hidden.write_bytes(content.encode() if isinstance(content, str) else content)
     hidden.replace(file)

@@ -1,4 +1,4 @@
-"""The command of a client beside ROS, taken by a session."""
+"""The command of a client without ROS, taken by a session."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ class Chain:
 
     @property
     def joints(self) -> tuple[ChainJoint, ...]:
-        """Those of the shafts."""
+        """Joints of the shafts."""
         return tuple(self.links[k] for k in self.link_of)
 
     @property

@@ -249,7 +249,7 @@ class CoreMachine(Turns):
     @property
     @in_turn
     def winding_temperatures(self) -> Array:
-        """Of the motors' windings (N,) [degC]; NaN where the scene has none."""
+        """Temperatures of the windings (N,) [degC]; NaN where the scene has no `winding`."""
         temperatures = np.empty(self._N)
         self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
         return temperatures

@@ -53,7 +53,7 @@ class FirmwareLoop:
         self.aim(targets or ((), np.zeros((0, len(plant.scene.joints)))))
 
     def aim(self, targets: tuple[Sequence[int], Array]) -> None:
-        """Begin anew with other targets, see above."""
+        """Restart with other targets, see above."""
         ticks, rows = targets
         self._put(np.array(ticks, np.int64), np.array(rows, np.float64, order="C"), -1)
 

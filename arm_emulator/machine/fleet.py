@@ -132,7 +132,7 @@ class Fleet(CoreMachines):
         return plant
 
     def _give_back(self, arm: int) -> None:
-        """Return an arm that was used by itself to its lane."""
+        """Return an arm that was used alone to its lane."""
         if self._fleet:
             self.core.arm_fleet_give_back(self._fleet, arm)
 

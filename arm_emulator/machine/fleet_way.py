@@ -1,4 +1,4 @@
-"""The way of a fleet's arms beside their control: changes at ticks, and looks at the arms."""
+"""Schedule of a fleet's arms in addition to their control: changes at ticks, observations."""
 
 from __future__ import annotations
 

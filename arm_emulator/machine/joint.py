@@ -125,7 +125,7 @@ class Joint:
 
     @property
     def encoder(self) -> Encoder | None:
-        """Of its motor."""
+        """Encoder of its motor, or None."""
         return self.sensors.encoder
 
     @property

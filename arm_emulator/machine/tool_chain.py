@@ -1,4 +1,4 @@
-"""The tool's position in the world, in C, for many joint positions at once."""
+"""The tool's position in the world, in C, for many joint positions in one call."""
 
 from __future__ import annotations
 

@@ -337,7 +337,7 @@ def check_rates(joint: JointServo, period: float, where: str) -> None:
     path = f"joints.{joint.name}"
     if joint.torque_bandwidth > 0.0:
         if joint.current_bandwidth > 0.0:
-            rule = "be absent beside a current_bandwidth"
+            rule = "be absent together with a current_bandwidth"
             raise Refusal(where, f"{path}.torque_bandwidth", rule, joint.torque_bandwidth)
         if joint.torque_constant != 1.0:
             rule = "be 1 with a torque_bandwidth: commands are torques"

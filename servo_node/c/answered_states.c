@@ -17,7 +17,7 @@ static void publish_command(answered_states* own) {
   own->publish(own->motor_command, own->tick * own->period, own->tick, NULL);
 }
 
-/* Command and publish; Python goes on where the watchdog or a restart changes what is reported. */
+/* Command and publish. Python continues where the watchdog or a restart changes the status. */
 static void answer(answered_states* own) {
   servo* arm = own->arm;
   const int32_t does = arm->does;

@@ -50,7 +50,7 @@ class Silence:
         self.longest = 0.0
 
     def look(self) -> None:
-        """Look what was reported since the last look."""
+        """Read the diagnostics that came since the last call."""
         now = time.monotonic()
         for node in ALL_THREE:
             reported, used = self._user.diagnostics.get(node), self._used(node)

@@ -132,7 +132,7 @@ def _draw(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None
 
 
 ComplexArray = npt.NDArray[np.complex128]
-PROMINENCE = 1.0  # dB, of a peak or a dip beside what surrounds it
+PROMINENCE = 1.0  # dB, of a peak or a dip against its surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class FrequencyResponse:
 
     @property
     def resonances(self) -> Array:
-        """Frequencies at which the motor moves more than beside them [Hz]."""
+        """Frequencies at which the motor moves more than at neighbouring frequencies [Hz]."""
         return self._peaks(1.0)
 
     @property

@@ -36,7 +36,7 @@ def check_scenes(
     *more: Annotated[str, Parameter(metavar="SCENE", help="further ones")],
     modes: bool = False,
 ) -> int:
-    """Check scene files, and the servo and motion parameters that lie beside them.
+    """Check scene files, and the servo and motion parameters that belong to them.
 
     Args:
         modes: show the eigenvalues of every loop that the modes of the scene's drives select.
@@ -58,7 +58,7 @@ def check_scenes(
 
 @dataclass(frozen=True)
 class Checked:
-    """A valid scene, and the files beside it.
+    """A valid scene, and the files that belong to it.
 
     Attributes:
         scene: its file's name.
@@ -92,7 +92,7 @@ def check_scene(name: str) -> Checked:
     """Return the files of a scene; compare its gains with it.
 
     Raises:
-        Refusal: the scene or a file beside it is invalid, or they do not fit together.
+        Refusal: the scene or a file of it is invalid, or they do not fit together.
     """
     file = find_scene(name)
     scene = load_scene(file)

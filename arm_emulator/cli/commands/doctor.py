@@ -81,7 +81,7 @@ def doctor() -> int:
     The exit code is 1 if there is a problem. A missing package of some commands is a note.
     """
     found = []
-    for one in findings():  # each is printed at once: the imports take seconds
+    for one in findings():  # printed one by one: the imports take seconds
         found.append(one)
         remedy = f"; {one.remedy}" if one.remedy else ""
         output.line(f"{one.level:<8} {one.name:<15} {one.text}{remedy}")

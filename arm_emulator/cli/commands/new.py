@@ -56,7 +56,7 @@ def new(
         trust_inertias: take them as they are, such as regrouped or identified parameters.
         force: overwrite existing files.
         ros2_control: compile the scene for ros2_control, too, and write its robot description and
-            controllers beside it.
+            controllers into the same folder.
     """
     given = dict[str, str]()
     for one in arguments:
@@ -105,7 +105,7 @@ def _report(written: NewScene) -> dict[str, Any]:
         report(f"assumed  body of {one.link}: {one.how}")
     for overload in written.overloads:
         report(f"weak     {overload}")
-    report(f"written  {written.file}, and servo/, motion/, demo/ beside it")
+    report(f"written  {written.file}, and servo/, motion/, demo/ in its folder")
     report(f"next     arm_emulator demo {written.file}")
     return {
         "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
@@ -128,7 +128,7 @@ def scene_of_robot(robot: Path, out: Path) -> Path:
     folder = out / f"{scene_name(robot)}_{digest}"
     file = folder / f"{scene_name(robot)}.yaml"
     if file.exists():
-        output.line(f"taken    {file}, which was there (remove {folder} to begin anew)")
+        output.line(f"taken    {file}, which was there (remove {folder} to start again)")
         return file
     output.facts(_report(write_new(robot, folder)))
     return file

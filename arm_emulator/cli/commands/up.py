@@ -52,7 +52,7 @@ def up(
         rerun_file: Rerun recording to write.
         record: new bag, written by the emulator itself, independent of the network.
         namespace: of all nodes and topics, such as /cell1.
-        allow_second: start beside a network that runs on the same topics.
+        allow_second: start although another network uses the same topics.
         use_sim_time: the nodes' own clocks follow the emulator's.
         params_file: ROS parameter file that overrides all other parameters.
     """

@@ -64,7 +64,7 @@ class CurrentLoop(Decorator):
         gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}
         for key, value in gains.items():
             if self.bandwidth is not None and value is not None:
-                raise section.refusal(key, "be absent beside a bandwidth", value)
+                raise section.refusal(key, "be absent together with a bandwidth", value)
             if self.bandwidth is None and value is None:
                 rule = f"be given where {key} is not"
                 raise section.refusal("bandwidth", rule, "nothing")

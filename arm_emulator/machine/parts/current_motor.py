@@ -33,7 +33,7 @@ class CurrentMotor(Motor):
     )
     rotor_inertia: float = inertia_of_rotor()
     bandwidth: float | None = number(
-        "bandwidth", "Hz", above=0.0, default=None, text="f; none: the current follows at once"
+        "bandwidth", "Hz", above=0.0, default=None, text="f; without it the current has no delay"
     )
     current_limit: float | None = number(
         "current_limit", "A", above=0.0, default=None, text="largest command, in either direction"

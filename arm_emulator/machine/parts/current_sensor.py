@@ -8,7 +8,7 @@ from arm_emulator.machine.parts.registry import register_part
 
 @register_part
 class CurrentSensor(AnalogSensor):
-    """Of the current of a joint's motor."""
+    """Sensor of the current of a joint's motor."""
 
     section = "current_sensor"
     unit = "A"

@@ -12,7 +12,7 @@ from arm_emulator.machine.parts.registry import register_part
 
 @register_part
 class DcMotor(Motor):
-    """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
+    """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current has no delay."""
 
     kind = "dc"
     cia_type = 13  # permanent magnets, commutator
@@ -28,7 +28,7 @@ class DcMotor(Motor):
 
     resistance: float = number("R", "ohm", above=0.0, text="R of the winding")
     inductance: float = number(
-        "L", "H", at_least=0.0, default=0.0, text="L of the winding; 0: the current follows at once"
+        "L", "H", at_least=0.0, default=0.0, text="L of the winding; 0: the current has no delay"
     )
     torque_constant: float = number("Kt", "N m/A", above=0.0, text="Kt")
     back_emf_constant: float = number(

@@ -239,7 +239,7 @@ class Encoder(Part):
 
     @property
     def wrap(self) -> int:
-        """Counts after which its word begins anew; 0: never."""
+        """Counts after which its word wraps; 0 if it never does."""
         return 2**self.bits if self.bits is not None else 0
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102

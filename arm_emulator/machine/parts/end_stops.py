@@ -47,7 +47,7 @@ class EndStops(Extra):
         "lower",
         "rad",
         ends=(-1e4, 1e4),
-        text="q at which the lower stop is touched; refused beside `at`",
+        text="q at which the lower stop is touched; refused together with `at`",
     )
     upper: float = number(
         "upper", "rad", ends=(-1e4, 1e4), text="q at which the upper stop is touched; above `lower`"
@@ -90,13 +90,13 @@ class EndStops(Extra):
         beyond = section.number(_BEYOND)
         if not section.has("at"):
             if section.has(_BEYOND.name):
-                raise section.refusal(_BEYOND.name, "stand beside `at: limits`", beyond)
+                raise section.refusal(_BEYOND.name, "be given together with `at: limits`", beyond)
             return
         section.choice("at", ("limits",), default="limits")
         lower, upper = limits or (0.0, 0.0)
         for key, value in ("lower", lower - beyond), ("upper", upper + beyond):
             if section.has(key):
-                raise section.refusal(key, "be absent beside `at: limits`", "both")
+                raise section.refusal(key, "be absent together with `at: limits`", "both")
             section.put(key, value)
         if limits is None:
             raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")

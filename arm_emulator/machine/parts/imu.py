@@ -53,7 +53,7 @@ class Axes(Converter):
 
 @register_part
 class Accelerometer(Axes):
-    """Of specific force."""
+    """Sensor of specific force."""
 
     section = "accelerometer"
     unit = "m/s2"
@@ -61,7 +61,7 @@ class Accelerometer(Axes):
 
 @register_part
 class Gyroscope(Axes):
-    """Of angular rate."""
+    """Sensor of angular rate."""
 
     section = "gyroscope"
     unit = "rad/s"
@@ -151,7 +151,7 @@ class Imu:
 
     @property
     def parts(self) -> tuple[Axes, ...]:
-        """Those of its two sensors that are not ideal."""
+        """Its sensors that are not ideal."""
         return tuple(one for one in (self.accelerometer, self.gyroscope) if one is not None)
 
     def initialiser(self, places: Mapping[str, str]) -> str:

@@ -66,7 +66,7 @@ class Rating:
 
     @property
     def current(self) -> float:
-        """Of the largest torque [A]."""
+        """Current of the largest torque [A]."""
         return self.torque / self.torque_constant
 
 
@@ -90,7 +90,7 @@ class Motor(Part):
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
     rules: ClassVar[tuple[str, ...]] = ()
-    """Of `sized`, for people who read a scene; none: no drive is sized with it."""
+    """Rules of `sized`, for people who read a scene; empty if no drive is sized with it."""
 
     @classmethod
     def owned_name(cls) -> str:
@@ -172,7 +172,7 @@ class Motor(Part):
 
     @property
     def follows_speed_at_once(self) -> bool:
-        """Whether its current follows the speed at once: without an inductance."""
+        """Whether its current follows the speed without delay: it has no inductance."""
         return False
 
     @property
@@ -196,7 +196,7 @@ class Motor(Part):
 
     @property
     def inertia(self) -> float:
-        """Of its rotor with the gear's primary side [kg m2]."""
+        """Inertia of its rotor with the gear's primary side [kg m2]."""
         inertia: float = vars(self)["rotor_inertia"]
         return inertia
 

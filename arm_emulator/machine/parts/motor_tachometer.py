@@ -9,7 +9,7 @@ from arm_emulator.machine.parts.registry import register_part
 
 @register_part
 class MotorTachometer(AnalogSensor):
-    """Of the speed of a motor's shaft."""
+    """Sensor of the speed of a motor's shaft."""
 
     section = "motor_tachometer"
     shaft = "rotor"

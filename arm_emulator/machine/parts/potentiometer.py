@@ -9,7 +9,7 @@ from arm_emulator.machine.parts.registry import register_part
 
 @register_part
 class Potentiometer(AnalogSensor):
-    """Of the position of a joint's link."""
+    """Sensor of the position of a joint's link."""
 
     section = "potentiometer"
     unit = "rad"

@@ -65,7 +65,7 @@ class JointSensors:
 
     @property
     def parts(self) -> dict[str, Part]:
-        """Those present, by their sections."""
+        """The sensors that are present, by their sections."""
         encoders = {"encoder": self.encoder, "link_encoder": self.link_encoder}
         there: dict[str, Part] = {name: one for name, one in encoders.items() if one is not None}
         return there | {one.section: one for one in self.analog}
@@ -82,12 +82,12 @@ class JointSensors:
 
     @property
     def measuring(self) -> dict[str, Part]:
-        """Those present by their sections, with the finest encoder where the motor has none."""
+        """The sensors by their sections; the finest encoder where the motor has no encoder."""
         return {Encoder.section: self.counting, **self.parts}
 
     @property
     def current(self) -> CurrentSensor | None:
-        """Of its motor's current, which servos use."""
+        """Sensor of its motor's current, which servos use."""
         return next((one for one in self.analog if isinstance(one, CurrentSensor)), None)
 
     @property

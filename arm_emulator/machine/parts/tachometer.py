@@ -9,7 +9,7 @@ from arm_emulator.machine.parts.registry import register_part
 
 @register_part
 class Tachometer(AnalogSensor):
-    """Of the speed of a joint's link."""
+    """Sensor of the speed of a joint's link."""
 
     section = "tachometer"
     unit = "rad/s"

@@ -9,7 +9,7 @@ from arm_emulator.machine.parts.registry import register_part
 
 @register_part
 class Thermometer(AnalogSensor):
-    """Of the temperature of a joint's winding."""
+    """Sensor of the temperature of a joint's winding."""
 
     section = "thermometer"
     unit = "degC"

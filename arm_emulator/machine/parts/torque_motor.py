@@ -26,7 +26,7 @@ class TorqueMotor(Motor):
 
     rotor_inertia: float = inertia_of_rotor()
     bandwidth: float | None = number(
-        "bandwidth", "Hz", above=0.0, default=None, text="f; none: the torque follows at once"
+        "bandwidth", "Hz", above=0.0, default=None, text="f; without it the torque has no delay"
     )
     torque_limit: float | None = number(
         "torque_limit",

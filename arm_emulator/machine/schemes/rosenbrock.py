@@ -15,7 +15,7 @@ GAMMA = 1.0 - math.sqrt(0.5)
 
 @register_scheme
 class Rosenbrock(Scheme):
-    """Both stages evaluate the links."""
+    """The Rosenbrock method; both of its stages evaluate the links."""
 
     name = "rosenbrock"
     order = 2

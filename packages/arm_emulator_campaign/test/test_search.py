@@ -347,7 +347,7 @@ def test_bad_searches_are_refused_in_a_line(tmp_path, search, reason):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"count": 5}, "count must be absent beside search"),
+        ({"count": 5}, "count must be absent together with search"),
         ({"vary": {}}, "search.method must have numbers that vary"),
         ({"requirements": {}}, "search.method must have a requirement"),
         (

@@ -36,7 +36,7 @@ def drives_unit(
         name: of the library.
         source: C++ that comes behind core/drives.hpp.
         headers: declare the functions that it adds.
-        about: what the user is reported while it is compiled.
+        about: text of the line that is printed while it is compiled.
     """
     return Unit(
         name,

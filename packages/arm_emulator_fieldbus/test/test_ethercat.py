@@ -117,7 +117,7 @@ def test_the_line_ends_at_its_last_slave_and_where_a_port_is_closed(master: Mast
     assert master.segment.frame(frame((NOP, 0, b""))) == b"", "the frame is lost there"
 
 
-def test_a_slave_has_an_alias_once_it_is_reported_so(master: Master) -> None:
+def test_a_slave_uses_its_alias_once_the_master_has_enabled_it(master: Master) -> None:
     write_eeprom(master, 1, 4, 0x0777)
     master.write(1, 0x0502, struct.pack("<HI", 0x0400, 0))  # reload
     assert master.word(1, 0x0012) == 0x0777, "the alias as the EEPROM has it"

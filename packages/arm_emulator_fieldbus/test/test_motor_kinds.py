@@ -250,7 +250,7 @@ def test_files_refuse_data_that_contradict_each_other() -> None:
         ({"resistance": 0.0}, "resistance must be a number > 0 ohm where the command is a voltage"),
         ({"torque_bandwidth": 5.0}, "torque_constant must be 1 with a torque_bandwidth"),
         ({"torque_bandwidth": 5.0, "torque_constant": 1.0, "current_bandwidth": 5.0},
-         "torque_bandwidth must be absent beside a current_bandwidth"),
+         "torque_bandwidth must be absent together with a current_bandwidth"),
     ):  # fmt: skip
         with pytest.raises(Refusal, match=words):
             ServoConfig.from_mapping({**plain, "joints": {"waist": given | change}}, "x.yaml")

@@ -212,7 +212,7 @@ class _Reader:
         for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
             if section.has(key) and not needs:
                 what = "control" if key == "enable" else "status"
-                raise section.refusal(key, f"stand beside `{what}`, a register", "none")
+                raise section.refusal(key, f"be given together with `{what}`, a register", "none")
         return {
             "status": status,
             "flag": section.integer(_BIT.named("flag")) if status else 0,

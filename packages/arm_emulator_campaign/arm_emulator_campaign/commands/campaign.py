@@ -89,7 +89,7 @@ def campaign(
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
         replay: simulate one run again, for --record, --bag, --rerun and --page.
         shrink: find the fewest changes and the shortest time with which a run still fails, and
-            write them beside the results as a campaign.
+            write them into the folder of the results as a campaign.
         bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
     kept.check("campaign")
@@ -101,7 +101,7 @@ def campaign(
     one = load_campaign(file)
     if one.search is not None and count is not None:
         raise Refusal(
-            "campaign", "--count", "be absent beside search, which counts its runs", count
+            "campaign", "--count", "be absent together with search, which counts its runs", count
         )
     if count is not None:
         one = dataclasses.replace(one, count=check_count("campaign", "--count", count, 1, 10**12))

@@ -28,7 +28,8 @@ def read_method(root: Section, variation: Variation) -> Method | None:
     if kind is None:
         raise section.refusal("method", "be a known method", repr(name), ", ".join(METHODS))
     if root.has("count"):
-        raise root.refusal("count", "be absent beside search, which counts its runs", "a count")
+        rule = "be absent together with search, which counts its runs"
+        raise root.refusal("count", rule, "a count")
     of = section.text("of") if section.has("of") else ""
     known = root.section("requirements")
     names = [] if known is None else known.keys()

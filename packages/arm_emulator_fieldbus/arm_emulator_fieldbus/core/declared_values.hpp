@@ -1,5 +1,5 @@
-// The objects of a drive that parts of the scene declare: what its motor takes beside its command,
-// and what is reported of its joint.
+// The objects of a drive that parts of the scene declare: further inputs of its motor,
+// and outputs of its joint.
 #pragma once
 
 #include <vector>
