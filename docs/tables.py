@@ -246,7 +246,7 @@ def _file(kind: type[Part] | type[Imu]) -> str:
 
 
 def _first_line(kind: type[Part] | type[Imu]) -> str:
-    return (kind.__doc__ or "").partition("\n")[0].rstrip(".").removeprefix("Of ")
+    return (kind.__doc__ or "").partition("\n")[0].rstrip(".").removeprefix("Sensor of ")
 
 
 def _taken() -> dict[Input, list[type[Part]]]:
