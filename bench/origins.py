@@ -24,7 +24,7 @@ _SOURCE = re.compile(r"\[(\d+)\]")
 
 @dataclass(frozen=True)
 class Origin:
-    """Of one figure of a scene, which several joints may share."""
+    """Origin of one figure of a scene, which several joints may share."""
 
     section: str  # such as motor, or motor.friction
     key: str

@@ -57,7 +57,7 @@ class Move:
     """Outcome of one move, judged over its whole length."""
 
     distance: str
-    """Of all arms alike; small ones go as much less."""
+    """Distance of the moves, the same for all arms; small arms move less in proportion."""
     length: float
     """From where the true tool began to where it rested [m]."""
     words: str = ""

@@ -39,7 +39,7 @@ class Known:
     stiffness: float = 1.0
     friction: float = 1.0
     inertia: float = 1.0
-    """Of links and rotors."""
+    """Factor of the inertias of links and rotors."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class Followed:
     t: Array
     """Times (K,) [s]."""
     place: Array
-    """Of the reference along the line (K,) [m]."""
+    """Place of the reference along the line (K,) [m]."""
     deviation: Array
-    """Of the true tool from its reference (K, 3) [m]; along the line it is the first column."""
+    """Deviation of the true tool from its reference (K, 3) [m]; first column: along the line."""
 
     astray: Array
     """Distance of the tool if every motor were where it is sent (K,) [m]."""
@@ -89,7 +89,7 @@ class Followed:
 
     @property
     def peak_speed(self) -> float:
-        """Of the reference [m/s]."""
+        """Largest speed of the reference [m/s]."""
         return float(np.gradient(self.place, self.t).max())
 
 

@@ -39,19 +39,19 @@ class Servo:
 
     @property
     def back_emf_constant(self) -> float:
-        """Of its motor [V s/rad]."""
+        """Back EMF constant of its motor [V s/rad]."""
         return self.supply / (self.no_load_speed * self.turns)
 
     @property
     def torque_constant(self) -> float:
-        """Of its motor, with what the gear takes [N m/A]; the back EMF's where none is stated."""
+        """Torque constant with the losses of the gear [N m/A]; by default that of the back EMF."""
         if self.stall_current is None:
             return self.back_emf_constant
         return self.stall_torque / self.turns / self.stall_current
 
     @property
     def resistance(self) -> float:
-        """Of its winding [ohm]."""
+        """Resistance of its winding [ohm]."""
         return self.supply * self.torque_constant * self.turns / self.stall_torque
 
 

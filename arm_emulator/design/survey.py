@@ -35,7 +35,7 @@ class Survey:
     start: Array
     """A bent pose away from limits and singular poses, (N,) [rad or m]."""
     displacement: Array
-    """Of the tool from the start, within reach, (3,) [m]."""
+    """Displacement of the tool from the start, within reach, (3,) [m]."""
 
 
 def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = None) -> Survey:

@@ -47,7 +47,7 @@ class JogCommand:
     time_ns: int
     """Logical time of it [ns]."""
     twist: Array | None = None
-    """Of the tool, translation and rotation (6,) [m/s, rad/s]."""
+    """Speed of the tool, translation and rotation (6,) [m/s, rad/s]."""
     link: str = ""
     """Link along whose axes it is, as they are at each moment; empty: the base."""
     joints: Array | None = None

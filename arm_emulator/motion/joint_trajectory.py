@@ -164,12 +164,12 @@ class JointTrajectory:
         """Index of each joint that is named, (M,)."""
         check_number_of_points(len(points))
         self.times_ns = [point.time_ns for point in points]
-        """Of the points, from the start [ns]."""
+        """Times of the points, from the start [ns]."""
         _check_times(self.times_ns)
         _check_kinds(points)
         count = len(self.moved)
         self.q, self.v, self.a, self.tau = (_table(points, field, count) for field in _BOUNDS)
-        """Of the points, (K, M) each; rows of NaN where nothing is given."""
+        """Values at the points, (K, M) each; rows of NaN where nothing is given."""
         if not points:
             return
         if not may_end_moving and (np.abs(self.v[-1]) > AT_REST).any():

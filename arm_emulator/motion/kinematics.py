@@ -128,7 +128,7 @@ class Kinematics(Lasting):
 
     @property
     def of_tool(self) -> Kinematics:
-        """Of the joints alone that move the tool."""
+        """Kinematics of only the joints that move the tool."""
         return self._of_tool or self
 
     @property

@@ -23,9 +23,9 @@ class Obstacle:
 
     name: str
     height: float | None = None
-    """Of a floor [m]; None: a box."""
+    """Height of a floor [m]; None for a box."""
     size: tuple[float, ...] = (1.0, 1.0, 1.0)
-    """Of a box along its axes [m]."""
+    """Size of a box along its axes [m]."""
     at: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Middle of the box [m]."""
     rpy: tuple[float, ...] = (0.0, 0.0, 0.0)

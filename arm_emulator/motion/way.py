@@ -63,7 +63,7 @@ class AlongLimits:
     ends: Array
     """Ends of the curve's parts in s, ascending (S,)."""
     curvature: Array
-    """Of these parts, acceleration across at speed 1, (S,) [1/m]."""
+    """Curvature of these parts: acceleration across at speed 1, (S,) [1/m]."""
 
     @classmethod
     def straight(cls, length: float, speed: float, acceleration: float, jerk: float) -> AlongLimits:

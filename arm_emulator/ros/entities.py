@@ -16,7 +16,7 @@ from arm_emulator.ros.sole_publisher import SolePublisher, call_back, parts_of, 
 
 
 class Entities:
-    """Those of a node at this time; in a `with` block none of them is released.
+    """The entities of a node at this time; in a `with` block none of them is released.
 
     A service that waits within its callback is left to rclpy's executor.
 

@@ -128,7 +128,7 @@ class Recording(Uncopied):
 
     @property
     def _columns(self) -> list[Column]:
-        """Those of the quantities that were asked for."""
+        """Columns of the requested quantities."""
         known = columns_of(self._plant.scene)
         wanted = [("t",), *(tuple(name.split(".")) for name in self._names)]
         return [one for path in wanted for one in known if one.path[: len(path)] == path]

@@ -114,7 +114,7 @@ class JointServo:
 
     @property
     def loop_bandwidth(self) -> float:
-        """Of the loop that the drive closes [Hz]; 0: none, its command is a voltage."""
+        """Bandwidth of the loop in the drive [Hz]; 0 if its command is a voltage."""
         return self.torque_bandwidth or self.current_bandwidth
 
     def largest_command(self, supply_voltage: float) -> float:

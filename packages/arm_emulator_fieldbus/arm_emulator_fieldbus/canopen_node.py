@@ -36,7 +36,7 @@ class Frame:
 
 
 class State(enum.IntEnum):
-    """Of the node, as heartbeats report it."""
+    """NMT state of the node, as heartbeats report it."""
 
     BOOT = 0
     STOPPED = 4
@@ -117,7 +117,7 @@ class Node:
 
     @property
     def state(self) -> State:
-        """Of NMT state; PDOs in use in operational keep their mapping."""
+        """NMT state; PDOs in use in operational keep their mapping."""
         return self._state
 
     @state.setter

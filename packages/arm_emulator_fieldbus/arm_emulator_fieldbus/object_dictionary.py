@@ -42,7 +42,7 @@ class Entry:
     code: int
     """7 variable, 8 array, 9 record."""
     last_sub: int
-    """Of its object."""
+    """Last subindex of its object."""
     type: str
     """As CiA 301 calls it."""
     bits: int

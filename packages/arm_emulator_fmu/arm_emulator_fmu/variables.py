@@ -72,7 +72,7 @@ class Variable:
 
     @property
     def unit(self) -> str | None:
-        """Of all its values; None where they have none, or differ."""
+        """Unit of all its values; None if they have no unit, or differ."""
         return self.units[0] if len(set(self.units)) == 1 else None
 
 

@@ -29,7 +29,7 @@ SURE = 5.0  # times its deviation: less certain compliance is not identifiable
 
 @dataclass(frozen=True)
 class WindUp:
-    """Of each joint with an encoder at the link and an elastic gear; NaN for others. (N,)."""
+    """Wind-up of each joint with an encoder at the link and an elastic gear; else NaN. (N,)."""
 
     residual: Array  # rad, root of mean square
     ripple: Array  # rad, amplitude of the encoder's largest wave within the residual

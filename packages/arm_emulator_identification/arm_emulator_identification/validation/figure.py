@@ -27,7 +27,7 @@ class Figure:
     form: str
     """Format of one value, such as ``.1f``."""
     least: float = -np.inf
-    """Of every axis."""
+    """Least value that every axis must have."""
     most: float = np.inf
     least_mean: float = -np.inf
     most_mean: float = np.inf
@@ -39,7 +39,7 @@ class Figure:
 
     @property
     def mean(self) -> float:
-        """Of the axes that have a value, unless there is an overall one; NaN if none has."""
+        """Overall value, or the mean of the axes that have a value; NaN if none has."""
         if self.overall is not None:
             return self.overall
         known = self.values[np.isfinite(self.values)]
