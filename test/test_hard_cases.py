@@ -145,7 +145,7 @@ def drive(plant: Plant, rows: int) -> None:
 
 
 def test_a_divergence_that_stays_finite_is_detected() -> None:
-    """At 1.25 ms `paper` rattles at 100 rad/s for ever and never leaves the finite world."""
+    """At 1.25 ms `paper` rattles at 100 rad/s indefinitely and never leaves the finite world."""
     plant = Plant(paper(1.25e-3))
     with pytest.raises(Diverged) as fault:
         drive(plant, 300)

@@ -325,7 +325,7 @@ def test_torques_for_another_gravity_than_the_scenes_are_warned_of(
 
 @pytest.mark.parametrize("far", [(3.0, 0.0, 0.3), (0.5, 2.0, 1.0)])
 def test_out_of_reach_means_that_the_machine_rests(far: tuple[float, ...]) -> None:
-    """Eq. (6) would try for ever: 19.8 A and 1.29 rad/s."""
+    """Eq. (6) would try indefinitely: 19.8 A and 1.29 rad/s."""
     run = load_offline_run("three_axis")
     run.advance(500)
     run.instructor.add(run.session.logical_ns, Pose(np.array(far), np.eye(3)))

@@ -80,7 +80,7 @@ def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept() -> 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
 def test_a_port_whose_maker_was_killed_while_it_made_it_hangs_nobody() -> None:
-    """A node that opens it waits for ever: so it goes before a node is made."""
+    """A node that opens it waits indefinitely: so it goes before a node is made."""
     with own_domain() as domain:
         ports = [SHARED / f"fastrtps_port{7400 + 250 * domain + 11 + 2 * k}" for k in range(2)]
         try:

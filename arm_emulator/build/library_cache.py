@@ -256,7 +256,7 @@ def _lock(file: Path, wait: bool) -> int:
 
 
 def _clear_away_what_is_no_lock(file: Path) -> None:
-    """Leave at `file` nothing, or a lock that no other user can hold for ever."""
+    """Leave at `file` nothing, or a lock that no other user can hold indefinitely."""
     with contextlib.suppress(FileNotFoundError):
         found = os.lstat(file)
         if stat.S_ISDIR(found.st_mode):

@@ -90,7 +90,7 @@ def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:
         OSError: it is missing, or cannot be read.
     """
     try:
-        # Without blocking: opening a pipe would wait for a writer for ever.
+        # Without blocking: opening a pipe would wait for a writer indefinitely.
         opened = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO):

@@ -11,7 +11,7 @@ of that part: it is taken off the announced torques then, as the servo has it in
 
 A joint without evidence of its own, as one that turns about a vertical axis, moves what the next
 joints carry: it is taken to be as wrong as they are. A factor within 0.5 to 2 cannot wind up a gear
-against an obstacle for ever.
+against an obstacle indefinitely.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ KEPT: list[object] = []
 
 
 def room(size: int = 512) -> Any:
-    """Memory of zeros that begins with a size, as structs do; it lives for ever."""
+    """Memory of zeros that begins with a size, as structs do; it lives indefinitely."""
     memory = np.zeros(ROOM // 4, np.uint32)
     memory[0] = size
     KEPT.append(memory)

@@ -150,7 +150,7 @@ def test_an_array_of_other_numbers_is_no_place_for_a_struct(tmp_path: Path) -> N
 
 
 def test_functions_outlive_the_library_that_gave_them_and_machines_leave_nothing() -> None:
-    """The system keeps it loaded; a process may make machines for ever."""
+    """The system keeps it loaded; a process may make machines indefinitely."""
     scene = load_scene("three_axis")
     saved_size = library_of(scene).arm_saved_size
     before = saved_size()

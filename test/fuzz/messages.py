@@ -34,7 +34,7 @@ from fuzz.line import FAILED, REFUSED, TAKEN, report
 AT_ONCE = 2  # messages per topic: what is read with best effort is kept five deep
 AHEAD = 1000  # ticks: what is for a later tick stays of the future while it is on its way
 # Health is reported every second, and no node may hang for two: of its own processor time, so that
-# a busy machine does not count; and by the wall clock a node that waits for ever.
+# a busy machine does not count; and by the wall clock a node that waits indefinitely.
 SILENCE, FOR_EVER = 3.0, 60.0  # s
 AFTERWARDS = 200  # ticks of the run that shows that all is as before
 

@@ -33,7 +33,7 @@
  * "Within the count": as drives that are commanded in counts do, the servo asks for no correction
  * where the target lies in the very count that the encoder shows. An encoder cannot report
  * positions within a count apart, and integral action on a difference that cannot be measured would
- * hunt for ever. So the servo guarantees, at rest, a measured angle within half a count of the
+ * hunt indefinitely. So the servo guarantees, at rest, a measured angle within half a count of the
  * target, and no more.
  *
  * A null pointer where none may be: nothing happens, and what is returned is 0 (SERVO_CUT).
@@ -164,7 +164,7 @@ enum servo_silence {
 
 /* Targets or states silent: hold first, then cut the power.
  *
- * - No target has come yet: hold. A drive that was switched on waits where it stands, for ever.
+ * - No target has come yet: hold. A drive that was switched on waits where it stands, indefinitely.
  * - Silence longer than `hold_after`: hold, until both come again.
  * - Silence longer than `cut_after`: cut, until a reset. Power that was cut does not come back by
  *   itself: whoever restarts a silent controller may have a hand in the machine, and the arm has

@@ -167,7 +167,7 @@ class Converter:
 
     Args:
         session: the machine, at tick 0.
-        watchdog: how long the drives stay on without new commands [ms]; 0: for ever.
+        watchdog: how long the drives stay on without new commands [ms]; 0: indefinitely.
 
     Raises:
         Refusal: no such time, or a scene that registers cannot report.

@@ -105,7 +105,7 @@ class SerialPort:
 
 
 def serve(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -> None:
-    """Serve masters in logical time, for ever."""
+    """Serve masters in logical time, indefinitely."""
     gap = max(silence_time(baud), LONGEST_GAP) / 1e9
     silent = False
     while True:
@@ -144,7 +144,7 @@ class RealTimeService:
         converter.on_commands = converter.offer
 
     def serve(self) -> None:
-        """Serve masters, for ever."""
+        """Serve masters, indefinitely."""
         gap = max(silence_time(self._baud), LONGEST_GAP)
         last = began = time.monotonic_ns()
         while True:

@@ -106,7 +106,7 @@ uint32_t drives_write(drives* all, int32_t drive, uint16_t index, uint8_t sub, c
 uint32_t drives_write_number(drives* all, int32_t drive, uint16_t index, uint8_t sub,
                              int64_t value);
 
-/* An entry of the dictionary, the same for all drives. Texts live for ever. */
+/* An entry of the dictionary, the same for all drives. Texts live indefinitely. */
 typedef struct drives_entry {
   uint16_t index;
   uint8_t sub, last_sub; /* last_sub: of its object */
