@@ -4,10 +4,10 @@ Fast DDS keeps half a MiB in /dev/shm for each participant, beside a file that i
 long as it lives. A process that ends removes both; a killed one cannot, and no other process does.
 Segments without an owner are removed here, as by `fastdds shm clean`. Ports stay: the next process
 reuses them, and others may write to them. But a port whose maker was killed while it made it is
-removed: every process that opens it waits for the maker, and reacts to no signal. And a port
-whose reader was killed is marked as broken: the next reader makes a new one, and whoever has the
-old one open would write to it until its end. Fast DDS marks it only where the reader was killed while it
-waited for a message or was in the midst of one, not in the microseconds between.
+removed: every process that opens it waits for the maker, and reacts to no signal. A port whose
+reader was killed is marked as broken: the next reader makes a new one, and a process that has the
+old one open would write to it until its end. Fast DDS marks it only where the reader was killed
+while it waited for a message or was in the midst of one, not in the microseconds between.
 """
 
 from __future__ import annotations
