@@ -10,6 +10,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from arm_emulator.machine.compiler import equations_library_of
+from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_chain import LINK, moving_joints, random_chain_urdf, random_tree_urdf
 
@@ -117,6 +120,14 @@ def random_tree(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
     """The same as a tree."""
     urdf = random_tree_urdf(np.random.default_rng(seed), joints)
     return load_scene(write_scene(folder, urdf, {name: {} for name in moving_joints(urdf)}, **keys))
+
+
+def links_of(scene: Scene) -> LinkDynamics:
+    """Return what `Plant.links` does without a machine, for a scene without varied numbers."""
+    assert not scene.varied and not scene.external_wrench, "the point below is of the state alone"
+    library, N = equations_library_of(scene), len(scene.joints)
+    at_rest = ARM.ffi.new("double[]", 100 * N)  # more than a state has
+    return LinkDynamics(lambda name, *given: getattr(library, name)(at_rest, *given), N)
 
 
 class Oracle:

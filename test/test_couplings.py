@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 import yaml
 from draws import FULL, some
+from machines import links_of
 from scipy.integrate import solve_ivp
 
 from arm_emulator import (
@@ -115,12 +116,12 @@ def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) ->
     assert list(scene.joint_names) == shafts_of(parts, shares)
     C = matrix(parts, shares)
     truth = Lagrange(serial("arm", parts), C, np.zeros(len(parts)))
-    plant, draw = Plant(scene), np.random.default_rng(1)
+    links, draw = links_of(scene), np.random.default_rng(1)
     loads = LinkLoads(scene)
     for _ in range(20):
         p, v, T = (draw.normal(size=C.shape[1]) * size for size in (1.0, 2.0, 30.0))
         expected = truth.accelerations(p, v, T)
-        got = plant.links.accelerations(p, v, T)
+        got = links.accelerations(p, v, T)
         np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
         M, still = loads.mass_matrix(p), np.zeros_like(v)
         got = np.linalg.solve(M, T - loads.weight(p))
@@ -198,7 +199,7 @@ def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
     frame = truth.model.getFrameId("tool0")
     kinematics = Kinematics(text, names, "tool0", task="pose")
     torques = LinkTorques(text, names, GRAVITY)
-    plant, draw = Plant(loaded), np.random.default_rng(2)
+    links, draw = links_of(loaded), np.random.default_rng(2)
     for _ in range(10):
         p, v, T = (draw.normal(size=3) * size for size in (0.5, 1.0, 20.0))
         pin.framesForwardKinematics(truth.model, truth.data, C @ p + q_0)
@@ -210,7 +211,7 @@ def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
         )
         np.testing.assert_allclose(kinematics.jacobian(p), J @ C, atol=1e-12)
         a = truth.accelerations(p, v, T)
-        np.testing.assert_allclose(plant.links.accelerations(p, v, T), a, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(links.accelerations(p, v, T), a, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(torques.at(p, v, a), T, rtol=1e-9, atol=1e-9)
     # 0 <= 0.5 p + 0.02 <= 0.4 and 0 <= 0.088 - 0.3 p <= 0.3, within 0 .. 0.6.
     assert kinematics.lower[2] == pytest.approx(0.0)
