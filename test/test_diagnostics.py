@@ -9,6 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from in_process import InProcess, in_process
 
+import servo_node.node
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.motion_report import Kind, MotionReport, State
 from arm_emulator.ros.node_shell import NodeLog
@@ -97,3 +98,18 @@ def test_a_node_logs_refusals_and_outcomes(
         ("outcome", "REPLACED", "tool target 1 replaced, 1.2 mm left: a reason"),
         ("trouble", "ABORTED", "tool target 1 aborted, 1.2 mm left: a reason"),
     ]
+
+
+def test_a_servo_reports_a_silence_from_its_time_to_cut_on(
+    nodes: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes.run_to(5)
+    servo, warned = nodes.nodes["servo"], list[str]()
+    monkeypatch.setattr(servo._diagnostics, "warn", warned.append)
+    times = servo._config.hold_after, servo._config.cut_after
+    assert times == (0.2, 2.0)
+    for silence, count in ((0.3, 0), (1.9, 0), (2.1, 1)):
+        now = servo._at.heard + round(silence * 1e9)
+        monkeypatch.setattr(servo_node.node, "now_ns", lambda now=now: now)
+        servo._on_silence_check()
+        assert len(warned) == count, f"{warned} after {silence} s"
