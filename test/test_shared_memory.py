@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -19,7 +20,7 @@ import arm_emulator.ros.shared_memory
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.ros.shared_memory import MADE, SHARED, clear_left_over
 
-PATIENCE = 60.0  # s, wall: for what takes some seconds on an idle machine
+PATIENCE = 120.0  # s, wall: for what takes some seconds on an idle machine
 READER = 20_612  # bytes from a port's number to its first reader's state, in Fast DDS 2.14
 IN_USE, WAITS, READS = 1, 2, 4  # its bits
 
@@ -102,10 +103,19 @@ def test_a_port_whose_maker_was_killed_while_it_made_it_hangs_nobody() -> None:
                 port.unlink(missing_ok=True)
 
 
+def stopped_with(node: subprocess.Popen[str]) -> list[str]:
+    """Stop a process; return the files that it has open."""
+    node.send_signal(signal.SIGSTOP)
+    while psutil.Process(node.pid).status() != psutil.STATUS_STOPPED:
+        time.sleep(0.001)
+    return [os.readlink(one) for one in Path(f"/proc/{node.pid}/fd").iterdir() if one.is_symlink()]
+
+
 def kill_between_two_messages(node: subprocess.Popen[str]) -> bool:
     """Kill a node as if in the microseconds between; False: the middleware's state is another."""
-    folder = Path(f"/proc/{node.pid}/fd")
-    locks = [os.readlink(one) for one in folder.iterdir() if one.is_symlink()]
+    while "_mutex" in " ".join(locks := stopped_with(node)):  # it opens a port
+        node.send_signal(signal.SIGCONT)
+        time.sleep(0.01)
     ports = [one.removesuffix("_el") for one in locks if "_port" in one and one.endswith("_el")]
     node.kill()
     node.wait()
