@@ -11,12 +11,19 @@ from pathlib import Path
 import pytest
 from in_process import in_process
 from network import JOINTS, PATIENCE, User, assert_same_bits, network, node, offline_states
+from rclpy.serialization import serialize_message
 from test_network import go, pause_at
 
+from arm_emulator import load_scene
 from arm_emulator.base.config_files import find_config
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit, compiled_once
+from arm_emulator.ros import doubles
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
+from emulator_node.c import FOLDERS, MOTOR_COMMANDS
+from emulator_node.command_reader import CommandReader
 
 TICKS = 400
 
@@ -122,6 +129,21 @@ def test_two_servos_and_two_motion_controllers_are_named(
     for name, kind in kinds.items():
         gone = f"another {kind}"
         user.wait("it to be gone", lambda n=name, g=gone: not user.value(n, g))
+
+
+def test_c_reads_commands_for_this_emulator_alone() -> None:
+    """Or for any, with the identity 0; others are left to Python, as -1."""
+    parts = ("messages", "message_reader", "motor_commands")
+    source = "".join(f'#include "{one}.c"\n' for one in parts)
+    unit = Unit("commands_alone", source, C_FLAGS, FOLDERS, (MOTOR_COMMANDS,), "test", "", "m.c")
+    code, struct = compiled_once(lambda: unit)(), MOTOR_COMMANDS.new("motor_commands")
+    reader = CommandReader(load_scene("three_axis"), struct, 0)
+    own = doubles.started()
+    for machine, read in ((own, 7), (0, 7), (own + 1, -1), (1, -1)):
+        command = MotorCommand(tick=7, joint_names=JOINTS, command=[0.0] * 3, machine=machine)
+        data = serialize_message(command)
+        assert len(data) <= reader.largest
+        assert code.motor_commands_read(struct, data, len(data)) == read, machine
 
 
 def test_a_command_for_another_emulator_is_not_taken() -> None:
