@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import array_of, as_kind
+from arm_emulator.base.given import array_of, coerce_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
@@ -54,7 +54,7 @@ def drive(plant: Plant, law: Law, ticks: int) -> Array:
         Diverged: see `Plant.exchange`.
     """
     where = "testing.drive"
-    as_kind(plant, Plant, where, "plant", "be a Plant")
+    coerce_kind(plant, Plant, where, "plant", "be a Plant")
     if not callable(law):
         raise Refusal(where, "law", "be a function of tick and measurement", law)
     ticks = check_count(where, "ticks", ticks)

@@ -31,14 +31,14 @@ import sys
 from pathlib import Path
 import numpy as np
 from arm_emulator import Plant
-from arm_emulator.base.kept import NOTHING, Kept
+from arm_emulator.base.kept import NOTHING, RunOutputs
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.desk import watched
 from arm_emulator.runs.recorder import Recorder
 child, folder = sys.argv[1:]
 signal.signal(signal.SIGINT, signal.default_int_handler)  # what a script begins with & ignores it
-kept = {"page": NOTHING, "recorder": Kept(record=Path(folder, "a.mcap")),
-        "viewer": Kept(rerun=folder + "/a.rrd")}[child]
+kept = {"page": NOTHING, "recorder": RunOutputs(record=Path(folder, "a.mcap")),
+        "viewer": RunOutputs(rerun=folder + "/a.rrd")}[child]
 plant, port = Plant("three_axis"), "0" if child == "page" else None
 try:
     with Recorder(plant, kept, waits=True), watched(plant, port) as desk:

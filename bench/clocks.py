@@ -13,7 +13,7 @@ import numpy as np
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.servo_step import ServoStep
@@ -41,7 +41,7 @@ def run(quick: bool) -> dict[str, Any]:
     with progress("two clocks", 8) as done:
         figures["real_time"]["three_axis"] = _in_own_process("real_time", "three_axis", seconds)
         done("real time")
-        with busy_processes(1):
+        with load_processors(1):
             figures["real_time"]["three_axis, one core busy"] = _in_own_process(
                 "real_time", "three_axis", seconds
             )

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.busy import load_processors
 
 LOGS = Path("log/under_load")
 
@@ -31,7 +31,7 @@ def main() -> None:
     console = Console(highlight=False)
     LOGS.mkdir(parents=True, exist_ok=True)
     failed = 0
-    with busy_processes(arguments.busy):
+    with load_processors(arguments.busy):
         console.print(f"{'run':>4} {'exit':>5} {'seconds':>8} {'load':>6}  last words")
         for run in range(1, arguments.repeat + 1):
             log = LOGS / f"{run}.log"

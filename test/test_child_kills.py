@@ -15,7 +15,7 @@ import pytest
 from draws import some
 
 from arm_emulator import Plant, Refusal
-from arm_emulator.base.kept import Kept
+from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.process import runs
 from arm_emulator.page import watched
 from arm_emulator.runs import recorder, row_process
@@ -145,7 +145,7 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     plant = Plant("three_axis")
     with (
         pytest.raises(Refusal, match="over"),  # what this recorder calls its trouble
-        recorder.Recorder(plant, Kept(record=Path("never.csv")), waits=False),
+        recorder.Recorder(plant, RunOutputs(record=Path("never.csv")), waits=False),
         watched.Watched(plant, 0),
     ):
         raise KeyboardInterrupt

@@ -27,7 +27,7 @@ from network import (
 from sensor_msgs.msg import JointState
 
 from arm_emulator import OfflineRun, Plant, Pose, Refusal, load_scene, load_servo_config
-from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_config
 from arm_emulator.cli.commands.run import run as run_command
 from arm_emulator.machine.urdf_file import example_robot_data
@@ -99,7 +99,7 @@ def test_three_processes_give_the_same_bits_twice_and_under_load(
 ) -> None:
     with three_nodes() as (user, _):
         once = recorded(user, "three_axis")
-    with busy_processes(2), three_nodes() as (user, _):
+    with load_processors(2), three_nodes() as (user, _):
         again = recorded(user, "three_axis")
     assert_same_bits(once, again, TICKS["three_axis"])
     assert_same_bits(once, offline("three_axis"), TICKS["three_axis"])

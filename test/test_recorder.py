@@ -23,7 +23,7 @@ from draws import some
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.kept import SUFFIXES, Kept
+from arm_emulator.base.kept import SUFFIXES, RunOutputs
 from arm_emulator.base.record_file import open_record
 from arm_emulator.cli.command import command_names, load_command
 from arm_emulator.machine.outputs import outputs_of, units_of
@@ -150,7 +150,7 @@ def test_a_file_has_truth_and_measurement_of_every_tick(
 ) -> None:
     plant, file = Plant(scene), tmp_path / f"run{suffix}"
     draw = np.random.default_rng(3)
-    with Recorder(plant, Kept(file), waits=True):
+    with Recorder(plant, RunOutputs(file), waits=True):
         expected = [truth_of(plant)]
         for tick in range(40):
             plant.exchange(draw.uniform(-20.0, 20.0, len(scene.joints)), tick)
@@ -223,7 +223,7 @@ def test_loops_in_c_are_recorded_period_by_period(
 ) -> None:
     file = tmp_path / "run.csv"
     plant, go = door(file)
-    with Recorder(plant, Kept(file), waits=door is not in_real_time):
+    with Recorder(plant, RunOutputs(file), waits=door is not in_real_time):
         go()
     columns, _ = read(file)
     last = round(plant.t / plant.scene.servo_period)
@@ -317,7 +317,7 @@ def test_a_full_disk_is_reported_and_leaves_a_whole_file_or_none(
     small_disk: Path, suffix: str
 ) -> None:
     file, one = small_disk / f"run{suffix}", load_offline_run("three_axis")
-    recorder = Recorder(one.session.plant, Kept(file), waits=True)
+    recorder = Recorder(one.session.plant, RunOutputs(file), waits=True)
     one.advance(20_000)
     with pytest.raises(Refusal, match="accept every row, got the disk takes no more: No space"):
         recorder.close()
@@ -332,7 +332,7 @@ def test_a_full_disk_is_reported_and_leaves_a_whole_file_or_none(
 def test_rerun_gets_the_run(tmp_path: Path) -> None:
     chunk = pytest.importorskip("rerun.chunk")
     plant, file = Plant("three_axis"), tmp_path / "run.rrd"
-    with Recorder(plant, Kept(tmp_path / "run.csv", str(file)), waits=True):
+    with Recorder(plant, RunOutputs(tmp_path / "run.csv", str(file)), waits=True):
         for _ in range(50):
             plant.exchange([5.0, 0.0, 1.0])
     columns, _ = read(tmp_path / "run.csv")
@@ -391,7 +391,7 @@ def test_files_that_cannot_be_are_refused(tmp_path: Path) -> None:
         (there / "run.parquet", "run.parquet must be writable, got "),
     ):
         with pytest.raises(Refusal, match=line):
-            Recorder(plant, Kept(file), waits=True)
+            Recorder(plant, RunOutputs(file), waits=True)
     assert there.read_text() == "mine"
 
 
@@ -399,7 +399,7 @@ def test_a_table_of_a_run_is_not_taken_for_a_bag(scene: Scene, tmp_path: Path) -
     """Every reader of bags names what does record one."""
     file = tmp_path / "run.mcap"
     plant = Plant(scene)
-    with Recorder(plant, Kept(file), waits=True):
+    with Recorder(plant, RunOutputs(file), waits=True):
         plant.exchange([0.0, 0.0])
     with pytest.raises(Refusal, match=r"got json in channel truth; valid: bags of `up --record`"):
         Bag(file)

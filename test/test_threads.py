@@ -14,7 +14,7 @@ from draws import FULL, some
 from machines import GRAVITY, random_chain
 
 from arm_emulator import Diverged, Plant, load_scene
-from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.busy import load_processors
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import SHARED
 from arm_emulator.core import CORE
@@ -61,7 +61,7 @@ def thread_count() -> int:
 def test_same_bits_every_time_under_load(exchange: str, depth: int) -> None:
     one = plant(2, exchange=exchange, depth=depth)
     seen = set()
-    with busy_processes(2):
+    with load_processors(2):
         for repetition in range(100 if FULL else 10):
             one.reset()
             for steps in (30, 1, 69, 100) if repetition % 2 else (200,):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import Commands
 from arm_emulator.machine.core_machine import Equations
@@ -22,7 +22,7 @@ ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual p
 
 
 @dataclass(frozen=True, eq=False)
-class LinearMachine(ByValue):
+class LinearMachine(ArrayEquality):
     """dx/dt = rate + A (x - x0) + B (u - u0); x are the states of the drives, then q and v.
 
     The modes of x0 are kept: a link that sticks stays at rest, as does a stuck rotor; a current at

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import LARGEST_STEPS
@@ -35,7 +35,7 @@ QUANTITIES = ("q", "v", "current", "theta_m", "omega_m")
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivities(ByValue):
+class Sensitivities(ArrayEquality):
     """A motion after each of K rows of commands, and its derivatives by n numbers.
 
     Attributes:

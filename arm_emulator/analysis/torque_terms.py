@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
@@ -31,7 +31,7 @@ _OF_ROTOR = ("inertia", "motor", "gear", "friction")
 
 
 @dataclass(frozen=True, eq=False)
-class TermsNow(ByValue):
+class TermsNow(ArrayEquality):
     """Torques by the names of their terms, (N,) each; NaN: the joint has no such part.
 
     Attributes:

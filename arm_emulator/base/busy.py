@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def busy_processes(count: int) -> Iterator[None]:
+def load_processors(count: int) -> Iterator[None]:
     """Keep processors busy with processes of this user's, at the usual priority."""
     spin = [sys.executable, "-IS", "-c", "while True: pass"]
     loads = [subprocess.Popen(spin) for _ in range(count)]

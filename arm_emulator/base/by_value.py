@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 
-class ByValue:  # noqa: PLW1641  # arrays change: there is no hash
+class ArrayEquality:  # noqa: PLW1641  # arrays change: there is no hash
     """Base of dataclasses with arrays, which take ``eq=False``: equal if all values are.
 
     The equality that dataclasses generate asks an array for one truth value, and raises. A value

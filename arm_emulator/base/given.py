@@ -32,7 +32,7 @@ def array_of(values: object) -> Array | None:
     return None
 
 
-def as_flag(value: object, where: str, quantity: str) -> bool:
+def coerce_flag(value: object, where: str, quantity: str) -> bool:
     """Return `value` as a flag.
 
     Raises:
@@ -43,7 +43,7 @@ def as_flag(value: object, where: str, quantity: str) -> bool:
     return bool(value)
 
 
-def as_kind(value: object, kind: type[Kind], where: str, quantity: str, rule: str) -> Kind:
+def coerce_kind(value: object, kind: type[Kind], where: str, quantity: str, rule: str) -> Kind:
     """Return `value`, which is of a kind.
 
     Raises:

@@ -11,7 +11,7 @@ SUFFIXES = (".mcap", ".csv", ".parquet", ".npz")
 
 
 @dataclass(frozen=True)
-class Kept:
+class RunOutputs:
     """Files and viewer to which a run is written.
 
     Args:
@@ -39,7 +39,7 @@ class Kept:
         return self.rerun is not None and self.rerun.isascii() and self.rerun.isdecimal()
 
 
-NOTHING = Kept()
+NOTHING = RunOutputs()
 
 
 def check_suffix(where: str, quantity: str, file: Path) -> None:

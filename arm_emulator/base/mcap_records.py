@@ -1,7 +1,7 @@
 """Records of an MCAP file from any writer, one by one, in bounded time and memory.
 
 A file may end anywhere, since its writer may have been killed; the records before the end are
-sound, and `give_end` makes a whole file of them. Any other deviation is damage.
+sound, and `recover_mcap` makes a whole file of them. Any other deviation is damage.
 Format: https://mcap.dev/spec
 """
 
@@ -109,7 +109,7 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
     raise CutOff
 
 
-def give_end(file: Path) -> bool:
+def recover_mcap(file: Path) -> bool:
     """Complete an MCAP file that was cut off anywhere; return False if it is complete already.
 
     All whole records are kept unchanged, what follows them is removed, and an end without an index

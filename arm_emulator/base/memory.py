@@ -7,7 +7,7 @@ import errno
 _WORDS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
 
 
-def is_want_of_memory(error: BaseException | None) -> bool:
+def is_out_of_memory(error: BaseException | None) -> bool:
     """Return whether an error, or its cause, is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:

@@ -74,7 +74,7 @@ def load_parameters(
             continue
         if name not in fields:
             known = ", ".join((*fields, *beside))
-            got = f"{value!r}{perhaps(name, fields)}"
+            got = f"{value!r}{nearest_name_hint(name, fields)}"
             raise Refusal(path.name, f"parameter {name}", "be known", got, known)
         given[name] = checked(value, fields[name], path.name)
     return kind(**given), sections
@@ -144,11 +144,11 @@ def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str, path:
     for key in table:
         if key not in known:
             name = f"{path}.{key}" if path else str(key)
-            got = f"an unknown one{perhaps(str(key), known)}"
+            got = f"an unknown one{nearest_name_hint(str(key), known)}"
             raise Refusal(where, name, "be a known key", got, ", ".join(known))
 
 
-def perhaps(name: str, known: Iterable[str]) -> str:
+def nearest_name_hint(name: str, known: Iterable[str]) -> str:
     """Return a hint at the known name nearest to an unknown one, empty if none is near."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", perhaps for {near[0]}" if near else ""

@@ -18,7 +18,7 @@ import numpy as np
 from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.kept import SUFFIXES, check_suffix
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.wheel import need_wheel
+from arm_emulator.base.wheel import require_package
 from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk
 
 CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not by size
@@ -99,7 +99,7 @@ class McapFile:
     """Channels ``truth`` and ``measured``, a JSON object each per row, with schemas of units."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
-        need_wheel("record", "mcap", "mcap")
+        require_package("record", "mcap", "mcap")
         from mcap.writer import CompressionType, Writer
 
         self._file, self._stream = file, UnbufferedFile(file)
@@ -141,10 +141,10 @@ class McapFile:
 
     def give_up(self) -> None:
         """End the file after the last whole chunk."""
-        from arm_emulator.base.mcap_records import give_end
+        from arm_emulator.base.mcap_records import recover_mcap
 
         self._stream.close()
-        give_end(self._file)
+        recover_mcap(self._file)
 
 
 class _WholeAtTheEnd:
@@ -169,7 +169,7 @@ class ParquetFile(_WholeAtTheEnd):
     """A column per number, the unit in the metadata of its field."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
-        need_wheel("record", "pyarrow", "pyarrow")
+        require_package("record", "pyarrow", "pyarrow")
         import pyarrow.parquet as pq
 
         super().__init__(file, columns)

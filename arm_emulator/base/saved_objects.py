@@ -10,7 +10,7 @@ from typing import Any
 from arm_emulator.base.refusal import Refusal
 
 
-class Lasting:
+class SharedObject:
     """Mixin of objects that no motion changes: constants, and scratch memory of algorithms.
 
     What is saved refers to them, and what is restored has the same ones.
@@ -29,10 +29,10 @@ class Saved:
 
 
 class SavedObjects:
-    """Saves objects, all but the `Lasting` ones among their parts, and restores them."""
+    """Saves objects, all but the `SharedObject` ones among their parts, and restores them."""
 
     def __init__(self) -> None:
-        self._lasting: dict[int, Lasting] = {}
+        self._lasting: dict[int, SharedObject] = {}
 
     def save(self, objects: Any) -> Saved:
         """Return the objects as they are now."""
@@ -52,21 +52,21 @@ class SavedObjects:
 
 
 class _Pickler(pickle.Pickler):
-    def __init__(self, into: io.BytesIO, lasting: dict[int, Lasting]) -> None:
+    def __init__(self, into: io.BytesIO, lasting: dict[int, SharedObject]) -> None:
         super().__init__(into, pickle.HIGHEST_PROTOCOL)
         self._lasting = lasting
 
     def persistent_id(self, one: Any) -> int | None:
-        if not isinstance(one, Lasting):
+        if not isinstance(one, SharedObject):
             return None
         self._lasting[id(one)] = one
         return id(one)
 
 
 class _Unpickler(pickle.Unpickler):
-    def __init__(self, source: io.BytesIO, lasting: dict[int, Lasting]) -> None:
+    def __init__(self, source: io.BytesIO, lasting: dict[int, SharedObject]) -> None:
         super().__init__(source)
         self._lasting = lasting
 
-    def persistent_load(self, number: int) -> Lasting:
+    def persistent_load(self, number: int) -> SharedObject:
         return self._lasting[number]

@@ -14,11 +14,11 @@ import weakref
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
-_all: weakref.WeakSet[Turns] = weakref.WeakSet()
-_held: list[Turns] = []  # while the process forks
+_all: weakref.WeakSet[Synchronized] = weakref.WeakSet()
+_held: list[Synchronized] = []  # while the process forks
 
 
-class Turns:
+class Synchronized:
     """An object whose methods take turns.
 
     Attributes:
@@ -28,7 +28,7 @@ class Turns:
         shared: object whose lock and renewal it shares; None: none.
     """
 
-    def __init__(self, shared: Turns | None = None) -> None:
+    def __init__(self, shared: Synchronized | None = None) -> None:
         self.turn: threading.RLock = threading.RLock() if shared is None else shared.turn
         if shared is None:
             _all.add(self)
@@ -37,12 +37,12 @@ class Turns:
         """Restart the parent's threads; called in a forked child."""
 
 
-This = TypeVar("This", bound=Turns)
+This = TypeVar("This", bound=Synchronized)
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 
-def in_turn(
+def synchronized(
     method: Callable[Concatenate[This, Given], Result],
 ) -> Callable[Concatenate[This, Given], Result]:
     """Return a method that holds the lock."""

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NoReturn
 from arm_emulator.base.refusal import Refusal
 
 
-class Uncopied:
+class NonCopyable:
     """Mixin that refuses `copy`, `deepcopy` and `pickle`.
 
     Attributes:

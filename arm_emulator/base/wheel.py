@@ -29,7 +29,7 @@ def package_of(module: str) -> str:
     return PACKAGES.get(module, module)
 
 
-def need_wheel(where: str, module: str, package: str) -> None:
+def require_package(where: str, module: str, package: str) -> None:
     """Refuse to continue without a package, such as `rerun-sdk` for the module ``rerun``.
 
     Args:

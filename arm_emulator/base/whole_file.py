@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 
-def write_whole(file: Path, content: str | bytes) -> None:
+def atomic_write(file: Path, content: str | bytes) -> None:
     """Write a temporary file in the same folder, and move it to its place."""
     hidden = hidden_beside(file)
     hidden.write_bytes(content.encode() if isinstance(content, str) else content)

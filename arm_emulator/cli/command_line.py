@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from arm_emulator.base.memory import is_want_of_memory
+from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.standard_files import check_stdout, drop, trouble_of_stdout
 from arm_emulator.base.wheel import missing_module
@@ -100,7 +100,7 @@ def _reason(name: str, error: Exception) -> Refusal:
         return error
     if isinstance(error, ModuleNotFoundError):
         return _missing(name, error)
-    if isinstance(error, BrokenPipeError) or not is_want_of_memory(error):
+    if isinstance(error, BrokenPipeError) or not is_out_of_memory(error):
         raise error
     return Refusal("arm_emulator", "memory", "suffice", repr(error))
 

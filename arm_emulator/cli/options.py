@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from arm_emulator.base.kept import Kept
+from arm_emulator.base.kept import RunOutputs
 
 SceneName = Annotated[str, Parameter(metavar="SCENE", help="scene file or name")]
 Clock = Annotated[
@@ -33,7 +33,7 @@ PageAt = Annotated[
         "(port 0: any that is free)",
     ),
 ]
-Keep = Annotated[Kept, Parameter(name="*")]
+Keep = Annotated[RunOutputs, Parameter(name="*")]
 TargetFile = Annotated[
     Path | None,
     Parameter(metavar="TABLE", help="joint targets: CSV with t and the joints' names"),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from arm_emulator.base.kept import Kept
+from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.warning import warn
 from arm_emulator.cli.output import output
 from arm_emulator.machine.real_time import real_time_session
@@ -17,7 +17,9 @@ from arm_emulator.runs.recorder import Recorder
 
 
 @contextmanager
-def served_session(scene: Scene, clock: str, kept: Kept, page: str | None) -> Iterator[Session]:
+def served_session(
+    scene: Scene, clock: str, kept: RunOutputs, page: str | None
+) -> Iterator[Session]:
     """Context in which a session that waits for its first answer is recorded and watched.
 
     Args:
@@ -40,7 +42,7 @@ def serve_clients(
     door: str,
     scene: Scene,
     clock: str,
-    kept: Kept,
+    kept: RunOutputs,
     page: str | None,
     server_of: Callable[[Session], Any],
     **facts: object,

@@ -35,7 +35,7 @@ from arm_emulator.base.formula import (
 )
 from arm_emulator.base.given import array_of
 from arm_emulator.base.kept import NOTHING as KEEP_NOTHING
-from arm_emulator.base.kept import Kept
+from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.number import LARGEST as LARGEST_NUMBER
 from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
@@ -46,8 +46,8 @@ from arm_emulator.base.table_file import read_table
 from arm_emulator.base.text_file import open_file, read_bytes, read_text
 from arm_emulator.base.warning import given as given_warnings
 from arm_emulator.base.warning import warn
-from arm_emulator.base.wheel import need_wheel
-from arm_emulator.base.whole_file import hidden_beside, write_whole
+from arm_emulator.base.wheel import require_package
+from arm_emulator.base.whole_file import atomic_write, hidden_beside
 from arm_emulator.base.yaml_file import MOST_BYTES as LARGEST_YAML_FILE
 from arm_emulator.base.yaml_file import edited as edited_yaml
 from arm_emulator.base.yaml_file import nodes_of as yaml_nodes
@@ -76,17 +76,18 @@ __all__ = [
     "Constant",
     "Expression",
     "Formula",
-    "Kept",
     "Margin",
     "Number",
     "Operation",
     "Refusal",
     "Registry",
+    "RunOutputs",
     "Section",
     "Shafts",
     "Signal",
     "Window",
     "array_of",
+    "atomic_write",
     "bound_to",
     "c_string",
     "check_count",
@@ -102,7 +103,6 @@ __all__ = [
     "html_text",
     "markdown_text",
     "meant_by",
-    "need_wheel",
     "not_free",
     "number",
     "numbers_of",
@@ -114,9 +114,9 @@ __all__ = [
     "read_table",
     "read_text",
     "read_yaml",
+    "require_package",
     "shaft_limits",
     "warn",
-    "write_whole",
     "xml_text",
     "yaml_nodes",
 ]

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ByValue
-from arm_emulator.base.given import as_flag
+from arm_emulator.base.by_value import ArrayEquality
+from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.base.turns import Synchronized, synchronized
 from arm_emulator.build.c_header import NULL, CData, Library, pointer
 from arm_emulator.machine.call_arguments import options_of, refusal_of, truth_at
 from arm_emulator.machine.compiler import equations_library_of, library_of
@@ -29,12 +29,12 @@ from arm_emulator.machine.varied import varied_number
 class Borrowed:
     """A machine that belongs to a `Fleet`."""
 
-    owner: Turns
+    owner: Synchronized
     core: Library
     machine: CData
 
 
-class CoreMachine(Turns):
+class CoreMachine(Synchronized):
     """A machine as the core keeps it: its numbers, its true state, what acts on it from outside.
 
     How it goes on under commands is `Plant`'s.
@@ -105,12 +105,12 @@ class CoreMachine(Turns):
         return equations_library_of(self.scene), ARM.ffi.new("double[]", size)
 
     @property
-    @in_turn
+    @synchronized
     def parameters(self) -> dict[str, float]:
         """The numbers that the scene lists as varied, by name, with this machine's values."""
         return {one.name: self._parameter(one.name) for one in self.scene.varied}
 
-    @in_turn
+    @synchronized
     def set_parameter(self, name: str, value: float) -> None:
         """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
 
@@ -128,7 +128,7 @@ class CoreMachine(Turns):
         self.core.arm_get_parameter(self.machine, name.encode(), pointer(value))
         return float(value[0])
 
-    @in_turn
+    @synchronized
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act on a link, until set anew or reset.
 
@@ -150,7 +150,7 @@ class CoreMachine(Turns):
             raise self._refusal(where, "another one")
 
     @property
-    @in_turn
+    @synchronized
     def external_wrenches(self) -> dict[str, ExternalWrench]:
         """External wrench on each link that a joint moves, by name; empty in a scene without."""
         wrenches = {}
@@ -162,7 +162,7 @@ class CoreMachine(Turns):
                 wrenches[moved.link] = ExternalWrench(force, moment, point, AXES[one.axes])
         return wrenches
 
-    @in_turn
+    @synchronized
     def save(self) -> bytes:
         """Return all that decides how the machine goes on, as bytes that may be kept."""
         size = self.core.arm_saved_size()
@@ -170,7 +170,7 @@ class CoreMachine(Turns):
         self.core.arm_save(self.machine, pointer(saved), size)
         return saved.tobytes()
 
-    @in_turn
+    @synchronized
     def restore(self, saved: bytes) -> None:
         """Continue from what `save` of a plant of the same scene has returned, to the last bit.
 
@@ -185,20 +185,20 @@ class CoreMachine(Turns):
             raise self._refusal("Plant.restore", "another one")
 
     @property
-    @in_turn
+    @synchronized
     def t(self) -> float:
         """Logical time [s]."""
         return float(self._look(self._clock).time)
 
     @property
-    @in_turn
+    @synchronized
     def energy(self) -> float:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
         self._look(self._energy_alone)
         return float(self._energy[0])
 
     @property
-    @in_turn
+    @synchronized
     def state(self) -> PlantState:
         """The true state now, as a copy whose arrays are read-only.
 
@@ -225,7 +225,7 @@ class CoreMachine(Turns):
             raise Refusal("Plant.state", "state", "be a PlantState", state)
         self.put("Plant.state", {name: getattr(state, name) for name in SET})
 
-    @in_turn
+    @synchronized
     def put(self, where: str, given: Mapping[str, ArrayLike]) -> None:
         """Set some quantities of the state, see `state`; all others stay as they are.
 
@@ -247,21 +247,21 @@ class CoreMachine(Turns):
             raise self._refusal(where, "another one")
 
     @property
-    @in_turn
+    @synchronized
     def winding_temperatures(self) -> Array:
         """Temperatures of the windings (N,) [degC]; NaN where the scene has no `winding`."""
         temperatures = np.empty(self._N)
         self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
         return temperatures
 
-    @in_turn
+    @synchronized
     def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
         """Return the linear part of each joint's drive, base to tool.
 
         Args:
             loaded: whether a tooth is in contact in gears with play.
         """
-        loaded = as_flag(loaded, "Plant.linear_drives", "loaded")
+        loaded = coerce_flag(loaded, "Plant.linear_drives", "loaded")
         K = self.equation("arm_linear_drives", loaded, NULL)
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
         self.equation("arm_linear_drives", loaded, pointer(numbers))
@@ -278,7 +278,7 @@ class CoreMachine(Turns):
 
 
 @dataclass(frozen=True, eq=False)
-class LinearDrive(ByValue):
+class LinearDrive(ArrayEquality):
     """The linear part of one joint's drive, as the core states it (core/mechanics/drive.hpp).
 
     Of a progressive gear it is the linearisation where that is not wound up.
@@ -304,7 +304,7 @@ class LinearDrive(ByValue):
 
 
 @dataclass(frozen=True, eq=False)
-class Equations(ByValue):
+class Equations(ArrayEquality):
     """D dz/dt = f(z, q, v, u) and dv/dt = a(z, q, v, u), with what each joint does held.
 
     Rows and columns are as in ``arm_linearise``: a drive may have fewer than K states.

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMAND
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag
+from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.base.turns import Synchronized, synchronized
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.call_arguments import Commands, by_joint, options_of, refusal_of
 from arm_emulator.machine.compiler import fleet_library_of
@@ -30,7 +30,7 @@ from arm_emulator.machine.varied import varied_number
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
 
-class CoreMachines(Turns):
+class CoreMachines(Synchronized):
     """Machines as the core keeps them: their numbers, their true states, outside forces.
 
     How they go on under commands is `Fleet`'s.
@@ -80,7 +80,7 @@ class CoreMachines(Turns):
         """The machines as the functions of core/boundary/arm_fleet.h take them."""
         return self._fleet
 
-    @in_turn
+    @synchronized
     def reset(
         self,
         arms: ArrayLike | None = None,
@@ -120,7 +120,7 @@ class CoreMachines(Turns):
         self.core.arm_fleet_reset(self._fleet, mask_bytes(mask), pointer(at), pointer(speed))
 
     @property
-    @in_turn
+    @synchronized
     def powered(self) -> NDArray[np.bool_]:
         """Whether the drives of each arm have power (count,); without it every command is 0.
 
@@ -134,7 +134,7 @@ class CoreMachines(Turns):
     @powered.setter
     def powered(self, on: ArrayLike) -> None:
         if np.ndim(on) == 0:
-            on = np.full(self._count, as_flag(on, "Fleet", "powered"))
+            on = np.full(self._count, coerce_flag(on, "Fleet", "powered"))
         flags = np.asarray(on)
         if flags.dtype != np.bool_ or flags.shape != (self._count,):
             rule = f"be True or False, or ({self._count},) of them"
@@ -143,7 +143,7 @@ class CoreMachines(Turns):
             self.core.arm_fleet_power(self._fleet, mask_bytes(flags))
 
     @property
-    @in_turn
+    @synchronized
     def measured(self) -> Measured:
         """Readings of the sensors of all arms at their newest ticks, as a copy.
 
@@ -156,7 +156,7 @@ class CoreMachines(Turns):
         self.core.arm_fleet_measure(self._fleet, self._measurement)
 
     @property
-    @in_turn
+    @synchronized
     def parameters(self) -> dict[str, Array]:
         """The numbers that the scene lists as varied, by name, with each arm's value (count,)."""
         values = {one.name: np.zeros(self._count) for one in self.scene.varied}
@@ -164,7 +164,7 @@ class CoreMachines(Turns):
             self.core.arm_fleet_get_parameter(self._fleet, name.encode(), pointer(column))
         return values
 
-    @in_turn
+    @synchronized
     def set_parameter(self, name: str, values: ArrayLike, *, arms: ArrayLike | None = None) -> None:
         """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
 
@@ -181,7 +181,7 @@ class CoreMachines(Turns):
         mask = chosen_arms(where, arms, self._count)
         self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
 
-    @in_turn
+    @synchronized
     def set_parameters(self, rows: Array) -> None:
         """Set all varied numbers of all arms at once, in the scene's order.
 
@@ -203,7 +203,7 @@ class CoreMachines(Turns):
         if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
             raise self._refusal("Fleet.set_parameter", "another value")
 
-    @in_turn
+    @synchronized
     def set_external_wrench(
         self, link: str, wrench: ExternalWrench, *, arms: ArrayLike | None = None
     ) -> None:
@@ -228,7 +228,7 @@ class CoreMachines(Turns):
         places = mask_bytes(mask), place, ARM.pointer("arm_wrench", rows)
         self.core.arm_fleet_set_external_wrench(self._fleet, *places)
 
-    @in_turn
+    @synchronized
     def save(self) -> bytes:
         """Return the whole state of the arms as bytes."""
         size = self._count * self.core.arm_saved_size()
@@ -236,7 +236,7 @@ class CoreMachines(Turns):
         self.core.arm_fleet_save(self._fleet, pointer(saved), size)
         return saved.tobytes()
 
-    @in_turn
+    @synchronized
     def restore(self, saved: bytes, *, arms: ArrayLike | None = None) -> None:
         """Continue from what `save` of a fleet of as many arms has returned, to the last bit.
 
@@ -259,7 +259,7 @@ class CoreMachines(Turns):
             raise self._refusal(where, "another one")
 
     @property
-    @in_turn
+    @synchronized
     def state(self) -> FleetState:
         """The true states now, as a copy. An arm's own can be set: ``fleet[k].state = ...``."""
         shape = self._count, self._N
@@ -271,7 +271,7 @@ class CoreMachines(Turns):
         return FleetState(**numbers, **of_arm)
 
     @property
-    @in_turn
+    @synchronized
     def faults(self) -> NDArray[np.int32]:
         """The joint at which each arm diverged (count,); -1: it goes on."""
         faults = np.zeros(self._count, np.int32)
@@ -352,7 +352,7 @@ class FleetArguments:
 
 
 @dataclass(frozen=True, eq=False)
-class FleetState(ByValue):
+class FleetState(ArrayEquality):
     """True states of all arms: a row each, and in a row the joints, base to tool."""
 
     t: Array  # (count,) s; arms that have diverged stay where they are

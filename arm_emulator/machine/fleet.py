@@ -16,7 +16,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import in_turn
+from arm_emulator.base.turns import synchronized
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.call_arguments import LARGEST_STEPS, PIECE, Commands, commands_of
 from arm_emulator.machine.core_calls import ARM, FLEET, REFUSED
@@ -98,7 +98,7 @@ class Fleet(CoreMachines):
         fleet.__setstate__(self.__getstate__())
         return fleet
 
-    @in_turn
+    @synchronized
     def __getstate__(self) -> bytes:
         return self.save()
 
@@ -118,7 +118,7 @@ class Fleet(CoreMachines):
     def __getitem__(self, arm: int) -> Plant: ...
     @overload
     def __getitem__(self, arm: slice) -> list[Plant]: ...
-    @in_turn
+    @synchronized
     def __getitem__(self, arm: int | slice) -> Plant | list[Plant]:
         """Return one of the arms as a `Plant`, or a list of them; they share the state."""
         if isinstance(arm, slice):
@@ -139,7 +139,7 @@ class Fleet(CoreMachines):
     def __iter__(self) -> Iterator[Plant]:
         return (self[arm] for arm in range(self._count))
 
-    @in_turn
+    @synchronized
     def advance(self, command: Commands, steps: int) -> Array:
         """Take `steps` integration steps with the commands of the motors held.
 
@@ -188,7 +188,7 @@ class Fleet(CoreMachines):
             one = ARM.new("arm_command", tick=tick, **places)
             self._shares.do(self._period_worth, lambda *share: exchange(self._fleet, *share, one))
 
-    @in_turn
+    @synchronized
     def step(
         self, command: Commands, periods: int = 1, out: FleetFrame | None = None
     ) -> FleetFrame:
@@ -224,7 +224,7 @@ class Fleet(CoreMachines):
             )
         return out
 
-    @in_turn
+    @synchronized
     def follow(
         self,
         control: FleetControl,
@@ -313,7 +313,7 @@ class Fleet(CoreMachines):
         """Return arrays for `step` and `follow` to fill."""
         return FleetFrame(self.scene, self._count)
 
-    @in_turn
+    @synchronized
     def run(self, commands: ArrayLike, steps: int) -> Array:
         """Apply rows of commands one after the other.
 
@@ -340,7 +340,7 @@ class Fleet(CoreMachines):
         return self._run(rows, steps)
 
     @property
-    @in_turn
+    @synchronized
     def diverged(self) -> dict[int, Diverged]:
         """Reasons for which arms have stopped, by their index."""
         found = {int(arm): self[int(arm)].diverged for arm in np.flatnonzero(self.faults >= 0)}

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag
-from arm_emulator.base.uncopied import Uncopied
+from arm_emulator.base.given import coerce_flag
+from arm_emulator.base.uncopied import NonCopyable
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.measured import Measured, MeasuredPlace
@@ -20,7 +20,7 @@ from arm_emulator.machine.scene import Scene
 _LARGEST = 2**64 - 1  # address
 
 
-class FleetControl(Uncopied):
+class FleetControl(NonCopyable):
     """A function in C that commands arms in every servo period, for `Fleet.follow`.
 
     Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
@@ -47,7 +47,7 @@ class FleetControl(Uncopied):
     def __init__(self, step: int, with_: int = 0, *, in_lanes: bool = False) -> None:
         step = check_count("FleetControl", "step", step, 1, _LARGEST)
         with_ = check_count("FleetControl", "with_", with_, 0, _LARGEST)
-        by_rows = as_flag(in_lanes, "FleetControl", "in_lanes")
+        by_rows = coerce_flag(in_lanes, "FleetControl", "in_lanes")
         name, kind = ("step_rows", "rows") if by_rows else ("step", "control")
         self.functions: dict[str, CData] = {name: FLEET.ffi.cast(f"arm_fleet_step_of_{kind}", step)}
         self.with_: CData = FLEET.ffi.cast("void *", with_)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag, as_kind
+from arm_emulator.base.given import coerce_flag, coerce_kind
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.uncopied import Uncopied
+from arm_emulator.base.uncopied import NonCopyable
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.core_calls import ARM, FLEET
@@ -24,7 +24,7 @@ _PARAMETER, _WRENCH, _POWER = (
 Timed = tuple[int, Change]
 
 
-class FleetWay(Uncopied):
+class FleetWay(NonCopyable):
     """Changes of arms at their ticks, and a function in C that is called after each period.
 
     Attributes:
@@ -42,7 +42,7 @@ class FleetWay(Uncopied):
     def __init__(
         self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
     ) -> None:
-        scene = as_kind(scene, Scene, "FleetWay", "scene", "be a Scene")
+        scene = coerce_kind(scene, Scene, "FleetWay", "scene", "be a Scene")
         count = check_count("FleetWay", "count", count, 1, LARGEST_FLEET)
         self.of = scene, count
         self._places = {one.name: place for place, one in enumerate(scene.varied)}
@@ -88,7 +88,7 @@ class FleetWay(Uncopied):
                     place, moved = on_moving_link(scene, where, change.link, change.wrench)
                     wrenches.append((len(rows), AXES.index(moved.axes), moved))
                 elif isinstance(change, PowerChange):
-                    value = float(as_flag(change.on, where, "power"))
+                    value = float(coerce_flag(change.on, where, "power"))
                 else:
                     rule = "be a NumberChange, WrenchChange or PowerChange"
                     raise Refusal(where, "change", rule, change)

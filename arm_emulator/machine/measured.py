@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import KNOWN, input_of, outputs_of, readings_of
@@ -17,7 +17,7 @@ from arm_emulator.machine.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class Measured(ByValue):
+class Measured(ArrayEquality):
     """Measurements of one tick: an attribute for each of `outputs.KNOWN`.
 
     Arrays are (N,), base to tool, 0 where a joint has no such sensor; those of inertial measurement

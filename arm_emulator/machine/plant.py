@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag
+from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import in_turn
+from arm_emulator.base.turns import synchronized
 from arm_emulator.build.c_header import NULL, Library, pointer
 from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,
@@ -118,7 +118,7 @@ class Plant(CoreMachine):
     def __deepcopy__(self, memo: dict[int, object]) -> Plant:
         return self.__copy__()
 
-    @in_turn
+    @synchronized
     def __getstate__(self) -> tuple[Any, ...]:
         count = self.ticks.tick
         return self.save(), count, self._added, self._held.copy(), self.commanded
@@ -128,7 +128,7 @@ class Plant(CoreMachine):
         self.ticks.tick, self._added, self._held[:], commands = state[1:]
         self._commands["value"], self._further[:] = commands[0], commands[1:]
 
-    @in_turn
+    @synchronized
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Set the machine to logical time 0, its motors to match the links.
 
@@ -199,7 +199,7 @@ class Plant(CoreMachine):
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
         if came is not False:
-            came = as_flag(came, where, "came")
+            came = coerce_flag(came, where, "came")
         if further:
             check_inputs(where, self.scene, further)
         rows = {name: self._as_further(where, name, given) for name, given in further.items()}
@@ -260,7 +260,7 @@ class Plant(CoreMachine):
         return int(self.core.arm_spent(self.machine))
 
     @property
-    @in_turn
+    @synchronized
     def commanded(self) -> Array:
         """The newest commands of `exchange` or `exchange_in`, and further inputs (1 + I, N)."""
         rows = np.empty((1 + len(self._further), self._N))
@@ -268,7 +268,7 @@ class Plant(CoreMachine):
         return rows
 
     @property
-    @in_turn
+    @synchronized
     def measured(self) -> Measured:
         """Readings of the sensors at the newest tick, as a copy.
 
@@ -288,25 +288,25 @@ class Plant(CoreMachine):
         return LinkDynamics(self.equation, self._N)
 
     @property
-    @in_turn
+    @synchronized
     def powered(self) -> bool:
         """Whether the drives have power; without it every command is 0."""
         self.core.arm_measure(self.machine, self.measurement)
         return bool(self.measurement.powered)
 
     @powered.setter
-    @in_turn
+    @synchronized
     def powered(self, on: bool) -> None:
-        self.core.arm_power(self.machine, as_flag(on, "Plant", "powered"))
+        self.core.arm_power(self.machine, coerce_flag(on, "Plant", "powered"))
 
     @property
-    @in_turn
+    @synchronized
     def diverged(self) -> Diverged | None:
         """Why the machine stays where it is; None if it goes on."""
         diverged = self._look(self._clock).fault >= 0
         return self._diverged(self._measured["applied"]) if diverged else None
 
-    @in_turn
+    @synchronized
     def run(self, commands: ArrayLike, steps: int) -> Array:
         """Apply rows of commands one after the other, without coming back to Python in between.
 
@@ -363,7 +363,7 @@ class Plant(CoreMachine):
         state = self.state
         return self.fault(self._truth.fault, state.t, state.q, state.v, applied)
 
-    @in_turn
+    @synchronized
     def powers(self, command: Commands) -> EnergyFlow:
         """Return the powers supplied and dissipated now under commands (N,) [W].
 
@@ -376,7 +376,7 @@ class Plant(CoreMachine):
             raise self._refusal(where, "false")
         return EnergyFlow(*out)
 
-    @in_turn
+    @synchronized
     def advance_metered(self, command: Commands, steps: int) -> EnergyFlow:
         """Advance as `advance` does, and return what the joints were given and dissipated, in J.
 
@@ -404,7 +404,7 @@ class Plant(CoreMachine):
         return EnergyFlow(*total)
 
     @property
-    @in_turn
+    @synchronized
     def overheated(self) -> NDArray[np.bool_]:
         """Whether each drive reports that its winding is beyond its limit (N,).
 
@@ -414,7 +414,7 @@ class Plant(CoreMachine):
         hot: NDArray[np.bool_] = (self._measured["faults"] & FAULT_THERMAL) != 0
         return hot
 
-    @in_turn
+    @synchronized
     def equations(
         self, command: Commands, x: Array | None = None, *, slides: bool = False
     ) -> Equations:
@@ -431,7 +431,7 @@ class Plant(CoreMachine):
         where, N = "Plant.equations", self._N
         given = ANY_COMMAND.row(where, by_joint(command, self.scene, where), N)
         u = given.copy()  # to be put within its bounds
-        slides = as_flag(slides, where, "slides")
+        slides = coerce_flag(slides, where, "slides")
         size = N * (self.equation("arm_linear_drives", False, NULL) + 2)
         at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
@@ -446,7 +446,7 @@ def _again(scene: Scene, of_fleet: bool) -> Plant:
 
 
 @dataclass(frozen=True, eq=False)
-class EnergyFlow(ByValue):
+class EnergyFlow(ArrayEquality):
     """Energy supplied to and dissipated by each joint, (N,): W now, J over a time.
 
     The supply and the share of the external wrench that turns this joint supply it.

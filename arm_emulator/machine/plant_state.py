@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.number import Number
 from arm_emulator.machine.scene import Scene
 
@@ -28,7 +28,7 @@ def unit_of(row: str, kind: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class PlantState(ByValue):
+class PlantState(ArrayEquality):
     """True state of the machine at one logical time. Arrays are (N,), base to tool.
 
     Only the emulator knows it; `Plant.measured` has the readings of the sensors.

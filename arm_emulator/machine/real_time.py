@@ -12,7 +12,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Turns
+from arm_emulator.base.turns import Synchronized
 from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.call_arguments import commands_of
 from arm_emulator.machine.clock import Clock, Reached, RealTimeFigures
@@ -31,7 +31,7 @@ LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023
 
 
-class RealTimeLoop(Clock, Turns):
+class RealTimeLoop(Clock, Synchronized):
     """The real-time thread, which lets servo periods pass by itself. A forked child has none.
 
     Args:
@@ -51,7 +51,7 @@ class RealTimeLoop(Clock, Turns):
     by_itself = True
 
     def __init__(self, plant: Plant, period_ns: int, core: int, readers: int = 1) -> None:
-        Turns.__init__(self)
+        Synchronized.__init__(self)
         for quantity, value, least, largest in (
             ("period_ns", period_ns, 1, LONGEST_PERIOD),
             ("core", core, -1, LARGEST_CORE),

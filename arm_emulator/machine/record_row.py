@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.base.turns import Synchronized, synchronized
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.measured import Measured, rows_of
@@ -20,7 +20,7 @@ from arm_emulator.machine.scene import Scene
 STRUCTS = ("joint", "sensors", "imu")  # what `arm_measurement` has as structs
 
 
-class RecordRow(Turns):
+class RecordRow(Synchronized):
     """Buffer into which the core writes a row of a plant.
 
     Attributes:
@@ -40,7 +40,7 @@ class RecordRow(Turns):
         places = {name: rows[name][0] for name in (*STRUCTS, "current_d", *rows_of(plant.scene))}
         self.measurement = ARM.new("arm_measurement", **places)
 
-    @in_turn
+    @synchronized
     def take(self) -> Rows:
         """Return the machine as it is now, one row."""
         plant, rows = self._plant, self.rows

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
 from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.section import Section
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Body, Chain
@@ -49,7 +49,7 @@ CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene(ByValue, Lasting):
+class Scene(ArrayEquality, SharedObject):
     """All data of one machine."""
 
     name: str

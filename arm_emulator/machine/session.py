@@ -15,9 +15,9 @@ from typing import Any, Self
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.given import as_flag
+from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.base.turns import Synchronized, synchronized
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.answers import Answers
 from arm_emulator.machine.clock import Clock, RealTimeFigures
@@ -45,7 +45,7 @@ class EndOfTime(RuntimeError):
         super().__init__("logical time ends at 2**31 s, the largest that a message can report")
 
 
-class Session(Turns):
+class Session(Synchronized):
     """The machine, driven tick by tick by motor commands; as a context it is closed at the end.
 
     Lock-step: tick k is left only with the command that answers tick k. Real time: the newest
@@ -95,7 +95,7 @@ class Session(Turns):
         self._answers = Answers(scene, self.lockstep)
         self.reset()
 
-    @in_turn
+    @synchronized
     def __getstate__(self) -> dict[str, Any]:
         if self.by_itself:
             raise Refusal("Session", "its clock", "be advanced by its owner for a copy", "a loop")
@@ -140,7 +140,7 @@ class Session(Turns):
         """Punctuality of a loop; zeros if the owner advances time."""
         return self._clock.figures
 
-    @in_turn
+    @synchronized
     def reset(self) -> None:
         """Restart at tick 0, as after construction. Power is unchanged."""
         with self.between_ticks():
@@ -159,7 +159,7 @@ class Session(Turns):
 
     @paused.setter
     def paused(self, value: bool) -> None:
-        self._paused = as_flag(value, "Session", "paused")
+        self._paused = coerce_flag(value, "Session", "paused")
         self._follow_phase()
 
     @property
@@ -169,7 +169,7 @@ class Session(Turns):
 
     @standing.setter
     def standing(self, value: bool) -> None:
-        self._standing = as_flag(value, "Session", "standing")
+        self._standing = coerce_flag(value, "Session", "standing")
         self._follow_phase()
 
     @property
@@ -206,7 +206,7 @@ class Session(Turns):
             else:
                 self._follow_phase()
 
-    @in_turn
+    @synchronized
     def restore(self, saved: bytes) -> None:
         """Continue with a machine that was saved, with its power and its fault.
 
@@ -220,7 +220,7 @@ class Session(Turns):
             self.plant.restore(saved)
             self.take_note()
 
-    @in_turn
+    @synchronized
     def save(self) -> dict[str, Any]:
         """Return all that decides how the session goes on, its tick included, for `return_to`."""
         with self.between_ticks():
@@ -228,7 +228,7 @@ class Session(Turns):
             saved = {"machine": self.plant.save(), "answers": self._answers.save()}
             return kept | saved | {"tick": self.tick}
 
-    @in_turn
+    @synchronized
     def return_to(self, saved: dict[str, Any]) -> None:
         """Go on from the tick at which `save` of this session has returned this.
 
@@ -248,7 +248,7 @@ class Session(Turns):
             for name in _PLACE:
                 setattr(self, name, saved[name])
 
-    @in_turn
+    @synchronized
     def set_state(self, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]) -> None:
         """Set some quantities of some joints; whatever is not given stays as it is.
 
@@ -266,7 +266,7 @@ class Session(Turns):
             self.plant.put(wanted.where, wanted.rows())
             self.take_note()
 
-    @in_turn
+    @synchronized
     def set_varied(self, name: str, value: float) -> None:
         """Set a number that the scene lists as varied, see `Plant.set_parameter`.
 
@@ -277,7 +277,7 @@ class Session(Turns):
             self.plant.set_parameter(name, value)
             self.take_note()
 
-    @in_turn
+    @synchronized
     def acts_already(self, link: str, wrench: ExternalWrench) -> bool:
         """Return whether this is the wrench that acts, so that setting it would change nothing.
 
@@ -287,7 +287,7 @@ class Session(Turns):
         place, moved = on_moving_link(self.scene, "external wrench", link, wrench)
         return self.plant.external_wrenches[self.scene.chain.links[place].link] == moved
 
-    @in_turn
+    @synchronized
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act from now on, see `Plant.set_external_wrench`.
 
@@ -298,7 +298,7 @@ class Session(Turns):
             self.plant.set_external_wrench(link, wrench)
             self.take_note()
 
-    @in_turn
+    @synchronized
     def take_note(self) -> None:
         """Take note of a machine that was changed, or that code in C has advanced."""
         self._powered = self.plant.powered
@@ -306,19 +306,19 @@ class Session(Turns):
         self._read.forget()
 
     @property
-    @in_turn
+    @synchronized
     def state(self) -> PlantState:
         """State of the machine at this tick."""
         return self._read.state
 
     @property
-    @in_turn
+    @synchronized
     def measured(self) -> Measured:
         """Readings of the sensors at this tick."""
         return self._read.measured
 
     @property
-    @in_turn
+    @synchronized
     def energy(self) -> float:
         """Energy of the machine at this tick [J]."""
         return self._read.energy
@@ -354,7 +354,7 @@ class Session(Turns):
         """Whether the rules of the clock allow to leave this tick now."""
         return self.phase in (Phase.FREE_RUNNING, Phase.RUNNING)
 
-    @in_turn
+    @synchronized
     def offer(
         self,
         tick: int,
@@ -383,7 +383,7 @@ class Session(Turns):
         self._clock.command(tick, rows[0], rows[1:])
         self._follow_phase()
 
-    @in_turn
+    @synchronized
     def advance(self) -> None:
         """Advance by one servo period under the command, or under 0 without one or without power.
 
@@ -391,7 +391,7 @@ class Session(Turns):
         """
         self.advance_under(self._answers.rows, self._answers.tick)
 
-    @in_turn
+    @synchronized
     def advance_under(self, command: Array, answered: int = -1, *, came: bool = False) -> None:
         """Advance by one servo period under commands that answer a tick, see `advance`.
 
@@ -416,7 +416,7 @@ class Session(Turns):
             self.fault = fault
         self._read.forget()
 
-    @in_turn
+    @synchronized
     def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
         """Advance by so many servo periods, the commands of which control code in C gives.
 
@@ -463,7 +463,7 @@ class Session(Turns):
         """``tick_answers *``: code in C that takes commands while no call of this runs."""
         return self._answers.pointer
 
-    @in_turn
+    @synchronized
     def close(self) -> None:
         """Stop the machine for good: it can be read, and no longer changed."""
         self._clock.stop()
@@ -473,7 +473,7 @@ class Session(Turns):
         if self._ended:
             raise Refusal("Session", "session", "be open", "a closed one")
 
-    @in_turn
+    @synchronized
     def break_at(self, stop: CData) -> None:
         """Let loops in C stop behind the period after which an ``int32_t`` in C is not 0.
 
@@ -487,7 +487,7 @@ class Session(Turns):
         """Wait at most `timeout` [s] for a tick of a loop."""
         return self._clock.wait(timeout)
 
-    @in_turn
+    @synchronized
     def take(self, *, newest: bool = False) -> bool:
         """Take the next tick that a loop has reached, or the newest; False after the last."""
         reached = self._clock.take(newest=newest)
@@ -510,7 +510,7 @@ class Session(Turns):
                 pass
             self._clock.start(self.tick)
 
-    @in_turn
+    @synchronized
     def step(self) -> str:
         """Advance a paused session by one tick; return why not, or an empty text."""
         if self.fault is not None:

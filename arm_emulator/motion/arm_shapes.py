@@ -16,14 +16,14 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.mesh_units import in_metres, package_folders
 
 
-class ArmShapes(Lasting):
+class ArmShapes(SharedObject):
     """Shapes of an arm, and its configurations as Pinocchio has them.
 
     Args:

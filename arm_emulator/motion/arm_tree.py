@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.build.c_header import NULL, CData, Header, pointer
 from arm_emulator.build.flags import CPP_FLAGS
@@ -27,7 +27,7 @@ from arm_emulator.motion.kinematics import (
 from arm_emulator.motion.kinematics_model import JOINT, WHERE
 
 
-class ArmTree(Lasting):
+class ArmTree(SharedObject):
     """Kinematics and inverse dynamics of an arm, a row per configuration.
 
     Numbers come from the Pinocchio model, of which it is a copy.

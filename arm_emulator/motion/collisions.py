@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.arm_shapes import ArmShapes
 from arm_emulator.motion.obstacles import Obstacle
 
@@ -41,7 +41,7 @@ def collisions_of(
     return Collisions(urdf_xml, joint_names, obstacles, margin)
 
 
-class Collisions(Lasting):
+class Collisions(SharedObject):
     """Tests configurations.
 
     Two parts of the arm are not tested against each other where one joint or none is between them,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import coerce_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics import Kinematics
@@ -99,7 +99,9 @@ class JacobianController:
         Raises:
             Refusal: config is not a MotionConfig.
         """
-        as_kind(config, MotionConfig, "JacobianController.retune", "config", "be a MotionConfig")
+        coerce_kind(
+            config, MotionConfig, "JacobianController.retune", "config", "be a MotionConfig"
+        )
         self.weight = config.weight
         self.step_limit = config.step_limit
         self.singular_below = config.singular_below

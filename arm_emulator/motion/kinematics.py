@@ -12,10 +12,10 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import coerce_kind
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.shafts import Shafts, shafts_of
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics_model import JOINT, LINK, link_names, rate_limits, whole_model
@@ -32,7 +32,7 @@ POSITION_ROWS = 3
 POSE_ROWS = 6
 
 
-class Kinematics(Lasting):
+class Kinematics(SharedObject):
     """Tool pose, Jacobian and joint limits of any arm, or of a tree of arms with one tool.
 
     Tool errors and Jacobians have the rows of the task: translation, then in a pose task the
@@ -155,7 +155,7 @@ class Kinematics(Lasting):
         Raises:
             Refusal: no such link; or see `vector`.
         """
-        link = as_kind(link, str, "Kinematics.axes", "link", "be the name of a link")
+        link = coerce_kind(link, str, "Kinematics.axes", "link", "be the name of a link")
         if link == self.tool:
             return self.forward(q)[0]
         if not self.model.existFrame(LINK + link, pin.FrameType.BODY):
@@ -192,7 +192,7 @@ class Kinematics(Lasting):
         return self.shafts.columns(rows)
 
     def _tool_error(self, R_WT: Array, p_WT: Array, target: Pose) -> Array:
-        error = as_kind(target, Pose, "Kinematics", "target", "be a Pose").p_WT - p_WT
+        error = coerce_kind(target, Pose, "Kinematics", "target", "be a Pose").p_WT - p_WT
         if self.rows == POSITION_ROWS:
             return error
         both: Array = np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])

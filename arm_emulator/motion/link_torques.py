@@ -9,12 +9,12 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.shafts import Shafts
 from arm_emulator.motion.kinematics_model import JOINT, whole_model
 
 
-class LinkTorques(Lasting):
+class LinkTorques(SharedObject):
     """Inverse dynamics of the links: gravity and motion.
 
     Rotors, gears and friction come in `ElasticArm`.

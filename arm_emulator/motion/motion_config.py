@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.base.parameters import load_parameters, parameter
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.drive_numbers import SECTION, Drives, drives_of
 from arm_emulator.motion.obstacles import OBSTACLES, Obstacle, obstacles_of
 
@@ -17,7 +17,7 @@ SECTIONS = SECTION, OBSTACLES
 
 
 @dataclass(frozen=True)
-class MotionConfig(Lasting):
+class MotionConfig(SharedObject):
     """Parameters of the motion controller."""
 
     tool: str = parameter("tool", "link of the robot description that is the tool")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import TOOL_POSITION
-from arm_emulator.base.by_value import ByValue
+from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
@@ -22,7 +22,7 @@ _ORIENTATION = Number.within("orientation", "", math.inf)
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Pose(ByValue):
+class Pose(ArrayEquality):
     """Pose of the tool frame T in the world frame W."""
 
     p_WT: Array

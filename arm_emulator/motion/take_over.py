@@ -10,7 +10,7 @@ import numpy as np
 import ruckig
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import found
 from arm_emulator.motion.way import WayLimits
@@ -18,7 +18,7 @@ from arm_emulator.motion.way import WayLimits
 _MOMENT = 1e-7  # s, over which the jerk is measured: it is constant but for a few jumps
 
 
-class TakeOver(Lasting):
+class TakeOver(SharedObject):
     """A motion of the joints to rest.
 
     Args:

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tool_line import Poses, rotations
 
@@ -158,7 +158,7 @@ class _Segments(NamedTuple):
     turn: Array
 
 
-class ToolCurve(Lasting):
+class ToolCurve(SharedObject):
     """Segments (S,), each from a pose to the next; segments between equal poses are left out.
 
     On a segment, with l the distance gone and k its curvature:

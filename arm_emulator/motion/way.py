@@ -16,7 +16,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.motion.arm_tree import WAY, ArmTree, way_library
 from arm_emulator.motion.joint_curve import JointCurve
@@ -71,7 +71,7 @@ class AlongLimits:
         return cls(length, speed, acceleration, jerk, np.ones(1), np.zeros(1))
 
 
-class Way(Lasting):
+class Way(SharedObject):
     """A way from rest to rest.
 
     Args:

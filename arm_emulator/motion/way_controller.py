@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import coerce_kind
 from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
@@ -93,7 +93,7 @@ class WayController:
         Raises:
             Refusal: config is not a MotionConfig.
         """
-        as_kind(config, MotionConfig, "WayController.retune", "config", "be a MotionConfig")
+        coerce_kind(config, MotionConfig, "WayController.retune", "config", "be a MotionConfig")
         self._limit(config)
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
@@ -156,7 +156,7 @@ class WayController:
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
-        as_kind(target, Pose, "WayController.update", "target", "be a Pose")
+        coerce_kind(target, Pose, "WayController.update", "target", "be a Pose")
         notices = self._find_reference(q)
         now = self.coming
         if target is not self._target and not _same(target, self._target):

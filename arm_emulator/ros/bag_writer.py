@@ -16,7 +16,7 @@ from arm_emulator.ros.bag import Bag, files_of  # first: refuses where mcap is m
 # isort: split
 from mcap.writer import CompressionType, Writer
 
-from arm_emulator.base.mcap_records import NO_ROOM, give_end
+from arm_emulator.base.mcap_records import NO_ROOM, recover_mcap
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk, write_all
 from arm_emulator.base.yaml_file import read_yaml
@@ -222,7 +222,7 @@ def repair(path: Path) -> bool:
         Refusal: not a bag, or a damaged one.
         OSError: it cannot be written.
     """
-    given = [give_end(file) for file in files_of(path)]
+    given = [recover_mcap(file) for file in files_of(path)]
     if not path.is_dir():
         return any(given)
     bag = Bag(path)

@@ -16,7 +16,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 
-from arm_emulator.base.memory import is_want_of_memory
+from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
 
 LOG_PERIOD = 5.0  # s, wall: between two tracebacks
@@ -48,7 +48,7 @@ def refusal_of(node: Guarded, where: str, error: Exception, answers: bool) -> Re
         Exception: the error, if it does not come of the input: the node is to end or to begin anew.
     """
     ends = isinstance(error, StartAnew | ExternalShutdownException) or not node.context.ok()
-    if ends or is_want_of_memory(error):
+    if ends or is_out_of_memory(error):
         raise error
     if isinstance(error, Refusal):
         if not answers:

@@ -18,7 +18,13 @@ from rcl_interfaces.msg import (
 from rclpy.parameter import Parameter as RosParameter
 
 from arm_emulator.base.number import Number
-from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, parameters_of, perhaps
+from arm_emulator.base.parameters import (
+    ROS_PARAMETERS,
+    Parameters,
+    checked,
+    nearest_name_hint,
+    parameters_of,
+)
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.managed_node import ManagedNode
 
@@ -67,7 +73,7 @@ def refuse_other_parameters(
     for name in node.get_parameters_by_prefix(""):
         if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
             where = f"node {node.get_name()}"
-            got = f"an unknown one{perhaps(name, known)}"
+            got = f"an unknown one{nearest_name_hint(name, known)}"
             raise Refusal(where, f"parameter {name}", "be a known one", got, ", ".join(known))
 
 

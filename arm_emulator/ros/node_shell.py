@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from arm_emulator.base.memory import is_want_of_memory
+from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.barrier import StartAnew
 from arm_emulator.ros.ctrl_c import CtrlC, heed_no_more, until_shut_down
@@ -259,7 +259,7 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
         print(refusal, file=sys.stderr)
         sys.exit(2)
     except Exception as error:
-        if not is_want_of_memory(error):
+        if not is_out_of_memory(error):
             raise
         print(Refusal("node", "memory", "suffice", repr(error)), file=sys.stderr)
         sys.exit(2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import coerce_kind
 from arm_emulator.machine.formula_rows import BREAKPOINT, formula_library
 from arm_emulator.machine.listeners import leave, listen
 from arm_emulator.machine.plant import Plant
@@ -28,7 +28,7 @@ class Breakpoint:
     """
 
     def __init__(self, plant: Plant, text: str, where: str = "breakpoint") -> None:
-        plant = as_kind(plant, Plant, where, "plant", "be a Plant")
+        plant = coerce_kind(plant, Plant, where, "plant", "be a Plant")
         self.condition = Condition(text, plant.scene, where)
         self._plant, self._watched = plant, WatchedCondition(self.condition.formula, plant)
         self.struct = BREAKPOINT.new("breakpoint", what=self._watched.struct, tick=-1)

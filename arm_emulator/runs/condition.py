@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator.base.column import Column
 from arm_emulator.base.formula import Combined, Formula, Window, bound_to, parse_formula
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import coerce_kind
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.formula_rows import CONDITION, FormulaRows, formula_library
 from arm_emulator.machine.plant import Plant
@@ -43,7 +43,7 @@ class Condition:
     def __init__(self, text: str, scene: Scene, where: str = "condition") -> None:
         if not isinstance(text, str):
             raise Refusal(where, "condition", "be text", text)
-        scene = as_kind(scene, Scene, where, "scene", "be a Scene")
+        scene = coerce_kind(scene, Scene, where, "scene", "be a Scene")
         self.text = text
         known = [*(one.name for one in columns_of(scene)), *tool_signals(scene)]
         self.formula = bound_to(parse_formula(text, where, "condition"), known, where, "condition")

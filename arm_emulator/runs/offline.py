@@ -16,7 +16,7 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects
-from arm_emulator.base.uncopied import Uncopied
+from arm_emulator.base.uncopied import NonCopyable
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
@@ -31,7 +31,7 @@ from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
 
-class OfflineRun(Uncopied):
+class OfflineRun(NonCopyable):
     """One run from tick 0.
 
     Attributes:

@@ -14,7 +14,7 @@ import sys
 import threading
 from pathlib import Path
 
-from arm_emulator.base.kept import NOTHING, Kept
+from arm_emulator.base.kept import NOTHING, RunOutputs
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
 from arm_emulator.runs.row_process import RowProcess
@@ -38,7 +38,7 @@ class Recorder:
             missing.
     """
 
-    def __init__(self, plant: Plant, kept: Kept, waits: bool, stays: bool = False) -> None:
+    def __init__(self, plant: Plant, kept: RunOutputs, waits: bool, stays: bool = False) -> None:
         self._kept, self._stays = kept, stays and kept.is_port
         self._process: RowProcess | None = None
         if kept != NOTHING:

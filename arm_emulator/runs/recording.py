@@ -16,7 +16,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.kept import check_suffix
 from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.uncopied import Uncopied
+from arm_emulator.base.uncopied import NonCopyable
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
@@ -28,7 +28,7 @@ RERUN = ".rrd"
 MEASURED = tuple(f"measured.{name}" for name in KNOWN)
 
 
-class Recording(Uncopied):
+class Recording(NonCopyable):
     """Rows of a plant's quantities, taken whenever `take` is called.
 
     As a context it writes its file at the end.

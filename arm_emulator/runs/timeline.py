@@ -8,7 +8,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkabl
 
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.uncopied import Uncopied
+from arm_emulator.base.uncopied import NonCopyable
 
 
 @runtime_checkable
@@ -54,7 +54,7 @@ class _Place:
         self.visitor = visitor
 
 
-class Timeline(Uncopied, Generic[R]):
+class Timeline(NonCopyable, Generic[R]):
     """A run with checkpoints: any tick of its past is reached by restoring and driving again.
 
     What is changed by hand goes through `change`, so that it is not forgotten. Timelines that fork

@@ -13,7 +13,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Turns, in_turn
+from arm_emulator.base.turns import Synchronized, synchronized
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import (
     JointServo,
@@ -38,7 +38,7 @@ _SCALARS = tuple(
 )
 
 
-class Servo(Turns):
+class Servo(Synchronized):
     """All joints of an arm under cascaded control, see arm_emulator/servo/c/servo.h.
 
     Arrays are (N,) in the order of ``config.joints``. Call once in every servo period `update`, or
@@ -86,7 +86,7 @@ class Servo(Turns):
     def __repr__(self) -> str:
         return f"<Servo of {', '.join(self.config.joint_names)}>"
 
-    @in_turn
+    @synchronized
     def __getstate__(self) -> dict[str, Any]:
         scalars = {name: copy.copy(getattr(self.arm, name)) for name in _SCALARS}
         watchdog = bytes(SERVO.ffi.buffer(SERVO.ffi.addressof(self.arm, "watchdog")))
@@ -117,12 +117,12 @@ class Servo(Turns):
         """Number of restarts of a joint's observer because its state was not finite."""
         return int(self.arm.restarts)
 
-    @in_turn
+    @synchronized
     def reset(self) -> None:
         """Forget everything; the next measurement starts the observer where the motor stands."""
         self._law.servo_reset(self.arm)
 
-    @in_turn
+    @synchronized
     def retune(self, config: ServoConfig) -> None:
         """Go on with other gains and limits; what was observed and the integrals stay.
 
@@ -141,19 +141,19 @@ class Servo(Turns):
         self.config = config
 
     @property
-    @in_turn
+    @synchronized
     def q_measured(self) -> Array:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
         return self._at_links(0)
 
     @property
-    @in_turn
+    @synchronized
     def v_measured(self) -> Array:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
         return self._at_links(1)
 
     @property
-    @in_turn
+    @synchronized
     def tau_measured(self) -> Array:
         """Loads of the motors by the observer, at the links, (N,) [N m]; NaN before any count."""
         return self._at_links(2)
@@ -168,7 +168,7 @@ class Servo(Turns):
         self._law.servo_report(self.arm, powered, *self._reported)
         return np.asarray(self._movable != 0)
 
-    @in_turn
+    @synchronized
     def update(
         self,
         counts: npt.ArrayLike,
@@ -189,7 +189,7 @@ class Servo(Turns):
         self._law.servo_observe(self.arm, *measured)
         return self._control(wanted)
 
-    @in_turn
+    @synchronized
     def observe(
         self,
         counts: npt.ArrayLike,
@@ -210,7 +210,7 @@ class Servo(Turns):
         """
         self._law.servo_observe(self.arm, *self.measurement(counts, current, applied))
 
-    @in_turn
+    @synchronized
     def control(
         self,
         q_target: npt.ArrayLike,
@@ -236,7 +236,7 @@ class Servo(Turns):
             raise Refusal("servo", "control", "follow a measurement", "none since the reset")
         return self._control(wanted)
 
-    @in_turn
+    @synchronized
     def release(self) -> None:
         """Report that the motors get no command; control will start without an integral again."""
         self._law.servo_release(self.arm)
@@ -252,7 +252,7 @@ class Servo(Turns):
         return row
 
     @property
-    @in_turn
+    @synchronized
     def command(self) -> Array:
         """The newest commands, (N,) [V, N m, A], as a copy."""
         command: Array = self._rows[5].copy()

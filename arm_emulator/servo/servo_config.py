@@ -12,7 +12,7 @@ import numpy as np
 
 from arm_emulator.base.bound import encoder_counts
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.given import as_kind
+from arm_emulator.base.given import coerce_kind
 from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.parameters import (
     ROS_PARAMETERS,
@@ -22,7 +22,7 @@ from arm_emulator.base.parameters import (
     tables_of,
 )
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import Lasting
+from arm_emulator.base.saved_objects import SharedObject
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class JointServo:
 
 
 @dataclass(frozen=True)
-class ServoConfig(Lasting):
+class ServoConfig(SharedObject):
     """Parameters of the servo: periods, supply and its joints in the order of its arrays."""
 
     period: float = number("s", above=0, text="servo period, that of the scene")
@@ -282,7 +282,7 @@ def load_servo_config(path: str | Path) -> ServoConfig:
 
 def check_joints(where: str, config: object, joint_names: Sequence[str]) -> None:
     """Refuse a config for other joints, or for them in another order."""
-    known = as_kind(config, ServoConfig, where, "config", "be a ServoConfig").joint_names
+    known = coerce_kind(config, ServoConfig, where, "config", "be a ServoConfig").joint_names
     if known != tuple(joint_names):
         got, valid = ", ".join(known), ", ".join(joint_names)
         raise Refusal(where, "config", "have the servo's joints in its order", got, valid)

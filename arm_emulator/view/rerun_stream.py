@@ -30,7 +30,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.shafts import Shafts
-from arm_emulator.base.wheel import need_wheel
+from arm_emulator.base.wheel import require_package
 from arm_emulator.view.rerun_batches import QUANTITIES, RerunBatches, SampleQueue
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class RerunStream:
             _check_file(Path(file))
         if port is not None:
             _check_port(port)
-        need_wheel("Rerun", "rerun", "rerun-sdk")
+        require_package("Rerun", "rerun", "rerun-sdk")
 
         import rerun as rr
 

@@ -28,7 +28,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
-from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.ros2_control import ros2_control
 from arm_emulator.design.ros2_control import PLUGIN
@@ -136,7 +136,7 @@ def move(
 def test_a_trajectory_is_followed_with_equal_bits(prefix: Path, folder: Path, name: str) -> None:
     ros2_control(name, into=folder)
     files = folder / f"{name}.urdf", folder / f"{name}_controllers.yaml"
-    with busy_processes(BUSY):
+    with load_processors(BUSY):
         runs = [move(prefix, *files, TARGETS[name]) for _ in range(RUNS)]
     assert runs[0].returncode == 0, runs[0].stderr
     digest, *lines = runs[0].stdout.splitlines()
@@ -527,7 +527,7 @@ def goal_run(prefix: Path, folder: Path) -> dict[int, str]:
 
 def test_a_goal_sent_while_time_stands_gives_equal_bits(prefix: Path, folder: Path) -> None:
     ros2_control("three_axis", into=folder)
-    with busy_processes(BUSY):
+    with load_processors(BUSY):
         first, *others = [goal_run(prefix, folder) for _ in range(RUNS)]
     for one in others:
         # States are sent best effort. Of the time that stands, any may be the last one.

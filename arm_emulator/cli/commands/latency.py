@@ -14,7 +14,7 @@ import yaml
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
-from arm_emulator.base.busy import busy_processes
+from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.number import Number
@@ -81,7 +81,7 @@ def latency(
     facts: dict[str, Any] = {}
     head = "late by: median      99 %    99.9 %     worst      lost   with nodes: lost        old"
     output.line(f"{'rate':>8}   {head if not alone else head[:54]}")
-    with busy_processes(busy):
+    with load_processors(busy):
         for rate in rates:
             one = wake_ups(machine, 1.0 / rate, seconds)
             found.append(one)

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.kept import NOTHING, Kept
+from arm_emulator.base.kept import NOTHING, RunOutputs
 from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import given, warn
@@ -111,7 +111,7 @@ def run(
 
 
 def _run_table(
-    scene: str, seconds: float | None, table: Path, library: Path | None, kept: Kept
+    scene: str, seconds: float | None, table: Path, library: Path | None, kept: RunOutputs
 ) -> int:
     """Run for some logical time, or for that of the table, and print the outcome."""
 
@@ -131,7 +131,9 @@ def _run_table(
     return code
 
 
-def _report_table(one: TableRun, targets: TargetTable, seconds: float | None, kept: Kept) -> int:
+def _report_table(
+    one: TableRun, targets: TargetTable, seconds: float | None, kept: RunOutputs
+) -> int:
     session = one.session
     ticks = ticks_of((targets.seconds or 10.0) if seconds is None else seconds, session.scene)
     with Recorder(session.plant, kept, waits=True, stays=True):
@@ -148,7 +150,7 @@ def _report_table(one: TableRun, targets: TargetTable, seconds: float | None, ke
     return output.judge("run", missed_target(session, wanted))
 
 
-def _name_viewer(kept: Kept) -> None:
+def _name_viewer(kept: RunOutputs) -> None:
     """Print the command that shows the recording of Rerun, where one was written."""
     if kept.rerun is not None and not kept.is_port:
         output.line(f"moving arm        {viewer_command(str(kept.rerun))}")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Refusal, need_wheel
+from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.crew import Crew, Pool, Progress, Work
@@ -65,7 +65,7 @@ class DaskPool:
     """
 
     def __init__(self, address: str, patience: float, workers: int | None = None) -> None:
-        need_wheel("campaign", "distributed", "distributed")
+        require_package("campaign", "distributed", "distributed")
         from distributed import Client
         from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker

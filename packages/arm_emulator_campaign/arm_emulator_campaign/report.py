@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import html_text, write_whole
+from arm_emulator.extension.base import atomic_write, html_text
 from arm_emulator_campaign import pictures
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.results import (
@@ -84,10 +84,10 @@ def write_report(
         if one.bars and one.rows:
             drawn[one.title.lower()] = pictures.png(pictures.bars_of(one))
     for name, content in drawn.items():
-        write_whole(results.folder / f"{name}.png", content)
+        atomic_write(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
     text = "\n".join(_page(campaign, results, summary, columns, ranks, drawn, findings))
-    write_whole(file, text)
+    atomic_write(file, text)
     return file
 
 

@@ -27,13 +27,13 @@ from arm_emulator.extension.base import (
     Margin,
     Refusal,
     Signal,
+    atomic_write,
     bound_to,
     fold,
     hidden_beside,
-    need_wheel,
     parse_formula,
+    require_package,
     warn,
-    write_whole,
 )
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.judges import Measure
@@ -61,7 +61,7 @@ def column_units(campaign: Campaign) -> dict[str, str]:
 
 def schema_of(campaign: Campaign) -> Any:
     """Return the columns with types and units, as Arrow has them."""
-    need_wheel("campaign", "pyarrow", "pyarrow")
+    require_package("campaign", "pyarrow", "pyarrow")
     import pyarrow as pa
 
     kinds = {INDEX: pa.int64(), FAILED: pa.bool_()}
@@ -125,7 +125,7 @@ class Results:
                     raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
             else:
                 facts = {"key": campaign.key.hex(), "file": str(campaign.file.absolute())}
-                write_whole(about, json.dumps(facts))
+                atomic_write(about, json.dumps(facts))
         except (OSError, ValueError) as error:
             if isinstance(error, Refusal):
                 raise

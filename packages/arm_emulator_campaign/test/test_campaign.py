@@ -13,7 +13,7 @@ import pytest
 import yaml
 from draws import FULL, some
 
-from arm_emulator.base.kept import Kept
+from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.cli.output import output, plain
@@ -418,7 +418,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     one = load_campaign(file)
     beside = [drawn_case(one.variation, index) for index in range(20)]
     rows = Outcomes.joined(list(runs_of(one).runs(beside)))
-    kept = Kept(record=record)
+    kept = RunOutputs(record=record)
     code = campaign(file, replay=17, kept=kept)
     facts = json.loads(json.dumps(plain(output.collected)))
     assert code == int(facts["failed"]) and bool(facts["missed"]) == facts["failed"]

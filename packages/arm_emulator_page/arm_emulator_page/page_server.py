@@ -14,7 +14,7 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from arm_emulator.extension.base import Refusal, need_wheel
+from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator.extension.page import PageAddress, page_token
 
 
@@ -33,7 +33,7 @@ class PageServer:
     """
 
     def __init__(self, at: str | int = 0) -> None:
-        need_wheel("the page", "viser", "viser")
+        require_package("the page", "viser", "viser")
         address = PageAddress.of(at).free()
         import viser
 

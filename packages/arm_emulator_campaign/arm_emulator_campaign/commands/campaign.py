@@ -17,7 +17,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Kept, Refusal, check_count, warn
+from arm_emulator.extension.base import Refusal, RunOutputs, check_count, warn
 from arm_emulator.extension.commands import (
     Keep,
     PageAt,
@@ -244,7 +244,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     })  # fmt: skip
 
 
-def _replay(one: Campaign, case: Case, kept: Kept, page: str | None, bag: Path | None) -> int:
+def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: Path | None) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
     outcome = runs_of(one).run(case)
     for name, value in outcome.values.items():
@@ -322,7 +322,9 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     return case_with(one.variation, index, values)
 
 
-def record_case(simulator: Simulator, case: Case, kept: Kept, page: str | None = None) -> None:
+def record_case(
+    simulator: Simulator, case: Case, kept: RunOutputs, page: str | None = None
+) -> None:
     """Simulate a run for who records it, or looks at its page at a port."""
     pieces = simulator.drive(case)
     next(pieces)

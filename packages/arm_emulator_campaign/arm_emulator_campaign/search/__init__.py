@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.extension.base import Section, need_wheel
+from arm_emulator.extension.base import Section, require_package
 from arm_emulator_campaign.search.falsification import Bayes, CmaEs
 from arm_emulator_campaign.search.method import Method
 from arm_emulator_campaign.search.sensitivity import Morris, Sobol
@@ -42,5 +42,5 @@ def read_method(root: Section, variation: Variation) -> Method | None:
     found.check(section, variation)
     section.finish()
     if kind.package:
-        need_wheel(f"{root.where}: search.method {name}", *kind.package)
+        require_package(f"{root.where}: search.method {name}", *kind.package)
     return found
