@@ -24,7 +24,7 @@ from arm_emulator.machine.parts.known import EXTRAS, MOTORS, without
 from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
-from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.possible import variable_numbers
 from arm_emulator.machine.varied import of_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.found import numbers_found
@@ -89,7 +89,7 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
 
     joints = tuple(driven(joint) for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
-    varied = tuple(one for one in could_vary(joints, scene.chain, ()) if one.name in sought)
+    varied = tuple(one for one in variable_numbers(joints, scene.chain, ()) if one.name in sought)
     return dataclasses.replace(
         scene, joints=joints, servo_period=period, varied=varied, load=None,
         integrator=dataclasses.replace(scene.integrator, dt=period / steps),
@@ -221,7 +221,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
 
 
 def _names(scene: Scene) -> set[str]:
-    return {one.name for one in could_vary(scene.joints, scene.chain, ())}
+    return {one.name for one in variable_numbers(scene.joints, scene.chain, ())}
 
 
 # Spoiled records: what is done to them, and which words must be in the answer.

@@ -11,7 +11,7 @@ from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
-from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.gear import RATIO_UNIT, Gear
 from arm_emulator.machine.parts.imu import Imu
@@ -294,7 +294,7 @@ def _section(owner: type[Part] | type[Imu]) -> str:
         return "`imus`"
     if issubclass(owner, Motor):
         return _code(f"motor.kind: {owner.kind}")
-    kind = owner.around_kind if issubclass(owner, Decorator) else ""
+    kind = owner.around_kind if issubclass(owner, DriveStage) else ""
     return _code(owner.section) + (f" of a `{kind}`" if kind else "")
 
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answers import Needless
+from arm_emulator.machine.answers import DuplicateCommand
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
 from arm_emulator.ros.doubles import started
@@ -75,7 +75,7 @@ class Intake:
                 given = (command.input_names, command.inputs)
                 further = named_inputs("motor_commands", *given, len(names))
                 self._session.offer(command.tick, names, command.command, further)
-            except Needless as reason:
+            except DuplicateCommand as reason:
                 self._diagnostics.count(f"motor_commands {reason.kind}")
                 return
             except Refusal as reason:

@@ -30,7 +30,7 @@ import yaml
 from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.drawn import scaled
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.known import (
@@ -120,7 +120,7 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
     scene["external_wrench"] = bool(rng.random() < 0.3)
 
 
-def fits(kind: type[Decorator], motor: Numbers) -> bool:
+def fits(kind: type[DriveStage], motor: Numbers) -> bool:
     """Return whether a decorator goes around a motor."""
     joint = Section({"motor": motor}, "mixture")
     drawn = kind.drawn(np.random.default_rng(0))
@@ -150,7 +150,7 @@ def drawn_alone(part: type[Part], seed: int) -> Numbers:
         "resistance": 1.0, "inductance": 2e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
         **rotor,
     }  # fmt: skip
-    if issubclass(part, Decorator):
+    if issubclass(part, DriveStage):
         for kind in MOTORS:
             if part.around_kind == kind.kind:
                 motor = {"kind": kind.kind, **rotor, **drawn_motor(rng, kind)}

@@ -32,7 +32,7 @@ from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.section import Section
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.known import (
     DECORATORS,
     EXTRAS,
@@ -88,7 +88,7 @@ class DrawnJoint:
 
     def put(self, kind: Kind, rng: Rng) -> None:
         """Add a part where the section has its place."""
-        if issubclass(kind, Decorator):
+        if issubclass(kind, DriveStage):
             kind = kind.of(read_motor(Section(self.section["motor"], "pair")))
         place = place_of(self.section, kind)
         if place is not None:

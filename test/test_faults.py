@@ -19,7 +19,7 @@ from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.thermometer import Thermometer
-from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.possible import variable_numbers
 from arm_emulator.machine.scene_unit import scene_unit
 from oracles.random_chain import LINK
 
@@ -111,7 +111,7 @@ def whole_scene(folder: Path) -> Scene:
     # The link that carries the payload has its mass's numbers from there.
     plain = everything(folder, faults=[])
     faults = [one for one in plain.possible_faults if one.name != "wrist_link.mass_at_joint"]
-    possible = [one.name for one in could_vary(plain.joints, plain.chain, plain.imus)]
+    possible = [one.name for one in variable_numbers(plain.joints, plain.chain, plain.imus)]
     changed = {change.number for one in faults for change in one.changes}
     return everything(
         folder,

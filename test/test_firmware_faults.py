@@ -20,7 +20,7 @@ from own_firmware import NO_TABLE, builder, code, command
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.firmware import Doing, Firmware
+from arm_emulator.machine.firmware import Firmware, RunningCode
 from arm_emulator.runs import guarded
 
 
@@ -193,7 +193,7 @@ def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
     monkeypatch.setattr(guarded, "REPORT_STALL", 0.1)
 
     def work(progress: CData) -> int:
-        progress.doing, progress.controller.tick = Doing.STEP, 12
+        progress.doing, progress.controller.tick = RunningCode.STEP, 12
         while True:
             time.sleep(1.0)
 

@@ -17,7 +17,7 @@ from arm_emulator.base.number import LARGEST, REQUIRED, SMALLEST
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import Encoder
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
@@ -200,7 +200,7 @@ def given(part: type[Part], rng: np.random.Generator) -> dict[str, Any]:
 @pytest.mark.parametrize("part", (*PARTS, *SENSOR_PARTS), ids=lambda part: part.__name__)
 def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]) -> None:
     section = Asked(given(part, np.random.default_rng(3)), "drawn.yaml", part.section)
-    if issubclass(part, Extra):
+    if issubclass(part, JointEffect):
         part.put_limits(section, None)
     part.read(section)
     rows = keys_of(part)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, Session, load_scene
-from arm_emulator.machine.answers import Needless
+from arm_emulator.machine.answers import DuplicateCommand
 from arm_emulator.machine.phase import Phase
 
 NAMES = ["waist", "shoulder", "elbow"]
@@ -115,16 +115,18 @@ def test_the_same_answer_again_is_needless_and_another_one_is_stale() -> None:
     turned = ["elbow", "waist", "shoulder"]
     one.offer(0, NAMES, [1.0, 2.0, 3.0])
     for _ in range(2):
-        with pytest.raises(Needless, match=r"tick must be answered once, got 0 \(repeated\)"):
+        with pytest.raises(
+            DuplicateCommand, match=r"tick must be answered once, got 0 \(repeated\)"
+        ):
             one.offer(0, turned, [3.0, 1.0, 2.0])
     one.advance()
     one.offer(1, NAMES, [1.5, 2.0, 3.0])
-    with pytest.raises(Needless, match=r"tick must be at least 1, got 0 \(repeated\)"):
+    with pytest.raises(DuplicateCommand, match=r"tick must be at least 1, got 0 \(repeated\)"):
         one.offer(0, NAMES, [1.0, 2.0, 3.0])  # another servo's, while tick 1 is answered
     for other in ([1.0, 2.0, 3.0000000000000004], [1.5, 2.0, 3.0]):
         with pytest.raises(Refusal, match=r"\(stale\)") as refusal:
             one.offer(0, NAMES, other)
-        assert not isinstance(refusal.value, Needless)
+        assert not isinstance(refusal.value, DuplicateCommand)
     one.advance()
     assert np.array_equal(one.measured.applied, [1.5, 2.0, 3.0])
     # Another answer to a tick that is not left yet is taken.
@@ -138,7 +140,7 @@ def test_repeated_commands_in_real_time() -> None:
     one = session("realtime")
     one.offer(0, NAMES, [1.0, 1.0, 1.0])
     one.advance()
-    with pytest.raises(Needless):
+    with pytest.raises(DuplicateCommand):
         one.offer(0, NAMES, [1.0, 1.0, 1.0])
     one.offer(0, NAMES, [2.0, 1.0, 1.0])
     one.advance()
@@ -151,7 +153,9 @@ def test_an_answer_to_the_run_before_a_reset_is_needless_until_the_new_one_is_an
         one.offer(tick, NAMES, ZERO)
         one.advance()
     one.reset()
-    with pytest.raises(Needless, match=r"tick must be at most 0, got 3 \(before the reset\)"):
+    with pytest.raises(
+        DuplicateCommand, match=r"tick must be at most 0, got 3 \(before the reset\)"
+    ):
         one.offer(3, NAMES, ZERO)
     assert one.phase is Phase.WAITING and one.tick == 0
     with pytest.raises(Refusal, match=r"got 4 \(future\)"):
@@ -277,7 +281,9 @@ def test_random_offers_are_what_their_ticks_and_bits_make_them(clock: str) -> No
         else:
             with pytest.raises(Refusal, match=rf"tick must be .* \({kind}\)") as refusal:
                 one.offer(tick, NAMES, [volt, 0.0, 0.0])
-            assert isinstance(refusal.value, Needless) == (kind in ("repeated", "before the reset"))
+            assert isinstance(refusal.value, DuplicateCommand) == (
+                kind in ("repeated", "before the reset")
+            )
         if rng.random() < 0.01:
             left, accepted = one.tick, []
             one.reset()

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from arm_emulator.machine import shares as shares_module
-from arm_emulator.machine.shares import SHORT, Shares
+from arm_emulator.machine.shares import SHORT, WorkThreads
 
 ALL = 64  # arms
 
@@ -35,7 +35,7 @@ class Clock:
 def test_work_goes_the_way_that_was_quicker(
     of_share: float, of_all: float, shared: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shares, clock = Shares(ALL, 8, 2), Clock(monkeypatch, of_share, of_all)
+    shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, of_share, of_all)
     for _ in range(2):
         shares.do(1000, clock.work)  # each way once
     assert sum(arms for _, arms in clock.done) == 2 * ALL
@@ -55,7 +55,7 @@ def test_work_goes_the_way_that_was_quicker(
 
 def test_sharing_that_is_quick_now_and_then_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every other call wakes the other thread in time, and the rest wait for it."""
-    shares, clock = Shares(ALL, 8, 2), Clock(monkeypatch, 0.0, 1e-3)
+    shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, 0.0, 1e-3)
     for call in range(3000):
         clock.of_share(3e-5 if call % 2 == 0 else 4e-4)
         shares.do(1000, clock.work)
@@ -64,7 +64,7 @@ def test_sharing_that_is_quick_now_and_then_is_left(monkeypatch: pytest.MonkeyPa
 
 
 def test_short_work_stays_in_the_calling_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    shares, clock = Shares(ALL, 8, 2), Clock(monkeypatch, 1e-9, 0.9 * SHORT)
+    shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, 1e-9, 0.9 * SHORT)
     for _ in range(10_000):
         shares.do(1000, clock.work)
     assert set(clock.done) == {(0, ALL)}
@@ -73,7 +73,7 @@ def test_short_work_stays_in_the_calling_thread(monkeypatch: pytest.MonkeyPatch)
 
 def test_the_calling_thread_does_what_nobody_else_takes() -> None:
     """The other thread is busy: nothing waits for it."""
-    shares, free = Shares(ALL, 8, 2), threading.Event()
+    shares, free = WorkThreads(ALL, 8, 2), threading.Event()
     done: list[int] = []
     first: list[threading.Thread] = []
 
@@ -96,7 +96,7 @@ def test_the_calling_thread_does_what_nobody_else_takes() -> None:
 
 def test_large_work_begins_on_all_threads() -> None:
     for worth, calls in ((100, 1), (10**6, 8)):
-        shares = Shares(ALL, 8, 2)
+        shares = WorkThreads(ALL, 8, 2)
         done: list[int] = []
         shares.do(worth, lambda first, _, done=done: done.append(first))  # type: ignore[misc]
         assert sorted(done) == sorted(range(0, ALL, ALL // calls))
@@ -105,7 +105,7 @@ def test_large_work_begins_on_all_threads() -> None:
 
 def test_the_last_work_may_end_the_threads() -> None:
     """As where the collector of garbage deletes a fleet in a thread of its shares."""
-    shares = Shares(ALL, 8, 2)
+    shares = WorkThreads(ALL, 8, 2)
     pool = shares._pool
     assert pool is not None
     assert pool.submit(shares.end).result(timeout=60.0) is None

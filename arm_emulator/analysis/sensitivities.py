@@ -25,7 +25,7 @@ from arm_emulator.machine.call_arguments import LARGEST_STEPS
 from arm_emulator.machine.compiler import DIRECTIONS, sensitivity_library_of
 from arm_emulator.machine.core_calls import SENSITIVITY
 from arm_emulator.machine.parts.sensors import JointSensors
-from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.possible import variable_numbers
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.varied import Varied, choose
 
@@ -197,7 +197,9 @@ def sensitivities(
 
 def numbers_of(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
-    here = {one.name: one for one in could_vary(_without_sensors(scene).joints, scene.chain, ())}
+    here = {
+        one.name: one for one in variable_numbers(_without_sensors(scene).joints, scene.chain, ())
+    }
     return here | {one.name: one for one in scene.varied if one.name == MASS}
 
 

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from arm_emulator.analysis.stability import explain
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answers import Answers
+from arm_emulator.machine.answers import CommandBuffer
 from arm_emulator.machine.inputs import further_inputs, named_inputs
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.measured_fields import MeasuredFields
@@ -69,7 +69,7 @@ class Repetition:
         self.tally = Tally()
         self._session = session
         self._where = str(bag.path)
-        self._answers = Answers(session.scene, lockstep)
+        self._answers = CommandBuffer(session.scene, lockstep)
         self._lockstep = lockstep
         # A recorder of all topics has recorded all changes by hand.
         self._reports_changes = any(name.endswith("/emulator/events") for name in bag.topics)

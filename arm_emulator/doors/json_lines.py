@@ -17,8 +17,8 @@ from typing import Any
 
 from arm_emulator.base.address import not_free
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answered_tick import answer_tick
-from arm_emulator.machine.answers import Needless
+from arm_emulator.machine.answered_tick import submit_command
+from arm_emulator.machine.answers import DuplicateCommand
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.session import Session
@@ -104,7 +104,7 @@ class JsonLinesServer:
             self._session.take(newest=True)
         try:
             self._take(line)
-        except Needless:
+        except DuplicateCommand:
             pass
         except Refusal as reason:
             self.refused += 1
@@ -136,7 +136,7 @@ class JsonLinesServer:
             if again:
                 self._session.reset()
             elif command is not None:
-                answer_tick(self._session, tick, names, command, rows, powered=on is not False)
+                submit_command(self._session, tick, names, command, rows, powered=on is not False)
 
     def _flag(self, given: dict[str, Any], key: str) -> bool | None:
         found = given.get(key)

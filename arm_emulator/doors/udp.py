@@ -17,8 +17,8 @@ import numpy as np
 from arm_emulator.base.address import not_free
 from arm_emulator.base.escape import c_comment, c_string
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answered_tick import answer_tick
-from arm_emulator.machine.answers import Needless
+from arm_emulator.machine.answered_tick import submit_command
+from arm_emulator.machine.answers import DuplicateCommand
 from arm_emulator.machine.inputs import further_inputs, input_units
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.outputs import outputs_of, units_of
@@ -178,7 +178,7 @@ class UdpServer:
                 rule = f"be {self.datagrams.layout}, that of {session.scene.name}"
                 raise Refusal("udp", "layout", rule, int(given["layout"]))
             self._take(given)
-        except Needless:
+        except DuplicateCommand:
             pass
         except Refusal as reason:
             self.refused += 1
@@ -197,7 +197,7 @@ class UdpServer:
                 return
             rows = {name: given[name] for name in further}
             names, on = session.scene.joint_names, bool(control & POWER)
-            answer_tick(session, tick, names, given["command"], rows, powered=on)
+            submit_command(session, tick, names, given["command"], rows, powered=on)
 
     def _measurement(self) -> bytes:
         session, record = self._session, self._record

@@ -5,7 +5,7 @@ from arm_emulator.analysis.mode_loops import Mode as LoopMode
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
 from arm_emulator.analysis.stability import explain as explain_divergence
 from arm_emulator.design.assumed_bodies import inertial_of
-from arm_emulator.machine.answers import Needless
+from arm_emulator.machine.answers import DuplicateCommand
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.chain import Body, ChainJoint, Frame
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
@@ -43,7 +43,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS as STATE_ROWS
 from arm_emulator.machine.plant_state import largest_position, link_angle_per_count
-from arm_emulator.machine.possible import could_vary
+from arm_emulator.machine.possible import variable_numbers
 from arm_emulator.machine.record_row import RecordRow, columns_of, values_of
 from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene, scene_of
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -78,6 +78,7 @@ __all__ = [
     "Change",
     "ControlCode",
     "Diverged",
+    "DuplicateCommand",
     "ExternalWrench",
     "Fleet",
     "FleetWay",
@@ -87,7 +88,6 @@ __all__ = [
     "Joint",
     "LoopMode",
     "MeasuredPlace",
-    "Needless",
     "NumberChange",
     "Output",
     "Part",
@@ -103,7 +103,6 @@ __all__ = [
     "Varied",
     "WrenchChange",
     "columns_of",
-    "could_vary",
     "cxx_number",
     "explain_divergence",
     "further_inputs",
@@ -127,6 +126,7 @@ __all__ = [
     "truth_at",
     "units_of",
     "values_of",
+    "variable_numbers",
     "varied_of_child",
     "withheld_modes",
     "withheld_words",

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from arm_emulator.machine.session import Session
 
 
-def answer_tick(
+def submit_command(
     session: Session,
     tick: int,
     names: Sequence[str],

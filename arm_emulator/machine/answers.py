@@ -23,7 +23,7 @@ NEW, BEFORE_RESET, FUTURE, STALE = (
 _KNOWN = ("left", "known", "tick", "tick_before")  # fields beside the commands
 
 
-class Needless(Refusal):
+class DuplicateCommand(Refusal):
     """A valid command that is not applied.
 
     Attributes:
@@ -35,7 +35,7 @@ class Needless(Refusal):
         self.kind = kind
 
 
-class Answers:
+class CommandBuffer:
     """The commands of one run, over ``tick_answers`` (tick/c/answers.h).
 
     Attributes:
@@ -128,13 +128,13 @@ class Answers:
             return rows
         at_most, at_least = f"be at most {now}", f"be at least {now if self._lockstep else known}"
         if result == BEFORE_RESET:
-            raise Needless("before the reset", at_most, f"{tick}")
+            raise DuplicateCommand("before the reset", at_most, f"{tick}")
         if result == FUTURE:
             raise Refusal("motor_commands", "tick", at_most, f"{tick} (future)")
         if result == STALE:
             raise Refusal("motor_commands", "tick", at_least, f"{tick} (stale)")
         is_newest = tick == known and not (self._lockstep and tick < now)
-        raise Needless("repeated", "be answered once" if is_newest else at_least, f"{tick}")
+        raise DuplicateCommand("repeated", "be answered once" if is_newest else at_least, f"{tick}")
 
     def arranged(
         self,

@@ -25,7 +25,7 @@ class RealTimeFigures:
 
 
 @dataclass(frozen=True)
-class Reached:
+class ReachedTick:
     """The machine at a tick that a loop has reached."""
 
     tick: int
@@ -86,6 +86,6 @@ class Clock:
         """Wait at most `timeout` [s] for a tick."""
         return False
 
-    def take(self, *, newest: bool = False) -> Reached | None:
+    def take(self, *, newest: bool = False) -> ReachedTick | None:
         """Return the oldest tick not taken yet, or the newest; None after the last."""
         return None

@@ -26,7 +26,7 @@ from arm_emulator.machine.varied import varied_number
 
 
 @dataclass(frozen=True)
-class Borrowed:
+class BorrowedMachine:
     """A machine that belongs to a `Fleet`."""
 
     owner: Synchronized
@@ -54,7 +54,7 @@ class CoreMachine(Synchronized):
         Refusal: the scene's core cannot be compiled.
     """
 
-    def __init__(self, scene: Scene, of: Borrowed | None, core: Library | None) -> None:
+    def __init__(self, scene: Scene, of: BorrowedMachine | None, core: Library | None) -> None:
         super().__init__(of.owner if of else None)
         self.scene = scene
         self.core = of.core if of else core or library_of(scene)

@@ -105,7 +105,7 @@ class CoreMachines(Synchronized):
             Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
                 arms are as before.
         """
-        where, mask = "Fleet.reset", chosen_arms("Fleet.reset", arms, self._count)
+        where, mask = "Fleet.reset", arm_mask("Fleet.reset", arms, self._count)
         of_q, of_v = start_bounds(self.scene)
         at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
         speed = self._arguments.rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
@@ -178,7 +178,7 @@ class CoreMachines(Synchronized):
                 nothing has changed.
         """
         where = "Fleet.set_parameter"
-        mask = chosen_arms(where, arms, self._count)
+        mask = arm_mask(where, arms, self._count)
         self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
 
     @synchronized
@@ -219,7 +219,7 @@ class CoreMachines(Synchronized):
             Refusal: see there; nothing has changed.
         """
         where = "Fleet.set_external_wrench"
-        mask = chosen_arms(where, arms, self._count)
+        mask = arm_mask(where, arms, self._count)
         place, moved = on_moving_link(self.scene, where, link, wrench, self._count)
         rows = ARM.rows("arm_wrench", self._count)
         rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
@@ -248,7 +248,7 @@ class CoreMachines(Synchronized):
             Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
                 nothing has changed.
         """
-        where, mask = "Fleet.restore", chosen_arms("Fleet.restore", arms, self._count)
+        where, mask = "Fleet.restore", arm_mask("Fleet.restore", arms, self._count)
         size = self._count * self.core.arm_saved_size()
         if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
             raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
@@ -365,7 +365,7 @@ class FleetState(ArrayEquality):
     gear_torque: Array  # N m or N, on the link
 
 
-def chosen_arms(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bool_]:
+def arm_mask(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bool_]:
     """Return which arms are chosen, as a mask (count,).
 
     Args:

@@ -24,7 +24,7 @@ VERSION = FIRMWARE.constant("FIRMWARE_VERSION")
 LARGEST = 2**28  # bytes of a library
 
 
-class Doing(enum.IntEnum):
+class RunningCode(enum.IntEnum):
     """The code that runs, and its function."""
 
     OURS = 0
@@ -39,13 +39,13 @@ class Doing(enum.IntEnum):
     def must(self) -> tuple[str, str]:
         """Quantity and rule of the refusal if the process ends there."""
         return {
-            Doing.OURS: ("a thread of it", "let the process go on"),
-            Doing.LOADING: ("file", "be loaded by the system"),
-            Doing.ENTRY: (ENTRY, "return"),
-            Doing.START: ("start", "return"),
-            Doing.STEP: ("step", "return"),
-            Doing.ENDING: ("what runs at its end", "return"),
-            Doing.ENDED: ("a thread of it", "let the process go on"),
+            RunningCode.OURS: ("a thread of it", "let the process go on"),
+            RunningCode.LOADING: ("file", "be loaded by the system"),
+            RunningCode.ENTRY: (ENTRY, "return"),
+            RunningCode.START: ("start", "return"),
+            RunningCode.STEP: ("step", "return"),
+            RunningCode.ENDING: ("what runs at its end", "return"),
+            RunningCode.ENDED: ("a thread of it", "let the process go on"),
         }[self]
 
 
@@ -80,7 +80,7 @@ class Firmware(ControlCode):
         reason = why_no_library(content, (ENTRY,))
         if reason:
             raise Refusal(self.name, "file", f"be a shared library with {ENTRY}", reason)
-        self.progress.doing = Doing.LOADING
+        self.progress.doing = RunningCode.LOADING
         self._threads = _threads()
         try:
             self._library = Library(file.resolve(), (FIRMWARE,), unload=True)
@@ -88,9 +88,9 @@ class Firmware(ControlCode):
             raise Refusal(self.name, "file", "be loaded by the system", error) from None
         entry = int(FIRMWARE.ffi.cast("uintptr_t", self._library.arm_firmware))
         self._memory = LibraryMemory(self.name, content, ENTRY, entry)
-        self.progress.doing = Doing.ENTRY
+        self.progress.doing = RunningCode.ENTRY
         at = self._library.arm_firmware()
-        self.progress.doing = Doing.OURS
+        self.progress.doing = RunningCode.OURS
         if not at:
             raise Refusal(self.name, ENTRY, "return the library's functions", "a null pointer")
         if at.version != VERSION:
@@ -122,9 +122,9 @@ class Firmware(ControlCode):
             supply_voltage=plant.scene.supply_voltage,
             joint=self._joints,
         )
-        self.progress.doing = Doing.START
+        self.progress.doing = RunningCode.START
         reason = self._firmware.start(self._machine)
-        self.progress.doing = Doing.OURS
+        self.progress.doing = RunningCode.OURS
         if reason:
             raise Refusal(self.name, "start", f"take scene {plant.scene.name}", text(reason))
 
@@ -143,19 +143,19 @@ class Firmware(ControlCode):
     @contextlib.contextmanager
     def stepping(self) -> Iterator[None]:
         """Context that shows an observer that the library runs its steps."""
-        self.progress.doing = Doing.STEP
+        self.progress.doing = RunningCode.STEP
         try:
             yield
         finally:
-            self.progress.doing = Doing.OURS
+            self.progress.doing = RunningCode.OURS
 
     def close(self) -> None:
         """Unload the library, unless threads of it still run."""
         if _threads() > self._threads:
             return
-        self.progress.doing = Doing.ENDING
+        self.progress.doing = RunningCode.ENDING
         self._library.close()
-        self.progress.doing = Doing.OURS
+        self.progress.doing = RunningCode.OURS
 
 
 def _threads() -> int:

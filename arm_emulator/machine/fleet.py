@@ -20,7 +20,7 @@ from arm_emulator.base.turns import synchronized
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.call_arguments import LARGEST_STEPS, PIECE, Commands, commands_of
 from arm_emulator.machine.core_calls import ARM, FLEET, REFUSED
-from arm_emulator.machine.core_machine import Borrowed
+from arm_emulator.machine.core_machine import BorrowedMachine
 from arm_emulator.machine.core_machines import CoreMachines
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet_control import FleetControl, FleetFrame
@@ -28,7 +28,7 @@ from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator.machine.inputs import check_inputs, further_rows
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, scene_of
-from arm_emulator.machine.shares import Shares
+from arm_emulator.machine.shares import WorkThreads
 
 
 class Fleet(CoreMachines):
@@ -75,7 +75,7 @@ class Fleet(CoreMachines):
         workers = check_count("Fleet", "workers", workers, 1, 4096)
         super().__init__(scene_of(scene, "Fleet"), count)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
-        self._shares = Shares(self._count, self.lanes, workers)
+        self._shares = WorkThreads(self._count, self.lanes, workers)
         self._period_worth = self._count * self.scene.steps_per_period
         self._longest = max(1, PIECE * self.lanes // self._period_worth)  # periods of a piece
         self._commands = np.tile(commands_of(self.scene), (self._count, 1))
@@ -127,7 +127,7 @@ class Fleet(CoreMachines):
         if (known := self._arms.get(arm)) is not None:
             return known
         machine = self.core.arm_fleet_machine(self._fleet, arm)
-        plant = self._arms[arm] = Plant(self.scene, of=Borrowed(self, self.core, machine))
+        plant = self._arms[arm] = Plant(self.scene, of=BorrowedMachine(self, self.core, machine))
         weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm)
         return plant
 

@@ -12,9 +12,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import Decorator
+from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.encoder import Encoder
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.friction import Friction
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.input import VOLTAGE, Input
@@ -52,9 +52,9 @@ class Joint:
     sensors: JointSensors
     friction: Friction
     rotor_friction: Friction | None = None
-    decorators: tuple[Decorator, ...] = ()  # around its motor, innermost first
+    decorators: tuple[DriveStage, ...] = ()  # around its motor, innermost first
     brake: Brake | None = None
-    extras: tuple[Extra, ...] = ()  # that stand in sections of their own
+    extras: tuple[JointEffect, ...] = ()  # that stand in sections of their own
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -34,13 +34,13 @@ _APPLIED = Output(
 ALWAYS = (_COUNTS, _CURRENT, _APPLIED, FAULTS)
 
 
-class Declaring(Protocol):
+class OutputSource(Protocol):
     """A kind of part, or of unit, with outputs."""
 
     outputs: ClassVar[tuple[Output, ...]]
 
 
-def _declared(owners: Iterable[type[Declaring]]) -> list[Output]:
+def _declared(owners: Iterable[type[OutputSource]]) -> list[Output]:
     found: dict[Output, None] = {}
     for owner in owners:
         found |= dict.fromkeys(owner.outputs)

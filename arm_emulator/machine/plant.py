@@ -27,7 +27,7 @@ from arm_emulator.machine.call_arguments import (
 )
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
-from arm_emulator.machine.core_machine import Borrowed, CoreMachine, Equations
+from arm_emulator.machine.core_machine import BorrowedMachine, CoreMachine, Equations
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.inputs import check_inputs, further_inputs, further_rows
 from arm_emulator.machine.link_dynamics import LinkDynamics
@@ -67,7 +67,7 @@ class Plant(CoreMachine):
         self,
         scene: Scene | str | Path,
         *,
-        of: Borrowed | None = None,
+        of: BorrowedMachine | None = None,
         core: Library | None = None,
     ) -> None:
         scene = scene_of(scene, "Plant")

@@ -12,7 +12,9 @@ from arm_emulator.machine.parts.line import line_numbers
 from arm_emulator.machine.varied import Varied, varied_body
 
 
-def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -> list[Varied]:
+def variable_numbers(
+    joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]
+) -> list[Varied]:
     """Return the numbers of joints, measurement units and links that may be varied."""
     of_joints = [
         one
@@ -25,7 +27,7 @@ def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -
     return of_joints + of_imus + of_links
 
 
-def possible_faults(
+def fault_catalogue(
     joints: tuple[Joint, ...],
     chain: Chain,
     imus: tuple[Imu, ...],

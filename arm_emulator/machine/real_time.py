@@ -15,7 +15,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Synchronized
 from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.call_arguments import commands_of
-from arm_emulator.machine.clock import Clock, Reached, RealTimeFigures
+from arm_emulator.machine.clock import Clock, ReachedTick, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import ARM, PLACES
 from arm_emulator.machine.inputs import further_inputs
@@ -159,12 +159,12 @@ class RealTimeLoop(Clock, Synchronized):
         os.read(self.descriptor, 8)
         return True
 
-    def take(self, *, newest: bool = False) -> Reached | None:
+    def take(self, *, newest: bool = False) -> ReachedTick | None:
         """Return the oldest tick not taken yet, or the newest; None after the last."""
         skipped = self._calls.arm_real_time_skip(self.handle, 0) if newest else 0
         if not self._calls.arm_real_time_take(self.handle, 0, self._snapshot):
             return None
-        reached = Reached(
+        reached = ReachedTick(
             self._snapshot.tick,
             self._snapshot.lateness,
             self._snapshot.spent + skipped,

@@ -33,7 +33,7 @@ from arm_emulator.machine.overrides import override, plain
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.sensors import SENSOR_PARTS
 from arm_emulator.machine.payload import MASS, Load
-from arm_emulator.machine.possible import could_vary, possible_faults
+from arm_emulator.machine.possible import fault_catalogue, variable_numbers
 from arm_emulator.machine.scene_links import SceneLinks
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from arm_emulator.machine.varied import Varied, choose
@@ -214,11 +214,11 @@ def _build(root: Section, file: Path) -> Scene:
     if unfit is not None:
         raise root.refusal(*unfit)
     imus = _imus(root, chain)
-    varied = _varied(root, could_vary(joints, chain, imus), mass, numbers["seed"])
+    varied = _varied(root, variable_numbers(joints, chain, imus), mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
     if root.has("faults"):
         names = {one.name for one in varied}
-        possible = possible_faults(joints, chain, imus, mass, gravity, names)
+        possible = fault_catalogue(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
     varied += tuple(one.varied for one in faults)

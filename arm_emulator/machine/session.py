@@ -19,7 +19,7 @@ from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.turns import Synchronized, synchronized
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.answers import Answers
+from arm_emulator.machine.answers import CommandBuffer
 from arm_emulator.machine.clock import Clock, RealTimeFigures
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
@@ -30,7 +30,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.state_of_joints import StateOfJoints
-from arm_emulator.machine.tick_readings import TickReadings
+from arm_emulator.machine.tick_readings import ReadCache
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
@@ -87,12 +87,12 @@ class Session(Synchronized):
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
-        self._read = TickReadings(self.plant, by_itself=self._clock.by_itself)
+        self._read = ReadCache(self.plant, by_itself=self._clock.by_itself)
         self._ended = False
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
         self._start, self._standing = start, standing
-        self._answers = Answers(scene, self.lockstep)
+        self._answers = CommandBuffer(scene, self.lockstep)
         self.reset()
 
     @synchronized

@@ -19,7 +19,7 @@ OUTLIER = 4.0  # times what was measured before: longer ones, other programs' wo
 GAIN = 0.9  # sharing goes on below this share of the time alone: its time varies more
 
 
-class Shares:
+class WorkThreads:
     """Threads that share the work on arms, in whole groups of lanes.
 
     Whether sharing pays depends on the work and on what else the machine does, so it is measured:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from arm_emulator.machine.clock import Reached
+from arm_emulator.machine.clock import ReachedTick
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
 
 
-class TickReadings:
+class ReadCache:
     """State, measurement and energy of a plant at this tick.
 
     Args:
@@ -29,7 +29,7 @@ class TickReadings:
             plant = self._plant
             self._state, self._measured, self._energy = plant.state, plant.measured, plant.energy
 
-    def take(self, reached: Reached) -> PlantState:
+    def take(self, reached: ReachedTick) -> PlantState:
         """Take the values of a tick that a loop has reached; return the state."""
         self._energy, self._measured = reached.energy, reached.measured
         t = reached.tick * self._plant.scene.servo_period

@@ -21,7 +21,7 @@ from typing import IO, NoReturn, TypeVar
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.firmware import Doing, new_progress
+from arm_emulator.machine.firmware import RunningCode, new_progress
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
 
 Outcome = TypeVar("Outcome")
@@ -59,15 +59,17 @@ def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
             print(f"{name}, tick {progress.controller.tick}: ended by a signal", file=sys.stderr)
             raise
         code = os.waitstatus_to_exitcode(status)
-        if progress.doing == Doing.ENDED and code == 0:
+        if progress.doing == RunningCode.ENDED and code == 0:
             outcome.seek(0)
             result: Outcome | BaseException = pickle.load(outcome)
             if isinstance(result, BaseException):
                 raise result
             return result
     got = f"exit with code {code}" if code >= 0 else _name(-code)
-    where = f"{name}, tick {progress.controller.tick}" if progress.doing == Doing.STEP else name
-    raise Refusal(where, *Doing(progress.doing).must, got)
+    where = (
+        f"{name}, tick {progress.controller.tick}" if progress.doing == RunningCode.STEP else name
+    )
+    raise Refusal(where, *RunningCode(progress.doing).must, got)
 
 
 def _work(
@@ -86,7 +88,7 @@ def _work(
     sys.stdout.flush()
     sys.stderr.flush()
     ctypes.CDLL(None).fflush(None)  # what the library has printed
-    progress.doing = Doing.ENDED
+    progress.doing = RunningCode.ENDED
     os._exit(0)
 
 
@@ -96,10 +98,10 @@ def _wait(child: int, name: str, progress: CData) -> int:
     with open(os.pidfd_open(child)) as end:
         try:
             while not select.select([end], [], [], LOOK)[0]:
-                stands = progress.doing != Doing.OURS and progress.controller.tick == tick
+                stands = progress.doing != RunningCode.OURS and progress.controller.tick == tick
                 looks, tick = looks + 1 if stands else 0, progress.controller.tick
                 if looks == round(REPORT_STALL / LOOK):
-                    quantity = Doing(progress.doing).must[0]
+                    quantity = RunningCode(progress.doing).must[0]
                     print(
                         f"{name}, tick {tick}: {quantity} has not returned for {REPORT_STALL:g} s; "
                         "Ctrl-C ends it",

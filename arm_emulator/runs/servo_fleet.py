@@ -20,7 +20,7 @@ from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.core_machines import chosen_arms
+from arm_emulator.machine.core_machines import arm_mask
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.scene import Scene
@@ -240,7 +240,7 @@ class ServoFleet(FleetControl):
         Raises:
             Refusal: no such arms.
         """
-        mask = chosen_arms("ServoFleet.reset", arms, self._count)
+        mask = arm_mask("ServoFleet.reset", arms, self._count)
         self._calls.servo_fleet_reset(self.struct, self._count, pointer(mask.view(np.uint8)))
 
     def begin(self, scene: Scene, count: int) -> None:

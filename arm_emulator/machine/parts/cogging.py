@@ -8,14 +8,14 @@ from typing import Any
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
 
 @register_part
-class Cogging(Extra):
+class Cogging(JointEffect):
     """Attraction of the magnets by the stator's teeth, with or without current."""
 
     section = "motor.cogging"

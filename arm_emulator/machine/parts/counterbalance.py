@@ -6,7 +6,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -14,7 +14,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @register_part
-class Counterbalance(Extra):
+class Counterbalance(JointEffect):
     """A spring between the link and its parent, by its geometry; a negative force pulls."""
 
     section = "counterbalance"

@@ -10,7 +10,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.parts.decorator import Decorator, Supply
+from arm_emulator.machine.parts.decorator import DriveStage, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.motor import Circuit, CxxMotor, Motor, Rating
@@ -20,7 +20,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @register_part
-class CurrentLoop(Decorator):
+class CurrentLoop(DriveStage):
     """A PI controller within the drive: the motor's command is a current.
 
     Its gains follow from the bandwidth and the data sheet, or are given.

@@ -17,7 +17,7 @@ class Supply(NamedTuple):
     share: str = ""
 
 
-class Decorator(Part):
+class DriveStage(Part):
     """A part around a motor.
 
     A class that inherits it and is registered (`register_part`) is a section of motors.
@@ -38,7 +38,7 @@ class Decorator(Part):
         return " of ".join([super().owned_name(), *[cls.around_kind] * bool(cls.around_kind)])
 
     @classmethod
-    def of(cls, motor: Motor) -> type[Decorator]:
+    def of(cls, motor: Motor) -> type[DriveStage]:
         """Return the kind of it that goes around a motor, which may be for such motors alone."""
         from arm_emulator.machine.parts.registry import kinds_of
 

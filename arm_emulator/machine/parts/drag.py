@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -13,7 +13,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @register_part
-class Drag(Extra):
+class Drag(JointEffect):
     """A torque against the motion of the link that grows with the square of its speed."""
 
     section = "drag"

@@ -8,7 +8,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.number import Number, between
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
@@ -25,7 +25,7 @@ _BEYOND = Number(
 
 
 @register_part
-class EndStops(Extra):
+class EndStops(JointEffect):
     """A spring and a damper at each end that push the link back and never hold it."""
 
     section = "end_stops"

@@ -9,7 +9,7 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.part import Part
 
 
-class Extra(Part):
+class JointEffect(Part):
     """A part that exerts a torque on the link or the rotor, beside motor, gear and friction.
 
     A class that inherits it and is registered (`register_part`) is a section of joints.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.decorator import Decorator, Supply
+from arm_emulator.machine.parts.decorator import DriveStage, Supply
 from arm_emulator.machine.parts.fault import GROWS, Fault, rise
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.part import number
@@ -14,7 +14,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @register_part
-class Inverter(Decorator):
+class Inverter(DriveStage):
     """Dead time and transistors take a voltage along the current."""
 
     section = "motor.inverter"

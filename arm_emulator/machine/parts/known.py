@@ -7,8 +7,8 @@ from typing import TypeVar
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import Decorator
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.decorator import DriveStage
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.motor import Motor
@@ -36,10 +36,10 @@ LINK_FRICTIONS = _by_keys(kinds_of(LinkFriction))
 ROTOR_FRICTIONS = _by_keys(kinds_of(OfRotor))
 
 # Parts with an optional section of their own.
-EXTRAS = tuple(sorted(kinds_of(Extra), key=lambda one: one.rank))
+EXTRAS = tuple(sorted(kinds_of(JointEffect), key=lambda one: one.rank))
 
 # Decorators around a motor, innermost first.
-_DECORATORS = sorted(kinds_of(Decorator), key=lambda one: one.layer)
+_DECORATORS = sorted(kinds_of(DriveStage), key=lambda one: one.layer)
 DECORATORS = tuple(one for one in _DECORATORS if not one.around_kind)
 
 # Those for motors of one kind, in the place of another.
@@ -68,7 +68,7 @@ def read_motor(section: Section) -> Motor:
     return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
 
 
-def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
+def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
     """Return the decorators of a motor's section, innermost first."""
     given = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
     return tuple(kind.of(motor).read(one) for kind, one in given if one is not None)
@@ -101,7 +101,7 @@ def read_friction(section: Section, kinds: Sequence[type[Friction]]) -> Friction
     return next(one for one in kinds if all(map(section.has, one.named_by))).read(section)
 
 
-def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Extra, ...]:
+def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[JointEffect, ...]:
     """Return the parts of a joint that stand in sections of their own.
 
     Args:

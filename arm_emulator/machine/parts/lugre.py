@@ -6,7 +6,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -14,7 +14,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
 
-class LuGre(Extra):
+class LuGre(JointEffect):
     """Bristle friction, for motion before sliding: positioning, reversals, stick-slip."""
 
     header = "lugre.hpp"

@@ -6,7 +6,7 @@ from typing import Any
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
-from arm_emulator.machine.parts.decorator import Decorator, Supply
+from arm_emulator.machine.parts.decorator import DriveStage, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.registry import register_part
@@ -15,7 +15,7 @@ from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_s
 
 
 @register_part
-class TorqueRipple(Decorator):
+class TorqueRipple(DriveStage):
     """A motor's torque per current varies with the angle of its rotor."""
 
     section = "motor.ripple"

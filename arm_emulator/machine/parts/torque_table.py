@@ -13,7 +13,7 @@ from arm_emulator.base.number import LARGEST, Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.drawn import Numbers, Rng
-from arm_emulator.machine.parts.extra import Extra
+from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -25,7 +25,7 @@ _TORQUES = Number.within("torques", "N m", LARGEST)
 
 
 @register_part
-class TorqueTable(Extra):
+class TorqueTable(JointEffect):
     """A torque over the angle: points, joined by monotone cubics."""
 
     section = "torque_table"

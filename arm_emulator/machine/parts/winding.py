@@ -6,7 +6,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.section import Section
-from arm_emulator.machine.parts.decorator import Decorator, Supply
+from arm_emulator.machine.parts.decorator import DriveStage, Supply
 from arm_emulator.machine.parts.fault import GROWS, Fault, rise, rising
 from arm_emulator.machine.parts.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @register_part
-class Winding(Decorator):
+class Winding(DriveStage):
     """The copper loss heats the winding, and resistance and constants follow its temperature.
 
     Their ranges keep the resistance positive at any temperature from the ambient up.

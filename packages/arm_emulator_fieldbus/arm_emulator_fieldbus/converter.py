@@ -20,8 +20,8 @@ from arm_emulator.extension.machine import ALWAYS_OUTPUTS as ALWAYS
 from arm_emulator.extension.machine import ARM_HEADER as ARM
 from arm_emulator.extension.machine import OUTPUT_AXES as AXES
 from arm_emulator.extension.machine import (
+    DuplicateCommand,
     Joint,
-    Needless,
     Output,
     Scene,
     Session,
@@ -376,7 +376,7 @@ class Converter:
             command, *rows = self.wanted.tolist()
             further = dict(zip(self._inputs, rows, strict=True))
             session.offer(session.tick, session.scene.joint_names, command, further)
-        except Needless:
+        except DuplicateCommand:
             pass  # the same as before, in the same period
 
     def watch(self) -> bool:

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal, array_of
 from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
 from arm_emulator.extension.machine import STATE_ROWS as ROWS
-from arm_emulator.extension.machine import Fleet, Scene, could_vary, outputs_of, scene_of
+from arm_emulator.extension.machine import Fleet, Scene, outputs_of, scene_of, variable_numbers
 from arm_emulator_identification.structure import lasting
 
 WHERE = "fit_numbers"
@@ -217,7 +217,7 @@ def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Arra
 
 def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     """Return the scene with these numbers as data of each machine."""
-    possible = {one.name: one for one in could_vary(scene.joints, scene.chain, scene.imus)}
+    possible = {one.name: one for one in variable_numbers(scene.joints, scene.chain, scene.imus)}
     possible |= {one.name: one for one in scene.varied}
     for name in numbers:
         if name not in possible:
