@@ -19,7 +19,7 @@ from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from bench.measure import progress
 from bench.tables import table
 
@@ -174,7 +174,7 @@ def _table_run(scene_name: str, step: float | None = None) -> TableRun:
     speeds = 0.7 + 0.1 * np.arange(len(scene.joints))  # rad/s, of swings by 0.4 rad
     q = scene.start + 0.2 * (1.0 - np.cos(speeds * t[:, None]))
     place = [scene.joint_names.index(name) for name in config.joint_names]
-    return TableRun(scene, TargetTable(t, q), ServoStep(Drives(config), place))
+    return TableRun(scene, TargetTable(t, q), ServoStep(ServoArm(config), place))
 
 
 def report(figures: dict[str, Any]) -> str:

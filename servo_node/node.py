@@ -43,7 +43,7 @@ from arm_emulator.ros.node_shell import (
     wall_timer,
 )
 from arm_emulator.ros.precedence import precede
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
 from arm_emulator.servo.watchdog import WatchdogState
@@ -123,7 +123,7 @@ class ServoNode(ManagedNode):
         self._lockstep = own.clock == "lockstep"
         if not self._lockstep:
             self._diagnostics.values["nice value"] = precede()
-        self._drives = Drives(self._config)
+        self._drives = ServoArm(self._config)
         self._next_config = None
         self._hot = hot = AnsweredStates(
             self._config,

@@ -17,8 +17,8 @@ from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, joint_servo
-from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.held_motor import held
+from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.held_motor import discretise_zoh
 from arm_emulator.servo.servo import ServoConfig
 from oracles.random_chain import random_chain_urdf
 
@@ -67,7 +67,7 @@ def draw_scene(rng: Rng, folder: Path) -> tuple[Scene, ServoConfig]:
 
 def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.ndarray:
     """Return how far the motors are from rest in each tick of a run, (ticks,) [rad]."""
-    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     out = np.empty(ticks)
     order = [servo.joint_names.index(name) for name in scene.joint_names]
     for tick in range(ticks):
@@ -181,7 +181,7 @@ def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine
         plant = Plant(scene)
         motions = SmallMotions(plant, scene.start)
         V = np.array([1e-3, -2e-3, 3e-3])
-        F, G = held(motions.J, motions.B, scene.servo_period)
+        F, G = discretise_zoh(motions.J, motions.B, scene.servo_period)
         x = np.zeros(len(F))
         plant.reset(q=scene.start)
         before = plant.state.theta_m

@@ -24,7 +24,7 @@ from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.offline import load_offline_run
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo import ServoConfig
 
 # A warning of NumPy's would be printed among what the nodes state.
@@ -161,7 +161,7 @@ def test_a_servo_that_is_not_finite_begins_anew_by_itself() -> None:
     """
     config = servo_config("three_axis")
 
-    def numbers(drives: Drives) -> dict[str, Any]:
+    def numbers(drives: ServoArm) -> dict[str, Any]:
         """Return views of all real numbers of the joints' states, by name."""
         state, of_load = drives.servo.state, drives.servo.state["learned"]
         learned = {f"learned.{name}": of_load[name] for name in of_load.dtype.names}
@@ -169,10 +169,10 @@ def test_a_servo_that_is_not_finite_begins_anew_by_itself() -> None:
         return {name: of for name, of in (alone | learned).items() if of.dtype.kind == "f"}
 
     begun_anew = set()
-    names = list(numbers(Drives(config)))
+    names = list(numbers(ServoArm(config)))
     assert len(names) > 15
     for name, value in itertools.product(names, [math.nan, math.inf, -math.inf]):
-        drives = Drives(config)
+        drives = ServoArm(config)
         for tick in range(26):
             now = tick * 1_000_000
             if tick % 5 == 0:

@@ -22,7 +22,7 @@ from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 
 CLOSE, RELEASE = 0.0205, 0.0335  # s, no whole servo periods
 BRAKE = {"torque": 0.6, "close_delay": CLOSE, "release_delay": RELEASE}
@@ -246,8 +246,8 @@ def test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does(scene: Scene) 
     servo = load_gains("three_axis").servo
     q = scene.start + np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.15]])
     table = TargetTable(np.array([0.0, 0.02]), q)
-    run = TableRun(scene, table, ServoStep(Drives(servo), [0, 1, 2]))
-    plant, drives, closed = Plant(scene), Drives(servo), 0
+    run = TableRun(scene, table, ServoStep(ServoArm(servo), [0, 1, 2]))
+    plant, drives, closed = Plant(scene), ServoArm(servo), 0
     for tick in range(150):
         run.session.powered = plant.powered = not 40 <= tick < 80
         run.advance(1)

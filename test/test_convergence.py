@@ -11,7 +11,7 @@ from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from oracles.convergence import convergence_factor, expected_errors
 
 SCENE = "three_axis"  # at its start the waist alone moves the tool along y
@@ -24,7 +24,7 @@ def step_response(period: float) -> Array:
     """Return which part of a step of the waist's target the servo has gone, by motion periods."""
     file = find_scene(SCENE)
     scene, config = load_scene(file), load_gains(file).servo
-    session, drives = Session(scene, "lockstep", "first_answer"), Drives(config)
+    session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(config)
     target = scene.start.copy()
     target[0] += WAY / 0.43
     gone = []

@@ -22,7 +22,7 @@ from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.motion.reference import Instruction, Reference
 from arm_emulator.motion.rest_load import RestLoad
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from oracles.followed_line import Known, follow
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -331,9 +331,9 @@ def test_numbers_of_drives_are_refused(tmp_path) -> None:  # type: ignore[no-unt
 PERIOD = 0.001  # s, of the servo of ur5
 
 
-def drives_of(motion_period: float) -> Drives:
+def drives_of(motion_period: float) -> ServoArm:
     servo = load_servo_config(find_beside(find_scene("ur5"), "servo"))
-    return Drives(dataclasses.replace(servo, motion_period=motion_period))
+    return ServoArm(dataclasses.replace(servo, motion_period=motion_period))
 
 
 def test_targets_are_followed_along_their_curve() -> None:

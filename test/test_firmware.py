@@ -41,7 +41,7 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun, load_table_run
 from arm_emulator.runs.target_table import load_target_table
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
 
@@ -89,7 +89,7 @@ def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
 
 def test_a_servo_that_has_measured_nothing_gives_no_voltage() -> None:
     """For any target the output is 0 V: the positions of the motors are unknown."""
-    drives, law = Drives(SERVO), servo_law()
+    drives, law = ServoArm(SERVO), servo_law()
     arm, voltage = drives.servo.arm, np.full(N, np.nan)
     drives.aim(Target(np.ones(N)))
     law.servo_command(arm, True, pointer(voltage))
@@ -126,7 +126,7 @@ def node_states(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
 
 def by_hand(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
     """Python takes every servo period: `Drives` and `Session`."""
-    session, drives = Session(SCENE, "lockstep", "first_answer"), Drives(SERVO)
+    session, drives = Session(SCENE, "lockstep", "first_answer"), ServoArm(SERVO)
     states = {}
     for tick in range(ticks + 1):
         measured = session.measured
@@ -173,7 +173,7 @@ def test_the_order_of_the_servos_joints_means_nothing(tmp_path: Path) -> None:
     saved = set()
     for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
         config = dataclasses.replace(SERVO, joints=tuple(SERVO.joints[k] for k in order))
-        run = TableRun(SCENE, table, ServoStep(Drives(config), order))
+        run = TableRun(SCENE, table, ServoStep(ServoArm(config), order))
         run.advance(200)
         saved.add(run.session.plant.save())
     assert len(saved) == 1, "machines after 200 ticks, by the servo's order of joints"

@@ -21,7 +21,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_fleet import ServoFleet
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -78,7 +78,7 @@ def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
     assert np.array_equal(frame.measured.encoder_counts, fleet.measured.encoder_counts)
     rested = 0
     for arm in range(COUNT):
-        plant, drives = Plant(scene), Drives(servo)
+        plant, drives = Plant(scene), ServoArm(servo)
         for name, values in varied.items():
             plant.set_parameter(name, float(values[arm]))
         plant.reset()
@@ -110,7 +110,7 @@ def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> 
     links = np.zeros((periods, COUNT, 3))
     fleet.follow(servos, periods, links=links)
     for arm in (0, COUNT - 1):
-        plant, drives = Plant(three_axis), Drives(servo)
+        plant, drives = Plant(three_axis), ServoArm(servo)
         for tick in range(periods):
             seen, now = plant.measured, round(tick * three_axis.servo_period * 1e9)
             drives.measure(now, seen.encoder_counts, seen.current, seen.applied, seen.brake_closed)

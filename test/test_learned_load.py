@@ -12,7 +12,7 @@ from draws import some
 from one_motor import JOINT as COARSE
 from one_motor import PERIOD, Drivetrain
 
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo import ServoConfig
 from bench.tool_paths import drive
 from oracles.followed_line import Known, follow
@@ -55,7 +55,7 @@ def swing(
         rests: how long it rests after the swing [s].
         freed: the load is gone from the start of the swing on.
     """
-    drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
+    drives = ServoArm(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
     machine, worst, factors = Drivetrain(JOINT, INERTIA, stiffness=1e5, load=load), 0.0, []
 
     def motion(t: float) -> tuple[float, float, float]:
@@ -135,7 +135,7 @@ def test_torques_that_mean_nothing_change_the_factor_within_its_bounds(announced
 
 def test_the_factor_is_forgotten_with_all_else() -> None:
     """A reset servo begins with what is announced."""
-    drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
+    drives = ServoArm(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
     drives.servo.state["learned"]["excess"] = 0.7
     drives.reset()
     assert drives.servo.state["learned"]["excess"][0] == 0.0
@@ -157,7 +157,7 @@ def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
     takes over 2 N m within some 1.5 s, and the motor stays within two counts where the gear winds
     up by 230 counts. An integral that had to notice an error first let it go 13 counts.
     """
-    drives = Drives(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
+    drives = ServoArm(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
     machine, applied, seen = Drivetrain(JOINT, INERTIA, stiffness=1e5, load=-6.0), np.zeros(1), []
     announced = Target(np.zeros(1), np.zeros(1), np.array([4.0]))
     for k in range(6000):

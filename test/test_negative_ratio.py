@@ -17,7 +17,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, design
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.runs.gains import check_fit, check_joints
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
 ELASTIC = {"stiffness": 3e3, "damping": 3.0}
@@ -115,7 +115,7 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
     ):
         # Margins are sought over frequencies.
         assert one.phase == pytest.approx(other.phase, rel=1e-6), "margins either way round"
-    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     goal = scene.start + np.array([0.1, -0.1, 0.2])
     for tick in range(3000):
         measured = session.measured

@@ -36,7 +36,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.machine.call_arguments import PIECE
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from oracles.predicted_residual import predicted_residual
 
 N = 3
@@ -166,7 +166,7 @@ def test_rows_times_steps_beyond_what_can_be_counted_are_refused(plant: Plant) -
 def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianController) -> None:
     rng = np.random.default_rng(3)
     servo = Servo(load_servo_config(CONFIG / "servo/three_axis.yaml"))
-    drives = Drives(servo.config)
+    drives = ServoArm(servo.config)
     session = Session(plant.scene, "lockstep", "first_answer")
     loop = RealTimeLoop(plant, 1_000_000, -1)
     good, counts = np.zeros(N), np.zeros(N, dtype=np.int64)

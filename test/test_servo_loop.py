@@ -22,8 +22,8 @@ from arm_emulator.design.joint_gains import (
     joint_plant,
     joint_servo,
 )
-from arm_emulator.servo.drives import Drives, Target
-from arm_emulator.servo.held_motor import held, held_motor
+from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.held_motor import discretise_zoh, zoh_motor
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_config import JointServo
 
@@ -89,7 +89,7 @@ def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
         y = 0.0
     period, R, Kt, Mm = (log_uniform(rng, 1e-4, 1.0) for _ in range(4))
     Kb, L = x * R * Mm / (Kt * period), y * R * period
-    motor = held_motor(R, L, Kt, Kb, Mm, period)
+    motor = zoh_motor(R, L, Kt, Kb, Mm, period)
     i, omega, V, load = rng.normal(size=4)
     if L:
         A = np.array([[-R / L, -Kb / L, 0.0], [Kt / Mm, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -117,7 +117,7 @@ def test_held_is_the_matrix_exponential(seed: int) -> None:
     n, m = rng.integers(1, 8, size=2)
     A = rng.normal(size=(n, n)) * log_uniform(rng, 1e-3, 30.0)
     B = rng.normal(size=(n, m))
-    F, G = held(A, B, 0.7)
+    F, G = discretise_zoh(A, B, 0.7)
     whole = scipy.linalg.expm(0.7 * np.block([[A, B], [np.zeros((m, n + m))]]))
     scale = np.abs(whole).max()
     assert np.abs(np.hstack([F, G]) - whole[:n]).max() < 1e-11 * scale, "against scipy's expm"
@@ -304,7 +304,7 @@ def test_a_link_rests_within_counts(seed: int, counts: int) -> None:
     servo = load_gains(find_config("ur5", ".yaml")).servo
     joints = tuple(dataclasses.replace(joint, counts_per_turn=counts) for joint in servo.joints)
     servo = dataclasses.replace(servo, joints=joints)
-    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     target, rows, ticks = scene.start + rng.uniform(-0.01, 0.01, 6), [], 5000
     for tick in range(ticks):
         measured, theta_m = session.measured, session.state.theta_m

@@ -10,7 +10,7 @@ import pytest
 from one_motor import JOINT, PERIOD, Drivetrain
 
 from arm_emulator.base.bound import POSITION, VELOCITY
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo import Servo, ServoConfig
 
 
@@ -20,7 +20,7 @@ def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -
     rng = np.random.default_rng(seed)
     motion_period = float(rng.choice([0.0, 0.01, 0.05]))
     config = ServoConfig(PERIOD, motion_period, 0.3, 2.0, 48.0, (JOINT,))
-    drives, twin = Drives(config), Servo(config)
+    drives, twin = ServoArm(config), Servo(config)
     q, v, at = 0.0, 0.0, 0
     for tick in range(200):
         count, current = int(rng.integers(-3, 4)), float(rng.normal())
@@ -39,7 +39,7 @@ def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -
 def test_targets_that_go_on_stay_within_what_a_joint_may_be_asked_for() -> None:
     """At the bound of positions, outwards: no refusal within the loop, which nobody would catch."""
     largest = POSITION.most
-    drives = Drives(ServoConfig(PERIOD, 0.05, 0.2, 2.0, 48.0, (JOINT,)))
+    drives = ServoArm(ServoConfig(PERIOD, 0.05, 0.2, 2.0, 48.0, (JOINT,)))
     drives.measure(0, [0], [0.0])
     drives.aim(Target(np.array([-largest]), np.array([-VELOCITY.most])))
     for tick in range(60):
@@ -57,7 +57,7 @@ def test_a_smooth_motion_does_not_excite_a_gear_that_resonates_at_the_rate_of_th
     stiffness = inertia * (2.0 * math.pi / T) ** 2
     damping = 0.04 * math.sqrt(stiffness * inertia)
     machine = Drivetrain(joint, inertia, stiffness, damping)
-    drives = Drives(ServoConfig(PERIOD, T, 0.2, 2.0, 48.0, (joint,)))
+    drives = ServoArm(ServoConfig(PERIOD, T, 0.2, 2.0, 48.0, (joint,)))
     turn, rate, applied, v = 0.3, 6.0, np.zeros(1), [0.0]
     t = np.arange(-100, 1000) * PERIOD
     q = 0.5 * turn * (1.0 - np.cos(rate * np.maximum(t, 0.0)))
@@ -82,7 +82,7 @@ def test_speeds_in_steps_are_not_asked_of_the_rotor_twice() -> None:
     and at most 0.4 times backwards a period later (2 times and once with all of the change).
     """
     T = 10 * PERIOD
-    drives = Drives(ServoConfig(PERIOD, T, 0.2, 2.0, 48.0, (JOINT,)))
+    drives = ServoArm(ServoConfig(PERIOD, T, 0.2, 2.0, 48.0, (JOINT,)))
     asked = []
     for k in range(8):
         drives.measure(k * 10_000_000, [0], [0.0])
@@ -100,7 +100,7 @@ def test_a_ramp_of_targets_with_speeds_is_followed_without_stairs(speed: float) 
     """Targets every 50 ms with the ramp's speed: without going on, each is a step of 50 ms."""
     ripple = {}
     for name, motion_period in (("stairs", 0.0), ("line", 0.05)):
-        drives = Drives(ServoConfig(PERIOD, motion_period, 0.2, 2.0, 48.0, (JOINT,)))
+        drives = ServoArm(ServoConfig(PERIOD, motion_period, 0.2, 2.0, 48.0, (JOINT,)))
         machine, off = Drivetrain(JOINT), []
         for tick in range(1500):
             drives.measure(tick * 1_000_000, [machine.counts], [machine.x[0]])

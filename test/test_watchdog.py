@@ -10,7 +10,7 @@ from machines import CONFIG
 
 from arm_emulator import load_servo_config
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from arm_emulator.servo.watchdog import Watchdog, WatchdogState
 
 
@@ -74,7 +74,7 @@ def test_watchdog_refuses_times_out_of_order(hold_after: float, cut_after: float
 def test_a_joint_that_holds_keeps_the_angle_at_which_it_began() -> None:
     """However far it is pushed away: the middle of the first count, seen at the link."""
     config = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
-    drives, still = Drives(config), np.zeros(len(config.joints))
+    drives, still = ServoArm(config), np.zeros(len(config.joints))
     for tick in range(20):
         counts = still + 500.0 + 7.0 * tick
         drives.measure(round(tick * config.period * 1e9), counts, still, still)

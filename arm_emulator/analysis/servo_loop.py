@@ -23,7 +23,7 @@ from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
-from arm_emulator.servo.held_motor import held
+from arm_emulator.servo.held_motor import discretise_zoh
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 HARMLESS = 0.1  # 1/s: what grows more slowly, e-fold in ten seconds, is drift
@@ -72,7 +72,7 @@ def sampled_plant(
     scale = np.array([[joint.counts_per_turn / known[joint.name]] for joint in scene.joints])
     J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
     return SampledPlant(
-        *held(J, B, period),
+        *discretise_zoh(J, B, period),
         scale * motions.theta_m,
         motions.current,
         motions.current_by_command,

@@ -37,8 +37,8 @@ from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.held_motor import held
-from arm_emulator.servo.servo_config import Commanded, JointServo
+from arm_emulator.servo.held_motor import discretise_zoh
+from arm_emulator.servo.servo_config import CommandPath, JointServo
 
 SENSITIVITY = 2.0
 OVERSHOOT = 0.1
@@ -285,7 +285,9 @@ def joint_plant(
 ) -> SampledPlant:
     """Return one joint: motor, gear and a link that nothing else moves."""
     bandwidth = motor.torque_bandwidth or motor.current_bandwidth
-    R, L, Kb = Commanded.by(motor.resistance, motor.inductance, motor.back_emf_constant, bandwidth)
+    R, L, Kb = CommandPath.by(
+        motor.resistance, motor.inductance, motor.back_emf_constant, bandwidth
+    )
     Kt = motor.torque_constant
     Dv, Ng, Kg, Dg = motor.viscous, gear.ratio, gear.stiffness, gear.damping
     # States i, theta, omega, q, v.
@@ -312,7 +314,7 @@ def joint_plant(
         kept = kept[1:]
     unit: Array = np.eye(5)[:, kept]
     return SampledPlant(
-        *held(unit.T @ A @ unit, unit.T @ B, period),
+        *discretise_zoh(unit.T @ A @ unit, unit.T @ B, period),
         unit[1:2],
         current[None] @ unit,
         np.array([by_voltage]),

@@ -19,7 +19,7 @@ from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 Range = tuple[float, float]
@@ -299,7 +299,7 @@ def _step(loops: ServoLoops, joint: int) -> Step:
 
 def run(scene: Scene, servo: ServoConfig) -> Run:
     """Move all joints of the machine at once, smoothly (jerk without jumps), and let it rest."""
-    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     order = [scene.joint_names.index(name) for name in servo.joint_names]
     known = {joint.name: joint for joint in servo.joints}
     kinds = [known[joint.name] for joint in scene.joints]

@@ -27,7 +27,7 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Instruction
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
 
@@ -60,7 +60,7 @@ class OfflineRun(NonCopyable):
                 raise Refusal("OfflineRun", name, "be that of `load_gains`", given)
         check_fit(scene, servo, motion)
         self.session = Session(scene, "lockstep", "first_answer")
-        self.drives = Drives(servo)
+        self.drives = ServoArm(servo)
         self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
         self.instructor = Instructor(motion)
         self.aimed = scene.start

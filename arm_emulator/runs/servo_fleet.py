@@ -26,7 +26,7 @@ from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig, check_joints, load_servo_config
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds
@@ -90,7 +90,7 @@ class ServoFleet(FleetControl):
         self._joint_names = read[0].joint_names
         self._period, self._hold_after = scene.servo_period, min(one.hold_after for one in read)
         self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
-        drives = [Drives(one) for one in read]
+        drives = [ServoArm(one) for one in read]
         self._drives = drives  # they own the numbers
         N, count, self._calls = self._N, self._count, _calls(fleet.lanes)
         self._arms = SERVOS.ffi.new("servo[]", count)

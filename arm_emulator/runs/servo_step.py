@@ -14,7 +14,7 @@ from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.plant import Plant
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from arm_emulator.tick import c as tick
 
 HERE = Path(__file__).resolve().parent
@@ -45,7 +45,7 @@ class ServoStep(ControlCode):
         place: of each of its joints among the machine's.
     """
 
-    def __init__(self, drives: Drives, place: list[int]) -> None:
+    def __init__(self, drives: ServoArm, place: list[int]) -> None:
         self.name = "servo"
         self._drives = drives  # must outlive the step
         self._place = np.array(place, np.int32)

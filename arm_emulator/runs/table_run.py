@@ -23,7 +23,7 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 
 _PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed
 
@@ -171,7 +171,7 @@ def load_table_run(
     config = load_gains(file).servo
     check_servo(scene, config)
     place = [scene.joint_names.index(name) for name in config.joint_names]
-    return TableRun(scene, targets, ServoStep(Drives(config), place)), targets
+    return TableRun(scene, targets, ServoStep(ServoArm(config), place)), targets
 
 
 def off_target(session: Session, wanted: Array) -> Array:

@@ -28,7 +28,7 @@ class Target:
     """Link torques known beforehand [N m]; None: 0."""
 
 
-class Drives:
+class ServoArm:
     """All drives of an arm: follow the newest target, hold without one, or command nothing.
 
     Per servo period `measure` once, `aim` when a target comes, then `command`.

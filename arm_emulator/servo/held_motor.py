@@ -32,7 +32,7 @@ class Sum(NamedTuple):
 
 
 @dataclass(frozen=True)
-class HeldMotor:
+class ZohMotor:
     """Response of a motor over one period; quantities in SI units, all at the motor.
 
     A current that differs from its prediction has two possible causes: another voltage (or another
@@ -58,14 +58,14 @@ class HeldMotor:
 
 
 @lru_cache(1024)
-def held_motor(
+def zoh_motor(
     resistance: float,
     inductance: float,
     torque_constant: float,
     back_emf_constant: float,
     rotor_inertia: float,
     period: float,
-) -> HeldMotor:
+) -> ZohMotor:
     """Return what a motor does in one period; units as in `JointServo`.
 
     Raises:
@@ -88,7 +88,7 @@ def held_motor(
         moved = rows[1:, 2:3] * volts * to_si[1:]
         current, speed, turn = (Sum(*row) for row in (to_si * rows * from_si).tolist())
     by_speed, by_turn = moved[:, 0].tolist()
-    return HeldMotor(current, speed, turn, by_speed, by_turn, resistance * volts)
+    return ZohMotor(current, speed, turn, by_speed, by_turn, resistance * volts)
 
 
 _AT_ONCE = 1e-6  # of a period: a winding that is faster than this is taken as one at once
@@ -119,7 +119,7 @@ def _one_period(x: float, y: float) -> Array:
 _TERMS = 14  # of the series; of a matrix of size 1/2 the rest is below 1e-16
 
 
-def held(A: Array, B: Array, period: float) -> tuple[Array, Array]:
+def discretise_zoh(A: Array, B: Array, period: float) -> tuple[Array, Array]:
     """Return F and G such that dx/dt = A x + B u, u held, leads to x(T) = F x(0) + G u.
 
     Args:

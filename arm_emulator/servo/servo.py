@@ -164,7 +164,7 @@ class Servo(Synchronized):
         return measured.copy() if self._is_known[0] else measured * np.nan
 
     def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
-        """Return which joints can be moved, see `Drives.movable`."""
+        """Return which joints can be moved, see `ServoArm.movable`."""
         self._law.servo_report(self.arm, powered, *self._reported)
         return np.asarray(self._movable != 0)
 

@@ -107,10 +107,10 @@ class JointServo:
     )
 
     @property
-    def commanded(self) -> Commanded:
+    def commanded(self) -> CommandPath:
         """Electrical model behind the motor's command."""
         emf = self.back_emf_constant
-        return Commanded.by(self.resistance, self.inductance, emf, self.loop_bandwidth)
+        return CommandPath.by(self.resistance, self.inductance, emf, self.loop_bandwidth)
 
     @property
     def loop_bandwidth(self) -> float:
@@ -365,7 +365,7 @@ def check_rates(joint: JointServo, period: float, where: str) -> None:
 # volts and amperes are N m.
 
 
-class Commanded(NamedTuple):
+class CommandPath(NamedTuple):
     """The winding that a command meets: L di/dt = u - R i - Kb omega."""
 
     resistance: float
@@ -379,7 +379,7 @@ class Commanded(NamedTuple):
         inductance: float,
         back_emf_constant: float,
         bandwidth: float,
-    ) -> Commanded:
+    ) -> CommandPath:
         """Return what a motor's command meets.
 
         Args:

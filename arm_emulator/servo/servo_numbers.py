@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.held_motor import HeldMotor, Sum, held_motor
+from arm_emulator.servo.held_motor import Sum, ZohMotor, zoh_motor
 from arm_emulator.servo.servo_config import JointServo
 from arm_emulator.servo.servo_law import SERVO, Rows
 
@@ -79,7 +79,7 @@ def _coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], flo
     """
     winding, ratio, torque_constant = joint.commanded, joint.gear_ratio, joint.torque_constant
     try:
-        motor = held_motor(
+        motor = zoh_motor(
             winding.resistance,
             winding.inductance,
             torque_constant,
@@ -116,7 +116,7 @@ def _coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], flo
 
 
 def _current_loop(
-    joint: JointServo, motor: HeldMotor, period: float
+    joint: JointServo, motor: ZohMotor, period: float
 ) -> tuple[dict[str, Any], float]:
     """Return what the voltage follows from, and the share of a current error that a period leaves.
 
@@ -153,7 +153,7 @@ def _current_loop(
     }, kept
 
 
-def _observer(motor: HeldMotor, p: float) -> dict[str, float]:
+def _observer(motor: ZohMotor, p: float) -> dict[str, float]:
     """Return the gains of the observer for the poles p = exp(-observer_bandwidth T).
 
     Its errors in angle, speed and load go on by a matrix of rows (1, b, c), (0, a, d) and

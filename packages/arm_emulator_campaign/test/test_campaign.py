@@ -23,7 +23,7 @@ from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.drives import ServoArm
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.commands.campaign import campaign
@@ -124,7 +124,7 @@ def test_faults_are_exact_to_the_tick(tmp_path):
     scene, servo = load_scene("three_axis", machine), load_gains("three_axis").servo
     q = scene.start.copy()
     q[2] = 1.0
-    run = TableRun(scene, TargetTable(np.zeros(1), q[None]), ServoStep(Drives(servo), [0, 1, 2]))
+    run = TableRun(scene, TargetTable(np.zeros(1), q[None]), ServoStep(ServoArm(servo), [0, 1, 2]))
     session = run.session
     run.advance(50)
     session.set_external_wrench("tool", ExternalWrench(force=(0, 0, 1), axes="world"))

@@ -29,7 +29,7 @@ from arm_emulator.machine.parts.known import MOTORS, SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.runs.gains import check_joints
-from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.drives import Drives as FieldBus
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
@@ -124,7 +124,7 @@ def test_a_step_is_the_linear_prediction(kind: str) -> None:
     servo = servo_of(scene)
     check_joints(scene, servo)
     for joint in range(3) if FULL else (1,):
-        session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+        session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
         q = [session.state.q]
         target = scene.start.copy()
         target[joint] += STEP
