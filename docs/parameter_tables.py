@@ -8,7 +8,7 @@ from typing import Any
 
 from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.base.parameters import parameters_of
-from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.drive_numbers import DriveParameters
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
 from emulator_node.node import EmulatorParameters
@@ -20,7 +20,7 @@ HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
 
 def parameters() -> str:
     """Return a table for each node."""
-    motion = _numbers(DriveNumbers, "joints.NAME.", ())
+    motion = _numbers(DriveParameters, "joints.NAME.", ())
     joints = _numbers(JointServo, "joints.NAME.", SETTABLE)
     of_servo = _numbers(ServoConfig, "", SETTABLE)
     nodes = {

@@ -14,8 +14,8 @@ from rclpy.task import Future
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.follow_goal import result_of
-from arm_emulator.motion.motion_report import Kind, MotionReport
-from arm_emulator.motion.reference import Instruction
+from arm_emulator.motion.motion_report import GoalStatus, Kind
+from arm_emulator.motion.reference import JointSetpoint
 from arm_emulator.ros.barrier import guard
 from arm_emulator.ros.managed_node import ManagedNode
 
@@ -53,7 +53,7 @@ class FollowAction:
             cancel_callback=guard(node, NAME, self._on_cancel, lambda *_: CancelResponse.REJECT),
         )
 
-    def hear(self, report: MotionReport) -> None:
+    def hear(self, report: GoalStatus) -> None:
         """End the goal whose final state is reported."""
         if report.kind is Kind.JOINT_TRAJECTORY and report.state.final:
             _, ended = self._goals.get(report.number, (None, None))
@@ -61,7 +61,7 @@ class FollowAction:
                 ended.set_result(report)
 
     def feed_back(
-        self, stamp: Any, names: list[str], instruction: Instruction, q: Array, v: Array
+        self, stamp: Any, names: list[str], instruction: JointSetpoint, q: Array, v: Array
     ) -> None:
         """Publish how the arm follows the active goals."""
         for goal, ended in self._goals.values():

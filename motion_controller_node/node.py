@@ -35,7 +35,7 @@ from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.follow_goal import check_points, tolerances_of
-from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
 from arm_emulator.motion.motion_report import Kind, State
@@ -107,7 +107,7 @@ class MotionControllerNode(ManagedNode):
         """Create the topics and services."""
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._controller = None
-        self._instructor = Instructor(self._config)
+        self._instructor = MotionExecutor(self._config)
         self._answer: JointState | None = None
         self._now_ns = 0  # of the newest joint states
         self._movable: tuple[Time, npt.NDArray[np.bool_]] | None = None  # by servo_states

@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.jog import JogCommand, joint_command, twist_command
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
 from arm_emulator.motion.motion_config import MotionConfig
@@ -51,7 +51,7 @@ class OrderTopics:
     def __init__(
         self,
         node: Node,
-        instructor: Instructor,
+        instructor: MotionExecutor,
         take: Callable[[Kind, Header, Callable[[], None]], Any],
         now: Callable[[], tuple[Controller | None, MotionConfig, int]],
     ) -> None:

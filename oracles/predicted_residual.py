@@ -67,11 +67,11 @@ def predicted_residual(
        being ``S (S / 2 + W)``, times the arm's reach in the rows of translation: no second
        derivative of a chain of revolute joints is larger.
 
-    The reference of `WayController` does not depend on what is measured: it rests at the target (or
+    The reference of `TargetPlanner` does not depend on what is measured: it rests at the target (or
     at the reachable point nearest to it), and 3. is ``|e|_i <= sum_j |J_ij| h d_j``, as with w = 1.
     That holds at singular poses, too.
 
-    With w = 1/2 this is 1.5 counts in every joint, with `WayController` 1. Both can be met, so
+    With w = 1/2 this is 1.5 counts in every joint, with `TargetPlanner` 1. Both can be met, so
     it is tight for a single joint; several joints seldom err all to the worst side at once.
 
     A motor without static friction may stand on the edge between two counts and cross it now and

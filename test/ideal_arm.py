@@ -10,9 +10,9 @@ import numpy as np
 
 from arm_emulator import Pose, load_gains
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.reference import Instruction
+from arm_emulator.motion.reference import JointSetpoint
 from arm_emulator.runs.offline import load_offline_run
 
 SECOND = 1_000_000_000
@@ -27,10 +27,10 @@ class Ideal:
         # Motion of the links; with `full` the servo would get that of the motors.
         motion = load_gains(find_scene(scene)).motion
         self.config = dataclasses.replace(motion, feedforward="torque")
-        self.instructor = Instructor(self.config)
+        self.instructor = MotionExecutor(self.config)
         self.period_ns = round(self.config.period * SECOND)
         self.now_ns, self.q = 0, self.start
-        self.printed: list[Instruction] = []
+        self.printed: list[JointSetpoint] = []
 
     def advance(self, seconds: float) -> None:
         for _ in range(math.ceil(seconds * SECOND / self.period_ns)):

@@ -15,7 +15,7 @@ from arm_emulator.design import new_scene
 from arm_emulator.design.assumed_bodies import DENSITY, SLENDER, assume_bodies
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.chain import Body, frame_of
-from arm_emulator.motion.arm_shapes import ArmShapes
+from arm_emulator.motion.arm_shapes import CollisionShapes
 
 RHO = 800.0  # kg/m3
 JOINT = (
@@ -150,7 +150,7 @@ def test_a_mesh_is_in_the_unit_that_its_file_names(
     mass, com, _ = given(assumed(mesh, tmp_path))
     assert mass == pytest.approx(RHO * size.prod(), rel=1e-5), "single precision in the file"
     assert com == pytest.approx(at + 0.5 * size, abs=1e-6)
-    shapes = ArmShapes(arm([mesh]), ["j1"])
+    shapes = CollisionShapes(arm([mesh]), ["j1"])
     (box,) = shapes.meshes.geometryObjects
     box.geometry.computeLocalAABB()
     assert np.array(box.geometry.aabb_local.min_).ravel() == pytest.approx(at, abs=1e-6)

@@ -20,7 +20,7 @@ from arm_emulator.base.number import Number
 from arm_emulator.machine.plant_state import bounds_of
 from arm_emulator.motion.coming_orders import MOST_TARGETS
 from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.offline import load_offline_run
@@ -277,7 +277,7 @@ def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str)
         p = [rng.choice((0.0, 5e-324, -1e6, 1e6, rng.uniform(-1, 1))) for _ in range(3)]
         direction = np.random.default_rng(rng.getrandbits(32)).normal(size=4)
         pose = Pose.from_quaternion(p, direction / np.linalg.norm(direction))
-        instructor = Instructor()
+        instructor = MotionExecutor()
         instructor.add(0, pose)
         POSITION.check("test", instructor.instruct(controller, 0, np.array(q)).q)
 
@@ -290,7 +290,7 @@ def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
         lambda one: setattr(one, "_hold", np.full(3, math.nan)),
         lambda one: one.add(0, nowhere),
     ):
-        one = Instructor()
+        one = MotionExecutor()
         poison(one)
         assert np.array_equal(one.instruct(run.controller, 0, q).q, q), "the arm is not held"
         assert one.restarts == 1 and one.trouble
@@ -301,7 +301,7 @@ def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
 def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
     run = load_offline_run("three_axis")
     target = Pose(np.zeros(3), np.eye(3))
-    one = Instructor()
+    one = MotionExecutor()
     for time_ns in range(MOST_TARGETS):
         one.add(10**18 + time_ns, target)
     with pytest.raises(Refusal, match=f"one of at most {MOST_TARGETS} that wait"):
@@ -325,7 +325,7 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str
             assert "\n" not in str(refusal), "a refusal is one line"
             continue
         taken += 1
-        one, q = Instructor(), np.array([0.1, 0.2, 0.3])
+        one, q = MotionExecutor(), np.array([0.1, 0.2, 0.3])
         one.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
         for period in range(5):
             instruction = one.instruct(controller, period * 50_000_000, q)

@@ -22,7 +22,7 @@ from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.motion_report import MotionReport, State
+from arm_emulator.motion.motion_report import GoalStatus, State
 from arm_emulator.motion.obstacles import Obstacle
 
 MARGIN = 0.01  # m
@@ -309,7 +309,7 @@ def test_thin_plates_are_found_wherever_they_are(margin: float) -> None:
 KINDS = ("target", "path", "trajectory", "stream", "jog")
 
 
-def sent_down(arm: Arm, kind: str) -> list[MotionReport]:
+def sent_down(arm: Arm, kind: str) -> list[GoalStatus]:
     """Send the tool 0.4 m down by one kind of order; return the reports."""
     instructor, controller = arm.run.instructor, arm.run.controller
     below = [Pose(arm.p_WT - np.array([0.0, 0.0, z]), arm.R_WT) for z in (0.0, 0.4)]

@@ -22,7 +22,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import kinds_of
 from arm_emulator.machine.payload import COM, INERTIA, MASS
 from arm_emulator.machine.scene import Scene
-from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.drive_numbers import DriveParameters
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 from emulator_node.node import EmulatorParameters
@@ -116,7 +116,7 @@ def declarations() -> Iterator[tuple[str, dict[str, Row]]]:
     yield "servo", of_class(ServoConfig)
     yield "servo joints.NAME", of_class(JointServo)
     yield "motion_controller", of_class(MotionConfig)
-    yield "motion_controller joints.NAME", of_class(DriveNumbers)
+    yield "motion_controller joints.NAME", of_class(DriveParameters)
     b = bound
     messages = (b.POSITION, b.VELOCITY, b.ACCELERATION, b.EFFORT, b.COMMAND, b.CURRENT,
                 b.BRAKE_CLOSED, b.FORCE, b.MOMENT, b.POINT)  # fmt: skip

@@ -11,7 +11,7 @@ from in_process import InProcess, in_process
 
 import servo_node.node
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.motion_report import Kind, MotionReport, State
+from arm_emulator.motion.motion_report import GoalStatus, Kind, State
 from arm_emulator.ros.node_shell import NodeLog
 
 
@@ -87,7 +87,7 @@ def test_a_node_logs_refusals_and_outcomes(
     nodes.nodes["servo"]._diagnostics.refuse("motor_states", Refusal("here", "q", "be 1", 2))
     motion = nodes.nodes["motion_controller"]
     motion._instructor.reports.waiting.extend(
-        MotionReport(state, "a reason", 0.0012, kind=Kind.TOOL_TARGET, number=1, stamp_ns=0)
+        GoalStatus(state, "a reason", 0.0012, kind=Kind.TOOL_TARGET, number=1, stamp_ns=0)
         for state in State
     )
     motion._report_status()

@@ -15,12 +15,12 @@ from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.design.new_scene import known_drives
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.drive_numbers import DriveParameters
 from arm_emulator.motion.elastic_arm import ElasticArm
 from arm_emulator.motion.feedforward import Feedforward
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.reference import Instruction, Reference
+from arm_emulator.motion.reference import JointSetpoint, Reference
 from arm_emulator.motion.rest_load import RestLoad
 from arm_emulator.servo.drives import ServoArm, Target
 from oracles.followed_line import Known, follow
@@ -29,9 +29,9 @@ GRAVITY = (0.0, 0.0, -9.81)
 NONE = np.full(6, np.inf)
 
 
-def drawn(rng: np.random.Generator, damping: float = 0.0) -> DriveNumbers:
+def drawn(rng: np.random.Generator, damping: float = 0.0) -> DriveParameters:
     stiffness = 10.0 ** rng.uniform(3, 6)
-    return DriveNumbers(
+    return DriveParameters(
         stiffness=stiffness,
         cubic_stiffness=float(rng.choice([0.0, 1e4 * stiffness])),
         damping=damping * stiffness,
@@ -98,7 +98,7 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
     inertia, K, D, size, rate = 0.5, 2000.0, 0.6, 0.4, 7.0
     urdf = one_link_urdf(mass=1e-9, com=0.0, inertia=inertia)
     links = LinkTorques(urdf, ("joint",), (0.0, 0.0, 0.0))
-    arm = ElasticArm(links, [DriveNumbers(stiffness=K, damping=D)], np.array([np.inf]))
+    arm = ElasticArm(links, [DriveParameters(stiffness=K, damping=D)], np.array([np.inf]))
     period, slip = 0.01, math.atan2(D * rate, K)
     wound = inertia * rate**2 * size / math.hypot(K, D * rate)  # of K w + D w' = I a
 
@@ -142,7 +142,7 @@ def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
             now = Reference(*motion.at(k * T)[:known]) if known else None
             then = Reference(*motion.at((k + 1) * T)) if known == 5 else None
             q = q if q_before is None else q_before
-            one = feedforward.complete(Instruction(q, (q_end - q) / T, None, now, then))
+            one = feedforward.complete(JointSetpoint(q, (q_end - q) / T, None, now, then))
             assert one.v is not None
             if known == 5:  # however the jerk changes within the period
                 np.testing.assert_allclose(one.q, arm.at(*motion.at(k * T)).theta, atol=1e-9)
@@ -165,7 +165,7 @@ class Weighed:
 
     def __init__(self, heavier: float, softer: float, dry: float = 0.0, held: float = 0.0) -> None:
         self.assumed = softer * self.STIFFNESS
-        drive = DriveNumbers(stiffness=self.assumed, coulomb=dry)
+        drive = DriveParameters(stiffness=self.assumed, coulomb=dry)
         config = MotionConfig(
             tool="joint_link", period=0.01, feedforward="full", drives={"joint": drive}
         )
@@ -180,7 +180,7 @@ class Weighed:
         """Return by how much the motor is sent ahead, and the torque that is announced."""
         tau = np.array([self.weight(q) - self.held])
         self.feedforward.observe(tau, np.array([can]))
-        one = self.feedforward.complete(Instruction(np.array([q]), np.array([v])))
+        one = self.feedforward.complete(JointSetpoint(np.array([q]), np.array([v])))
         assert one.tau is not None
         return float(one.q[0] - q), float(one.tau[0])
 
@@ -323,7 +323,7 @@ def test_numbers_of_drives_are_refused(tmp_path) -> None:  # type: ignore[no-unt
         with pytest.raises(Refusal, match=words):
             load_motion_config(file)
     scene = load_scene("ur5")
-    config = dataclasses.replace(MotionConfig(tool="tool0"), drives={"elbow": DriveNumbers()})
+    config = dataclasses.replace(MotionConfig(tool="tool0"), drives={"elbow": DriveParameters()})
     with pytest.raises(Refusal, match=r"joints\.elbow must be a joint of the arm"):
         controller_for(scene.urdf, scene.joint_names, config)
 

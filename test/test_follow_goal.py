@@ -13,7 +13,7 @@ from ideal_arm import SECOND, Ideal
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.follow_goal import check_points, result_of, tolerances_of
-from arm_emulator.motion.motion_report import Kind, MotionReport, State
+from arm_emulator.motion.motion_report import GoalStatus, Kind, State
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 
 
@@ -82,7 +82,7 @@ def test_a_goal_without_points_is_refused() -> None:
 )
 def test_a_goal_ends_with_the_code_of_its_last_word(state: State, reason: str, code: int) -> None:
     got, words = result_of(
-        MotionReport(state, reason, kind=Kind.JOINT_TRAJECTORY, number=1, stamp_ns=0)
+        GoalStatus(state, reason, kind=Kind.JOINT_TRAJECTORY, number=1, stamp_ns=0)
     )
     assert got == code and reason in words
 

@@ -21,10 +21,10 @@ from std_msgs.msg import Header, Int8
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.jog import JogCommand, JogStatus, joint_command, twist_command
-from arm_emulator.motion.laws import smooth_joints
+from arm_emulator.motion.laws import jerk_limited_velocity
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.smooth_joints import SmoothJoints
+from arm_emulator.motion.smooth_joints import JerkLimitedVelocity
 from arm_emulator.motion.tool_directions import ToolDirections
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node import order_topics
@@ -243,7 +243,7 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
     acceleration = rng.uniform(2.0, 20.0, n)
     jerk = acceleration / rng.uniform(0.02, 0.1)
     middle = rng.uniform(-4.0, 4.0, n)  # limits may lie on one side of 0
-    joints = SmoothJoints(middle - limit, middle + limit, velocity, acceleration, jerk, T)
+    joints = JerkLimitedVelocity(middle - limit, middle + limit, velocity, acceleration, jerk, T)
     joints.begin(Reference.at_rest(middle + rng.uniform(-0.9, 0.9, n) * limit))
     moved = np.zeros(n)
     before = joints.now
@@ -271,7 +271,7 @@ def test_a_gripper_of_a_few_millimetres_is_jogged_from_end_to_end() -> None:
     )
     short = (arm.upper - arm.lower) < 0.1
     assert short.sum() == 1
-    joints = smooth_joints(arm, config, config.jog_joint_limit_margin)
+    joints = jerk_limited_velocity(arm, config, config.jog_joint_limit_margin)
     joints.begin(Reference.at_rest(np.where(short, 0.01, START)))
     for wish, end in ((0.02, 0.0275), (-0.02, 0.0075)):
         for _ in range(500):

@@ -37,7 +37,7 @@ from arm_emulator import (
     sensitivities,
     testing,
 )
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way_controller import TargetPlanner
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]
@@ -261,7 +261,7 @@ def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: 
         Recording(Plant(scene)),
         Timeline(OfflineRun(scene, gains.servo, gains.motion)),
     )
-    way, plant, objects = WayController(kinematics, gains.motion), Plant(scene), NO_OBJECTS
+    way, plant, objects = TargetPlanner(kinematics, gains.motion), Plant(scene), NO_OBJECTS
     way.begin([0.0, 0.5, 0.8])
     values = {"q": [0.1]}
     calls: list[tuple[Callable[[Any], Any], list[Any]]] = [

@@ -12,7 +12,7 @@ from ideal_arm import SECOND, Ideal
 
 from arm_emulator import Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.runs.gains import warn_of_gravity
@@ -298,7 +298,9 @@ def test_feedforward_is_given_as_it_is_configured() -> None:
         ("torque", True, True),
     ):
         arm = Ideal()
-        arm.instructor = Instructor(type(arm.config)(**{**vars(arm.config), "feedforward": given}))
+        arm.instructor = MotionExecutor(
+            type(arm.config)(**{**vars(arm.config), "feedforward": given})
+        )
         arm.advance(0.1)
         if torque:
             np.testing.assert_allclose(arm.printed[0].tau, gravity.at(arm.start, np.zeros(6)))

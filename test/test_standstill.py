@@ -23,13 +23,13 @@ from std_msgs.msg import String
 
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_config, find_scene
-from arm_emulator.motion.going_on import GoingOn
+from arm_emulator.motion.going_on import Resumed
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import joint_limits
 from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.reference import Instruction, Reference
-from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.motion.reference import JointSetpoint, Reference
+from arm_emulator.motion.way import JointPathLimits, TimedPath
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
@@ -62,7 +62,7 @@ class Stopped:
         self.waited = 0  # the last tick at which it stood still, or came to rest
         instruct = self.run.instructor.instruct
 
-        def kept(*given: Any) -> Instruction:
+        def kept(*given: Any) -> JointSetpoint:
             answer = instruct(*given)
             if answer.now is not None:
                 self.asked.append((len(self.links), answer.now))
@@ -197,17 +197,17 @@ def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
     """Drawn ways, interrupted anywhere, with the joints beside them."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 8))
-    limits = WayLimits(
+    limits = JointPathLimits(
         rng.uniform(0.5, 4.0, N),
         rng.uniform(1.0, 20.0, N),
         rng.uniform(20.0, 400.0, N),
         np.inf * np.ones(N),
     )
     begin, end = rng.uniform(-2.0, 2.0, (2, N))
-    way = Way(JointCurve.line(begin, end), limits)
+    way = TimedPath(JointCurve.line(begin, end), limits)
     since = rng.uniform(0.0, 1.05) * way.duration
     now = Reference.at_rest(way.at(since).q + rng.normal(0.0, 0.05, N))
-    on = GoingOn(way, since, now, limits)
+    on = Resumed(way, since, now, limits)
     times = np.linspace(0.0, on.duration, 800)
     moves = [on.at(float(t)) for t in times]
     q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")

@@ -16,9 +16,9 @@ from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.paced import Paced
+from arm_emulator.motion.paced import TimeScaled
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.motion.way import JointPathLimits, TimedPath
 
 SECOND = 1_000_000_000
 SPARE = 0.5e-3  # m from the way to where the margin ends: joints that brake singly go farther
@@ -184,7 +184,7 @@ class Swing:
 def test_derivatives_at_another_pace_are_those_of_finite_differences(then: float) -> None:
     """Speed, acceleration and jerk have terms of the derivatives of a pace that changes."""
     none = np.full(2, 1e9)
-    paced = Paced(Swing(), 1.0, 1.0, then, WayLimits(none, none, none, none))
+    paced = TimeScaled(Swing(), 1.0, 1.0, then, JointPathLimits(none, none, none, none))
     ramp = 0.05  # s, the shortest change of a pace: no limit needs more
     h = 1e-3 * ramp
     for t in np.linspace(0.1, 0.9, 7) * ramp:
@@ -207,11 +207,11 @@ def test_a_motion_slows_down_on_its_way_within_its_limits(seed: int) -> None:
     v_most, a_most, jerk_most = (
         rng.uniform(low, high, N) for low, high in ((0.5, 4.0), (1.0, 20.0), (20.0, 400.0))
     )
-    limits = WayLimits(v_most, a_most, jerk_most, np.full(N, np.inf))
+    limits = JointPathLimits(v_most, a_most, jerk_most, np.full(N, np.inf))
     begin, end = rng.uniform(-2.0, 2.0, (2, N))
-    way = Way(JointCurve.line(begin, end), limits)
+    way = TimedPath(JointCurve.line(begin, end), limits)
     since = rng.uniform(0.0, 1.0) * way.duration
-    slow = Paced(way, since, 1.0, 0.0, limits)
+    slow = TimeScaled(way, since, 1.0, 0.0, limits)
     times = np.linspace(0.0, slow.duration, 400)
     moves = [slow.at(float(t)) for t in times]
     q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")

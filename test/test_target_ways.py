@@ -17,16 +17,16 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.joint_goal import InverseKinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.reference import NoWay
+from arm_emulator.motion.reference import PlanningError
 from arm_emulator.motion.target_ways import joint_arc, past_end
 from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way_controller import TargetPlanner
 
 
-def sets_out(controller: WayController, target: Pose) -> np.ndarray:
+def sets_out(controller: TargetPlanner, target: Pose) -> np.ndarray:
     """The joints along the way on which the arm sets out from rest (K, N)."""
     for _ in range(800):
         controller.update(controller.coming.q, target)
@@ -44,7 +44,7 @@ def test_angles_that_converge_slowly_are_no_goal_while_others_reach_the_target(s
     arm = random_arm(rng, int(rng.integers(6, 8)), slide=0.0)
     start, end = drawn(rng, arm), drawn(rng, arm)
     target = pose_of(arm, end)
-    goal = JointGoal(arm)
+    goal = InverseKinematics(arm)
     goal.begin(start)
     goal.aim(target, start)
     goal.approach(120)
@@ -84,7 +84,7 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
         controller.begin(start)
         try:
             way = sets_out(controller, pose_of(arm, end))
-        except NoWay as refused:
+        except PlanningError as refused:
             assert "mm past its end" in str(refused)
             assert np.array_equal(controller.coming.q, start), "it began"
             continue
@@ -154,7 +154,7 @@ def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
     for _ in range(20):
         q = rng.uniform(-1.5, 1.5, joints)
         target = pose_of(alike, q + 0.1 * rng.normal(size=joints))
-        goals = [JointGoal(arm) for arm in (alike, spared)]
+        goals = [InverseKinematics(arm) for arm in (alike, spared)]
         for goal in goals:
             goal.begin(q)
             goal.aim(target, q)

@@ -12,7 +12,7 @@ from draws import some
 
 from arm_emulator import Kinematics, Pose, Refusal, load_scene
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.path_way import InARow, plan_path
+from arm_emulator.motion.path_way import MotionSequence, plan_path
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tool_path import (
     LONGEST,
@@ -21,7 +21,7 @@ from arm_emulator.motion.tool_path import (
     ToolLimits,
     ToolPath,
 )
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way_controller import TargetPlanner
 
 SECOND = 1_000_000_000
 LIMITS = ToolLimits(speed=0.25, turn_speed=1.0, acceleration=1.0, jerk=10.0)
@@ -125,7 +125,7 @@ class Arm:
         scene = load_scene("manutec_r3")
         self.kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
         config = MotionConfig(tool=scene.tool, period=0.01, **more)  # type: ignore[arg-type]
-        self.law = WayController(self.kinematics, config)
+        self.law = TargetPlanner(self.kinematics, config)
         self.q = np.array([-0.5, 0.6, 1.4, 0.3, -1.2, 0.2])
         self.law.begin(self.q)
         R_WT, p_WT = self.kinematics.forward(self.q)
@@ -138,13 +138,15 @@ class Arm:
     def drawn(self, rng: np.random.Generator, size: float = 0.1) -> Pose:
         return self.pose(rng.uniform(-size, size, 3), rng.uniform(-0.3, 0.3, 3))
 
-    def plan(self, path: ToolPath, now: Reference | None = None, scaled: bool = False) -> InARow:
+    def plan(
+        self, path: ToolPath, now: Reference | None = None, scaled: bool = False
+    ) -> MotionSequence:
         return plan_path(self.law, path, now or Reference.at_rest(self.q), 0, scaled)
 
-    def tools(self, motion: InARow, times: np.ndarray) -> np.ndarray:
+    def tools(self, motion: MotionSequence, times: np.ndarray) -> np.ndarray:
         return np.array([self.kinematics.forward(motion.at(t).q)[1] for t in times])
 
-    def judge(self, motion: InARow, times: np.ndarray) -> None:
+    def judge(self, motion: MotionSequence, times: np.ndarray) -> None:
         """Limits over all of the way, and that derivatives are those of the angles."""
         limits = self.law.limits
         seen = [motion.at(t) for t in times]

@@ -11,19 +11,19 @@ from arm_emulator.motion.joint_trajectory import JointMotion, JointTrajectory, T
 from arm_emulator.motion.laws import joint_limits
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.trajectory_way import Slower, within_limits
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.trajectory_way import StretchedTrajectory, within_limits
+from arm_emulator.motion.way_controller import TargetPlanner
 
 SECOND = 1_000_000_000
 START = np.array([-0.5, 0.6, 1.4, 0.3, -1.2, 0.2])
 
 
-def law(**more: float) -> WayController:
+def law(**more: float) -> TargetPlanner:
     """An arm whose description has no limit of acceleration."""
     scene = load_scene("manutec_r3")
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     assert not np.isfinite(kinematics.acceleration_limit).any()
-    return WayController(kinematics, config(**more))
+    return TargetPlanner(kinematics, config(**more))
 
 
 def config(**more: float) -> MotionConfig:
@@ -31,19 +31,19 @@ def config(**more: float) -> MotionConfig:
 
 
 def planned(
-    one: WayController,
+    one: TargetPlanner,
     points: list[TrajectoryPoint],
     scaled: bool = True,
     now: Reference | None = None,
     **more: float,
-) -> JointMotion | Slower:
+) -> JointMotion | StretchedTrajectory:
     names = one.kinematics.joint_names
     limits = joint_limits(one.kinematics, config(**more))
     trajectory = JointTrajectory(names, limits, names, points)
     return within_limits(one, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
 
 
-def judge(one: WayController, motion: JointMotion | Slower) -> np.ndarray:
+def judge(one: TargetPlanner, motion: JointMotion | StretchedTrajectory) -> np.ndarray:
     """Limits over all of the way; return its angles."""
     times = np.linspace(0, motion.end_ns, 4001).astype(np.int64)
     seen = [motion.at(int(t)) for t in times]
@@ -90,7 +90,7 @@ def test_one_that_is_too_fast_takes_longer_along_the_same_angles(kind: str, seed
         for t, at, speed in zip(times, angles, v, strict=True)
     ]
     motion = planned(one, points)
-    assert isinstance(motion, Slower) and motion.end_ns > points[-1].time_ns
+    assert isinstance(motion, StretchedTrajectory) and motion.end_ns > points[-1].time_ns
     assert "instead of" in motion.way and one.kinematics.joint_names[0][:4] in motion.way
     q = judge(one, motion)
     for at in angles:
@@ -118,4 +118,4 @@ def test_the_parameter_counts_where_the_description_has_no_limit() -> None:
     slow = {"acceleration_limit": 0.5}
     motion = planned(law(**slow), points, **slow)
     # From rest to rest within an acceleration: 2 sqrt(d / a), and the jerk's share.
-    assert isinstance(motion, Slower) and 2.0 <= motion.end_ns * 1e-9 < 2.2
+    assert isinstance(motion, StretchedTrajectory) and 2.0 <= motion.end_ns * 1e-9 < 2.2

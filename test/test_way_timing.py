@@ -8,7 +8,7 @@ from draws import some
 
 from arm_emulator.motion import way
 from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.way import AlongLimits, Way, WayLimits
+from arm_emulator.motion.way import JointPathLimits, TimedPath, ToolPathLimits
 
 
 @pytest.mark.parametrize("case", some(range(40), 8))
@@ -22,13 +22,13 @@ def test_limits_hold_where_the_third_derivative_of_their_curve_steps(case: int) 
     curve = JointCurve.spline(np.cumsum(rng.normal(size=(nodes + 1, joints)), axis=0))
     speed, acceleration = rng.uniform(0.3, 6.0, (2, joints))
     unlimited = np.full(joints, np.inf)
-    limits = WayLimits(speed, acceleration, acceleration / rng.uniform(0.02, 0.5), unlimited)
+    limits = JointPathLimits(speed, acceleration, acceleration / rng.uniform(0.02, 0.5), unlimited)
     along = None
     if case % 2:
         ends = np.sort(rng.random(3)) + np.array([0.0, 0.0, 1.0])
         length, top, most, jerk = rng.uniform(0.3, 3.0, 4)
-        along = AlongLimits(length, top, most, jerk, ends, rng.uniform(0.0, 5.0, 3))
-    planned = Way(curve, limits, along=along)
+        along = ToolPathLimits(length, top, most, jerk, ends, rng.uniform(0.0, 5.0, 3))
+    planned = TimedPath(curve, limits, along=along)
     rows = [planned.at(t) for t in np.linspace(0.0, planned.duration, 4000)]
     for key, limit in (("v", speed), ("a", acceleration), ("jerk", limits.jerk)):
         assert (np.abs([getattr(one, key) for one in rows]) / limit).max() <= 1.0 + 1e-2
@@ -56,11 +56,11 @@ def test_a_sharp_bend_costs_hardly_more_time_than_with_many_pieces(
         curve = JointCurve.spline(slope * s + turn * sharp * np.logaddexp(0.0, (s - at) / sharp))
         a = rng.uniform(2.0, 15.0, joints)
         jerk = a / rng.choice([0.05, 0.07])
-        limits = WayLimits(rng.uniform(0.5, 3.0, joints), a, jerk, np.full(joints, np.inf))
+        limits = JointPathLimits(rng.uniform(0.5, 3.0, joints), a, jerk, np.full(joints, np.inf))
         durations = []
         for pieces in (way.FEWEST_PIECES, 300):
             with monkeypatch.context() as patch:
                 patch.setattr(way, "FEWEST_PIECES", pieces)
-                durations.append(Way(curve, limits).duration)
+                durations.append(TimedPath(curve, limits).duration)
         ratios.append(durations[0] / durations[1])
     assert max(ratios) <= 1.15

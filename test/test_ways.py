@@ -17,9 +17,9 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import NoWay
+from arm_emulator.motion.reference import PlanningError
 from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way_controller import LOST, WayController
+from arm_emulator.motion.way_controller import LOST, TargetPlanner
 from arm_emulator.runs.offline import load_offline_run
 
 THREE_AXIS = (config_folder() / "urdf" / "three_axis.urdf").read_text()
@@ -67,12 +67,12 @@ def drawn(rng: np.random.Generator, kinematics: Kinematics) -> np.ndarray:
     return rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
 
 
-def law_of(arm: Kinematics, period: float, **more: float) -> WayController:
-    return WayController(arm, MotionConfig(tool=arm.tool, period=period, **more))  # type: ignore[arg-type]
+def law_of(arm: Kinematics, period: float, **more: float) -> TargetPlanner:
+    return TargetPlanner(arm, MotionConfig(tool=arm.tool, period=period, **more))  # type: ignore[arg-type]
 
 
 def run(
-    controller: WayController,
+    controller: TargetPlanner,
     q: np.ndarray,
     target: Pose,
     seconds: float,
@@ -200,7 +200,7 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
                 controller.update(controller.coming.q, target)
                 if controller.way:
                     break
-        except NoWay as refused:
+        except PlanningError as refused:
             assert "past its end" in str(refused) and not controller.way
             continue
         assert controller.way

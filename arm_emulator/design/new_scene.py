@@ -36,7 +36,7 @@ from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_chain import MovedBody, moved_bodies
 from arm_emulator.machine.urdf_tree import LARGEST_MASS
 from arm_emulator.motion.collisions import Collisions
-from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.drive_numbers import DriveParameters
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -368,14 +368,14 @@ def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
     )
 
 
-def known_drives(joints: Iterable[Joint]) -> dict[str, DriveNumbers]:
+def known_drives(joints: Iterable[Joint]) -> dict[str, DriveParameters]:
     """Return the data sheet of each joint's gear and friction, by names."""
     return {joint.name: _known_drive(joint) for joint in joints}
 
 
-def _known_drive(joint: Joint) -> DriveNumbers:
+def _known_drive(joint: Joint) -> DriveParameters:
     gear, values = joint.gear, dict[str, float]()
-    known = numbers_of(DriveNumbers)
+    known = numbers_of(DriveParameters)
     if gear.stiffness is not None:
         values |= {key: getattr(gear, key) for key in gear.numbers() if key in known}
     for law, prefix, per in (
@@ -385,7 +385,7 @@ def _known_drive(joint: Joint) -> DriveNumbers:
         if law is not None:
             values[f"{prefix}viscous"] = getattr(law, "viscous", 0.0) / per**2
             values[f"{prefix}coulomb"] = getattr(law, "coulomb", 0.0) / per
-    return DriveNumbers(**values)
+    return DriveParameters(**values)
 
 
 _DRAWN = 100  # poses within the limits

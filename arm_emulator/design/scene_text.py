@@ -16,7 +16,7 @@ from arm_emulator.design.sizing import Demand, Sized, rounded
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.schemes.known import SCHEMES
-from arm_emulator.motion.drive_numbers import SECTION, DriveNumbers
+from arm_emulator.motion.drive_numbers import SECTION, DriveParameters
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -189,7 +189,7 @@ def servo_text(config: ServoConfig, heading: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _by_joint(section: str, joints: Mapping[str, JointServo | DriveNumbers]) -> list[str]:
+def _by_joint(section: str, joints: Mapping[str, JointServo | DriveParameters]) -> list[str]:
     """Return a section of a ROS parameter file with the numbers of joints that are no defaults."""
     dotted = any("." in name for name in joints)  # ROS's reader loses its way
     lines = [] if dotted else [f"    {section}:"]
@@ -208,7 +208,7 @@ def _by_joint(section: str, joints: Mapping[str, JointServo | DriveNumbers]) -> 
 def motion_text(
     parameters: Mapping[str, object],
     comments: Mapping[str, str],
-    drives: Mapping[str, DriveNumbers],
+    drives: Mapping[str, DriveParameters],
 ) -> str:
     """Return the ROS parameter file of a motion controller."""
     lines = ["/**/motion_controller:", "  ros__parameters:"]
@@ -216,7 +216,7 @@ def motion_text(
         shown = _text(value) if isinstance(value, str) else repr(value)
         comment = f"  # {comments[key]}" if key in comments else ""
         lines.append(f"    {key}: {shown}{comment}")
-    known = {name: drive for name, drive in drives.items() if drive != DriveNumbers()}
+    known = {name: drive for name, drive in drives.items() if drive != DriveParameters()}
     if known:
         about = "for feed-forward, as in the scene; seen at the links, in N m, rad, s (a slide: m)"
         lines += [f"    # {about}", *_by_joint(SECTION, known)]

@@ -23,7 +23,7 @@ from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.mesh_units import in_metres, package_folders
 
 
-class ArmShapes(SharedObject):
+class CollisionShapes(SharedObject):
     """Shapes of an arm, and its configurations as Pinocchio has them.
 
     Args:

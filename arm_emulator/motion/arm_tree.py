@@ -163,10 +163,10 @@ def _doubles(values: Any) -> Array:
 WAY = Header(FOLDER / "way.h")
 
 
-def way_unit() -> Unit:
+def topp_unit() -> Unit:
     """Return their sources."""
     source = '#include "way.cpp"\n'
     return Unit("way", source, CPP_FLAGS, (FOLDER, CORE), (WAY,), "motion", "the ways", "way.cpp")
 
 
-way_library = compiled_once(way_unit)
+way_library = compiled_once(topp_unit)

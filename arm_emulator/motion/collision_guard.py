@@ -13,8 +13,8 @@ from arm_emulator.motion.collisions import collisions_of
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.obstacles import OBSTACLES
-from arm_emulator.motion.reference import Motion, NoWay, Reference
-from arm_emulator.motion.smooth_joints import SmoothJoints
+from arm_emulator.motion.reference import Motion, PlanningError, Reference
+from arm_emulator.motion.smooth_joints import JerkLimitedVelocity
 
 _BETWEEN = 0.05  # m that parts of the arm may move to each other between two looks
 _FINEST = 5e-3  # m, likewise, that they may move near an obstacle whatever the margin is
@@ -58,7 +58,7 @@ class CollisionGuard:
             raise Refusal(config.where, OBSTACLES, rule, got, "<collision> in its links")
         self._rested: Array | None = None  # a state at rest without contact
 
-    def ahead(self, joints: SmoothJoints, now: Array, then: Reference) -> str:
+    def ahead(self, joints: JerkLimitedVelocity, now: Array, then: Reference) -> str:
         """Return which parts touch where the joints stop if they brake from `then` on; empty: none.
 
         Where parts touch already at `now` (N,), a motion that brings them no nearer is allowed.
@@ -141,7 +141,7 @@ class CollisionGuard:
             angles: of the joints on it.
 
         Raises:
-            NoWay: with the pair and the place.
+            PlanningError: with the pair and the place.
         """
         found = self.along(angles)
         if found is None:
@@ -153,7 +153,7 @@ class CollisionGuard:
             suppress_small=True,
         )
         got = f"{touching} would touch at {part:.0%} of it, the tool at {place} m"
-        raise NoWay(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
+        raise PlanningError(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
 
     def _apart(self, angles: Angles) -> tuple[Array, Array]:
         """Return parts of a way (K,), and angles there (K, N), no farther apart than is tested."""

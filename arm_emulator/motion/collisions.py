@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.motion.arm_shapes import ArmShapes
+from arm_emulator.motion.arm_shapes import CollisionShapes
 from arm_emulator.motion.obstacles import Obstacle
 
 _DRAWN = 100  # configurations
@@ -73,7 +73,7 @@ class Collisions(SharedObject):
         obstacles: Sequence[Obstacle],
         margin: float,
     ) -> None:
-        self._arm = ArmShapes(urdf_xml, joint_names)
+        self._arm = CollisionShapes(urdf_xml, joint_names)
         self._shapes, self._meshes = self._arm.hulls, self._arm.meshes
         self._model = self._arm.model
         self._data = self._model.createData()

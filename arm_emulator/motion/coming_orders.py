@@ -12,10 +12,10 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
 from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.laws import Laws, joint_limits, tool_limits
+from arm_emulator.motion.laws import Controllers, joint_limits, tool_limits
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, Kind, Progress, Reports, State
-from arm_emulator.motion.orders import Order, PathOrder, TrajectoryOrder
+from arm_emulator.motion.orders import Goal, PathGoal, TrajectoryGoal
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
@@ -24,13 +24,13 @@ MOST_TARGETS = 10_000  # that wait for their time
 LONGEST_WAIT_NS = 3_600_000_000_000  # an hour; a stamp of the wall clock is decades ahead
 
 
-class ComingOrders:
+class GoalQueue:
     """Orders by their times, at most one for each."""
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[int, TakenOrder]] = []  # in the order of their times
+        self._waiting: list[tuple[int, AcceptedGoal]] = []  # in the order of their times
 
-    def __iter__(self) -> Iterator[TakenOrder]:
+    def __iter__(self) -> Iterator[AcceptedGoal]:
         return (taken for _, taken in list(self._waiting))
 
     def check_room(self, kind: Kind, time_ns: int) -> None:
@@ -43,7 +43,7 @@ class ComingOrders:
             rule = f"be one of at most {MOST_TARGETS} that wait for their time"
             raise Refusal(kind.topic, "the target", rule, "one more")
 
-    def put(self, time_ns: int, taken: TakenOrder) -> TakenOrder | None:
+    def put(self, time_ns: int, taken: AcceptedGoal) -> AcceptedGoal | None:
         """Add an order for a time [ns]; return the one in whose place it comes."""
         before = self._at(time_ns)
         if before is not None:
@@ -52,24 +52,24 @@ class ComingOrders:
         self._waiting.insert(place, (time_ns, taken))
         return before
 
-    def put_first(self, taken: TakenOrder) -> None:
+    def put_first(self, taken: AcceptedGoal) -> None:
         """Add an order that begins at once, before all others."""
         self._waiting.insert(0, (0, taken))
 
-    def remove(self, taken: TakenOrder) -> None:
+    def remove(self, taken: AcceptedGoal) -> None:
         """Take an order away."""
         self._waiting = [one for one in self._waiting if one[1] is not taken]
 
-    def due(self, time_ns: int) -> TakenOrder | None:
+    def due(self, time_ns: int) -> AcceptedGoal | None:
         """Take the first order whose time has come [ns]; None: no order is due."""
         return self._waiting.pop(0)[1] if self.next_due(time_ns) else None
 
-    def next_due(self, time_ns: int) -> TakenOrder | None:
+    def next_due(self, time_ns: int) -> AcceptedGoal | None:
         """Return the first order whose time has come [ns], and leave it."""
         first = self._waiting[0] if self._waiting else None
         return first[1] if first is not None and first[0] <= time_ns else None
 
-    def _at(self, time_ns: int) -> TakenOrder | None:
+    def _at(self, time_ns: int) -> AcceptedGoal | None:
         place = bisect.bisect_left(self._waiting, time_ns, key=lambda item: item[0])
         same = place < len(self._waiting) and self._waiting[place][0] == time_ns
         return self._waiting[place][1] if same else None
@@ -88,10 +88,10 @@ def check_wait(kind: Kind, time_ns: int, now_ns: int) -> None:
 
 
 @dataclass(eq=False)
-class TakenOrder:
+class AcceptedGoal:
     """An order that was accepted."""
 
-    order: Order
+    order: Goal
     number: int
     """Number among those of its kind; 0: an internal one, without reports."""
     begins_ns: int = 0
@@ -123,15 +123,16 @@ class TakenOrder:
         reports.add(progress, self.order.kind, self.number, self.order.stamp_ns)
 
 
-def trajectory_order(
+def trajectory_goal(
     controller: Controller | None,
     config: MotionConfig,
     names: Sequence[str],
     points: Sequence[TrajectoryPoint],
     stamp_ns: int,
     tolerances: Callable[[Tolerances], Tolerances],
-) -> TrajectoryOrder:
-    """Return the order for a joint trajectory; arguments as those of `Instructor.add_trajectory`.
+) -> TrajectoryGoal:
+    """Return the order for a joint trajectory; arguments as those of
+    `MotionExecutor.add_trajectory`.
 
     Raises:
         Refusal: see `JointTrajectory`, or no arm.
@@ -144,17 +145,17 @@ def trajectory_order(
         Allowed.alike(len(joints), config.goal_tolerance),
         config.goal_time,
     )
-    return TrajectoryOrder(trajectory, tolerances(default))
+    return TrajectoryGoal(trajectory, tolerances(default))
 
 
-def path_order(
+def path_goal(
     controller: Controller | None,
     config: MotionConfig,
     poses: Sequence[Pose],
     stamp_ns: int,
     times_ns: Sequence[int] | None,
-) -> PathOrder:
-    """Return the order for a tool path; arguments as those of `Instructor.add_path`.
+) -> PathGoal:
+    """Return the order for a tool path; arguments as those of `MotionExecutor.add_path`.
 
     Raises:
         Refusal: see `ToolPath`, or no arm.
@@ -164,15 +165,15 @@ def path_order(
     # A free orientation must not take time.
     level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
     limits, arcs, blend = tool_limits(config), config.path_arcs, config.path_blend
-    return PathOrder(ToolPath(level, limits, stamp_ns, times_ns, arcs, blend))
+    return PathGoal(ToolPath(level, limits, stamp_ns, times_ns, arcs, blend))
 
 
-def stop_order(laws: Laws) -> TrajectoryOrder:
+def stop_goal(laws: Controllers) -> TrajectoryGoal:
     """Return the order to come to rest."""
     names = laws.controller.kinematics.joint_names
     anything = Allowed.alike(len(names), 0.0)
     limits = joint_limits(laws.controller.kinematics, laws.config)
-    return TrajectoryOrder(JointTrajectory(names, limits, (), ()), Tolerances(anything, anything))
+    return TrajectoryGoal(JointTrajectory(names, limits, (), ()), Tolerances(anything, anything))
 
 
 def _known(controller: Controller | None, where: str) -> Kinematics:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.joint_goal import InverseKinematics
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.pose import Pose
 
@@ -16,7 +16,8 @@ _STEPS = 40  # from each
 
 
 class ConfigurationSearch:
-    """Steps of a `JointGoal` from joint angles all over the limits, those nearest to the arm first.
+    """Steps of an `InverseKinematics` from joint angles all over the limits, those nearest to the
+    arm first.
 
     Before these, joints that stand at a limit are tried a turn farther back.
 
@@ -30,8 +31,8 @@ class ConfigurationSearch:
 
     def __init__(self, kinematics: Kinematics) -> None:
         self._to_tool = kinematics.to_tool
-        self._goal = JointGoal(kinematics.of_tool)
-        self._parts = spread(STARTS, int(self._to_tool.sum()))
+        self._goal = InverseKinematics(kinematics.of_tool)
+        self._parts = low_discrepancy(STARTS, int(self._to_tool.sum()))
         self._starts: list[Array] = []
 
     def begin(self, target: Pose, q: Array) -> None:
@@ -88,7 +89,7 @@ class ConfigurationSearch:
         self._left = _STEPS
 
 
-def spread(count: int, dimensions: int) -> Array:
+def low_discrepancy(count: int, dimensions: int) -> Array:
     """Return points (count, dimensions) in [0, 1).
 
     They are an additive sequence with the powers of the generalised golden ratio (Roberts 2018, The

@@ -15,8 +15,8 @@ from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, Reference
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.reference import JointSetpoint, Reference
+from arm_emulator.motion.way_controller import TargetPlanner
 
 
 class Controller(Protocol):
@@ -52,7 +52,7 @@ class Controller(Protocol):
     def begin_moving(self, now: Reference) -> None:
         """Begin with the joints' commanded motion."""
 
-    def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
+    def update(self, q: npt.ArrayLike, target: Pose) -> JointSetpoint:
         """Return the joint targets of this motion period, from the measured joint angles (N,)."""
 
     def retune(self, config: MotionConfig) -> None:
@@ -73,5 +73,5 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
     if config.watches_collisions:
         CollisionGuard(kinematics, config)  # refuses shapes that cannot be read
     if config.method == "way":
-        return WayController(kinematics, config)
+        return TargetPlanner(kinematics, config)
     return JacobianController(kinematics, config.weight, config.step_limit, config.singular_below)

@@ -16,7 +16,7 @@ SECTION = "joints"  # of the motion controller's parameter file
 
 
 @dataclass(frozen=True)
-class DriveNumbers:
+class DriveParameters:
     """The drive of a joint, all quantities seen at its link (a sliding joint: N, m, kg)."""
 
     stiffness: float = number(
@@ -49,10 +49,10 @@ class DriveNumbers:
     )
 
 
-Drives = Mapping[str, DriveNumbers]
+Drives = Mapping[str, DriveParameters]
 
 
-def drives_of(given: object, where: str) -> dict[str, DriveNumbers]:
+def drives_of(given: object, where: str) -> dict[str, DriveParameters]:
     """Return the numbers of joints by their names.
 
     Args:
@@ -63,11 +63,11 @@ def drives_of(given: object, where: str) -> dict[str, DriveNumbers]:
         Refusal: an unknown key or an impossible value.
     """
     return {
-        name: DriveNumbers(**numbers_in(table, DriveNumbers, where, f"{SECTION}.{name}"))
+        name: DriveParameters(**numbers_in(table, DriveParameters, where, f"{SECTION}.{name}"))
         for name, table in tables_of(given, where, SECTION).items()
     }
 
 
-def column(drives: Sequence[DriveNumbers], key: str) -> Array:
+def column(drives: Sequence[DriveParameters], key: str) -> Array:
     """Return a number of all drives (N,)."""
     return np.array([getattr(drive, key) for drive in drives], dtype=np.float64)

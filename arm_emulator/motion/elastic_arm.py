@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.drive_numbers import DriveNumbers, column
+from arm_emulator.motion.drive_numbers import DriveParameters, column
 from arm_emulator.motion.link_torques import LinkTorques
 
 # Share of the speed limit over which Coulomb friction grows from 0, without a step at the start.
@@ -54,7 +54,7 @@ class ElasticArm:
     """
 
     def __init__(
-        self, links: LinkTorques, drives: Sequence[DriveNumbers], velocity_limit: Array
+        self, links: LinkTorques, drives: Sequence[DriveParameters], velocity_limit: Array
     ) -> None:
         self._links = links
         stiffness = column(drives, "stiffness")

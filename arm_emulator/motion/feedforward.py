@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.drive_numbers import DriveParameters
 from arm_emulator.motion.elastic_arm import Drive, ElasticArm
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import Instruction, Reference
+from arm_emulator.motion.reference import JointSetpoint, Reference
 from arm_emulator.motion.rest_load import RestLoad
 
 _TIMES = 4  # each reduces the error to about a thousandth
@@ -56,7 +56,7 @@ class Feedforward:
             self.trouble = str(reason)
             return
         if self.gives == "full":
-            drives = [config.drives.get(name, DriveNumbers()) for name in names]
+            drives = [config.drives.get(name, DriveParameters()) for name in names]
             self._arm = ElasticArm(self._torques, drives, kinematics.velocity_limit)
             arm, outboard = self._arm, self._torques.outboard
             self._load = RestLoad(arm.dry, arm.softness, self._period, outboard)
@@ -100,10 +100,10 @@ class Feedforward:
         else:
             self._load.moves()
 
-    def complete(self, instruction: Instruction) -> Instruction:
+    def complete(self, instruction: JointSetpoint) -> JointSetpoint:
         """Return the servo's targets for this motion period."""
         if self.gives == "none":
-            return Instruction(instruction.q)
+            return JointSetpoint(instruction.q)
         if self._arm is not None:
             return self._full(self._arm, instruction)
         if self.gives == "speed" or instruction.tau is not None or self._torques is None:
@@ -111,7 +111,7 @@ class Feedforward:
         v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
         return replace(instruction, tau=self._torques.at(instruction.q, v))
 
-    def _full(self, arm: ElasticArm, instruction: Instruction) -> Instruction:
+    def _full(self, arm: ElasticArm, instruction: JointSetpoint) -> JointSetpoint:
         q, period = instruction.q, self._period
         mean = np.zeros_like(q) if instruction.v is None else instruction.v
         before = self._before
@@ -130,7 +130,7 @@ class Feedforward:
         self._before = present = _Period(now, mean, q_end, ends, rests)
         self.wound = begins.theta - q
         tau = self._announced(arm, begins, present) if instruction.tau is None else instruction.tau
-        return Instruction(begins.theta, (ends.theta - begins.theta) / period, tau, now)
+        return JointSetpoint(begins.theta, (ends.theta - begins.theta) / period, tau, now)
 
     def _announced(self, arm: ElasticArm, begins: Drive, present: _Period) -> Array:
         """Return the torques of the present period (N,).

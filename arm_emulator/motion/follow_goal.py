@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.motion_report import CANCELLED, MotionReport, State
+from arm_emulator.motion.motion_report import CANCELLED, GoalStatus, State
 from arm_emulator.motion.orders import GOAL_TOLERANCE, PATH_TOLERANCE
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 
@@ -57,7 +57,7 @@ def check_points(goal: Any) -> None:
         raise Refusal("joint_trajectory", "points", rule, "none", valid)
 
 
-def result_of(report: MotionReport) -> tuple[int, str]:
+def result_of(report: GoalStatus) -> tuple[int, str]:
     """Return error code and text for the final report of a goal.
 
     To cancel is no error.

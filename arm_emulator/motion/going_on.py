@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.paced import Paced
+from arm_emulator.motion.paced import TimeScaled
 from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.take_over import Rest
-from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.motion.way import JointPathLimits, TimedPath
 
 _SLID = 0.5  # s of the motion in which the place nearest to the arm is searched
 _LOOKS = 100
 _PACE = 0.95  # of the motion's own: what is left of its limits is for taking up the pace
 
 
-class GoingOn:
+class Resumed:
     """Returns to the way of a motion along the joints' line, and continues along it from rest.
 
     Args:
@@ -28,15 +28,17 @@ class GoingOn:
         duration: [s].
     """
 
-    def __init__(self, motion: Motion, since: float, now: Reference, limits: WayLimits) -> None:
+    def __init__(
+        self, motion: Motion, since: float, now: Reference, limits: JointPathLimits
+    ) -> None:
         since = min(since, motion.duration)
         times = np.linspace(since, min(motion.duration, since + _SLID), _LOOKS)
         off = [float(np.abs(motion.at(float(t)).q - now.q).max()) for t in times]
         nearest = float(times[int(np.argmin(off))])
         to = motion.at(nearest).q
         apart = np.abs(to - now.q).max() > 1e-12
-        self._back: Motion = Way(JointCurve.line(now.q, to), limits) if apart else Rest(to)
-        self._along = Paced(motion, nearest, 0.0, _PACE, limits)
+        self._back: Motion = TimedPath(JointCurve.line(now.q, to), limits) if apart else Rest(to)
+        self._along = TimeScaled(motion, nearest, 0.0, _PACE, limits)
         self.duration = self._back.duration + self._along.duration
 
     def place(self, time: float) -> float:

@@ -11,25 +11,25 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.coming_orders import (
-    ComingOrders,
-    TakenOrder,
+    AcceptedGoal,
+    GoalQueue,
     check_wait,
-    path_order,
-    stop_order,
-    trajectory_order,
+    path_goal,
+    stop_goal,
+    trajectory_goal,
 )
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.jog import JogCommand
-from arm_emulator.motion.jog_order import JogOrder
+from arm_emulator.motion.jog_order import JogGoal
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.laws import Laws
+from arm_emulator.motion.laws import Controllers
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import CANCELLED, MOVING, Kind, Progress, Reports, State
-from arm_emulator.motion.orders import Order, Planned, TargetOrder
+from arm_emulator.motion.orders import Goal, Planned, TargetGoal
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, NoWay, Reference
-from arm_emulator.motion.standstill import Flags, SlowingOrder, Standstill
-from arm_emulator.motion.target_stream import StreamOrder, TargetStream, is_near
+from arm_emulator.motion.reference import JointSetpoint, PlanningError, Reference
+from arm_emulator.motion.standstill import Flags, Standstill, StopGoal
+from arm_emulator.motion.target_stream import StreamGoal, TargetStream, is_near
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.way_controller import LOST
 
@@ -39,7 +39,7 @@ _V_TARGET = VELOCITY.named("v_target")
 _TAU = EFFORT.named("tau_feedforward")
 
 
-class Instructor:
+class MotionExecutor:
     """Answers joint angles with joint targets.
 
     Until something else holds these are the angles at first. Of tool targets, joint trajectories
@@ -65,9 +65,9 @@ class Instructor:
         self.reports = Reports()
         self.progress = MOVING
         self._config = config or MotionConfig()
-        self._coming = ComingOrders()
-        self._active: TakenOrder | None = None
-        self._laws: Laws | None = None
+        self._coming = GoalQueue()
+        self._active: AcceptedGoal | None = None
+        self._laws: Controllers | None = None
         self._stream = TargetStream(self._config.period)
         self.start_over()
 
@@ -80,9 +80,9 @@ class Instructor:
         self._active = None
         self._standing: Standstill | None = None
         self._only: Planned | None = None  # the only way on which the arm can stop; None: any
-        self._coming = ComingOrders()
+        self._coming = GoalQueue()
         self._now_ns: int | None = None  # logical time of the newest joint angles
-        self._last: tuple[int, Instruction] | None = None
+        self._last: tuple[int, JointSetpoint] | None = None
         if self._laws is not None:
             self._laws.leading = None
             self._laws.feedforward.forget()
@@ -123,7 +123,7 @@ class Instructor:
         Raises:
             Refusal: more wait for their time than are taken.
         """
-        self._take(Kind.TOOL_TARGET, time_ns, lambda: TargetOrder(time_ns, target))
+        self._take(Kind.TOOL_TARGET, time_ns, lambda: TargetGoal(time_ns, target))
 
     def add_trajectory(
         self,
@@ -146,8 +146,8 @@ class Instructor:
             Refusal: see `JointTrajectory`, no arm, or more wait for their time than are taken.
         """
 
-        def order() -> Order:
-            return trajectory_order(controller, self._config, names, points, stamp_ns, tolerances)
+        def order() -> Goal:
+            return trajectory_goal(controller, self._config, names, points, stamp_ns, tolerances)
 
         return self._take(Kind.JOINT_TRAJECTORY, stamp_ns, order)
 
@@ -170,8 +170,8 @@ class Instructor:
             Refusal: see `ToolPath`, no arm, or more wait for their time than are taken.
         """
 
-        def order() -> Order:
-            return path_order(controller, self._config, poses, stamp_ns, times_ns)
+        def order() -> Goal:
+            return path_goal(controller, self._config, poses, stamp_ns, times_ns)
 
         begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
         return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
@@ -179,17 +179,17 @@ class Instructor:
     def jog(self, command: JogCommand) -> None:
         """Take a jog command: it holds at once, and as long as jog commands last."""
         for order in (self.jogging, *(one.order for one in self._coming)):
-            if isinstance(order, JogOrder):
+            if isinstance(order, JogGoal):
                 order.take(command)
                 return
-        self._take(Kind.JOG, 0, lambda: JogOrder(command))
+        self._take(Kind.JOG, 0, lambda: JogGoal(command))
 
     @property
-    def jogging(self) -> JogOrder | None:
+    def jogging(self) -> JogGoal | None:
         """The jog that holds now; None: none does."""
         active = self._active
         jogs = active is not None and not active.state.final
-        return active.order if active and jogs and isinstance(active.order, JogOrder) else None
+        return active.order if active and jogs and isinstance(active.order, JogGoal) else None
 
     def cancel(self, number: int) -> None:
         """Abort a joint trajectory by its number: the joints come to rest if it moves them."""
@@ -202,7 +202,7 @@ class Instructor:
         if self._laws is None or active is None or active.state.final:
             return
         if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
-            self._coming.put_first(TakenOrder(stop_order(self._laws), 0))
+            self._coming.put_first(AcceptedGoal(stop_goal(self._laws), 0))
 
     def instruct(
         self,
@@ -212,7 +212,7 @@ class Instructor:
         v: Array | None = None,
         movable: Flags | None = None,
         tau: Array | None = None,
-    ) -> Instruction:
+    ) -> JointSetpoint:
         """Return the joint targets at a logical time [ns].
 
         Args:
@@ -252,7 +252,7 @@ class Instructor:
             self.trouble = str(error)
             self.start_over(self.trouble)
             self._hold = q
-            of_links, instruction = Instruction(q), Instruction(measured)
+            of_links, instruction = JointSetpoint(q), JointSetpoint(measured)
         self._last = time_ns, of_links
         return instruction
 
@@ -261,7 +261,7 @@ class Instructor:
         """Reason why the arm waits at a standstill, as text; empty: it moves."""
         return "" if self._standing is None else self._standing.words
 
-    def _wait(self, laws: Laws, time_ns: int, q: Array, movable: Flags | None) -> None:
+    def _wait(self, laws: Controllers, time_ns: int, q: Array, movable: Flags | None) -> None:
         """Stand still while a joint cannot move, and until all rest."""
         if self._standing is None:
             if movable is not None and not movable.all():
@@ -282,13 +282,13 @@ class Instructor:
             active.report(self.reports, Progress(State.REFUSED, str(reason)))
             self._active, self._hold = None, rest.q
 
-    def _laws_of(self, controller: Controller) -> Laws:
+    def _laws_of(self, controller: Controller) -> Controllers:
         if self._laws is None or self._laws.controller is not controller:
-            self._laws = Laws(controller, self._config)
+            self._laws = Controllers(controller, self._config)
         return self._laws
 
     def _take(
-        self, kind: Kind, time_ns: int, make: Callable[[], Order], begins_ns: int | None = None
+        self, kind: Kind, time_ns: int, make: Callable[[], Goal], begins_ns: int | None = None
     ) -> int:
         begins_ns = time_ns if begins_ns is None else begins_ns
         try:
@@ -299,14 +299,14 @@ class Instructor:
         except Refusal as reason:
             self.reports.refuse(kind, time_ns, reason)
             raise
-        taken = TakenOrder(order, self.reports.next_number(kind), begins_ns)
+        taken = AcceptedGoal(order, self.reports.next_number(kind), begins_ns)
         taken.report(self.reports, Progress(State.ACCEPTED))
         before = self._coming.put(time_ns, taken)
         if before is not None:
             before.report(self.reports, taken.replaces)
         return taken.number
 
-    def _take_up(self, laws: Laws, time_ns: int, q: Array) -> None:
+    def _take_up(self, laws: Controllers, time_ns: int, q: Array) -> None:
         """Start the orders whose time has come."""
         early = list(self._coming) if self._now_ns is None else []  # than the first joint states
         for one in early:
@@ -318,12 +318,12 @@ class Instructor:
         self._now_ns = time_ns
         while (taken := self._coming.due(time_ns)) is not None:
             reference, order = self._reference(laws, time_ns, q), taken.order
-            if isinstance(order, TargetOrder):
+            if isinstance(order, TargetGoal):
                 self._stream.take(order.stamp_ns or time_ns, order.pose, reference.q)
             if (newer := self._coming.next_due(time_ns)) is not None:
                 taken.report(self.reports, newer.replaces)
                 continue
-            if isinstance(order, TargetOrder):
+            if isinstance(order, TargetGoal):
                 taken.order = self._streamed(laws, order, reference.q)
             try:
                 taken.order.begin(laws, time_ns, reference)
@@ -334,22 +334,24 @@ class Instructor:
                 self._active.report(self.reports, taken.replaces)
             self._active = taken
 
-    def _streamed(self, laws: Laws, order: TargetOrder, q: Array) -> TargetOrder | StreamOrder:
+    def _streamed(self, laws: Controllers, order: TargetGoal, q: Array) -> TargetGoal | StreamGoal:
         """Return the order for the newest target: itself, or that of its stream."""
         motion = self._stream.motion()
         if motion is None or not is_near(laws.controller.kinematics, q, order):
             return order
-        return StreamOrder(order, motion, self._stream.posture)
+        return StreamGoal(order, motion, self._stream.posture)
 
-    def _instruct(self, laws: Laws, time_ns: int, q: Array, v: Array | None) -> Instruction:
+    def _instruct(
+        self, laws: Controllers, time_ns: int, q: Array, v: Array | None
+    ) -> JointSetpoint:
         taken = self._active
         if taken is None:
             if self._hold is None:
                 self._hold = q
-            return Instruction(self._hold)
+            return JointSetpoint(self._hold)
         try:
             instruction = taken.order.instruct(laws, time_ns, q)
-        except NoWay as reason:  # nothing has changed
+        except PlanningError as reason:  # nothing has changed
             before = taken.order.reference(time_ns)
             assert before is not None
             moved = bool((before.v != 0.0).any())
@@ -369,12 +371,14 @@ class Instructor:
             return self._stop(laws, time_ns, q, v)
         return self._guarded(laws, time_ns, q, instruction)
 
-    def _guarded(self, laws: Laws, time_ns: int, q: Array, instruction: Instruction) -> Instruction:
+    def _guarded(
+        self, laws: Controllers, time_ns: int, q: Array, instruction: JointSetpoint
+    ) -> JointSetpoint:
         """Return an instruction after which the arm can stop before a collision."""
         guard, taken = laws.guard, self._active
         if guard is None or taken is None:
             return instruction
-        if isinstance(taken.order, JogOrder) and self._only is None:
+        if isinstance(taken.order, JogGoal) and self._only is None:
             return instruction  # jogs look ahead by themselves
         now, then = _begin_and_end(instruction, laws.config.period)
         then = taken.order.reference(time_ns + laws.period_ns) or then
@@ -389,32 +393,34 @@ class Instructor:
         why = Progress(State.ABORTED, f"collision: {touching} would touch")
         return self._halt(laws, time_ns, now, why)
 
-    def _halt(self, laws: Laws, time_ns: int, now: Reference, why: Progress) -> Instruction:
+    def _halt(
+        self, laws: Controllers, time_ns: int, now: Reference, why: Progress
+    ) -> JointSetpoint:
         """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
             self._active.report(self.reports, why)
-        stop: JogOrder | SlowingOrder
+        stop: JogGoal | StopGoal
         if self._only is None:
-            stop = JogOrder.stop(time_ns, len(now.q))
+            stop = JogGoal.stop(time_ns, len(now.q))
         else:
-            stop = SlowingOrder(laws, time_ns, self._only)
+            stop = StopGoal(laws, time_ns, self._only)
         stop.begin(laws, time_ns, now)
-        self._active = TakenOrder(stop, 0, state=State.MOVING)
+        self._active = AcceptedGoal(stop, 0, state=State.MOVING)
         instruction = stop.instruct(laws, time_ns, now.q)
         if self._only is not None:
             self._only = stop.planned()
         return instruction
 
-    def _stop(self, laws: Laws, time_ns: int, q: Array, v: Array | None) -> Instruction:
+    def _stop(self, laws: Controllers, time_ns: int, q: Array, v: Array | None) -> JointSetpoint:
         """Bring the joints to rest from their measured motion."""
-        stop = stop_order(laws)
+        stop = stop_goal(laws)
         still = np.zeros_like(q)
         q = laws.feedforward.standing(q)
         stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
-        self._active, self._only = TakenOrder(stop, 0), None
+        self._active, self._only = AcceptedGoal(stop, 0), None
         return stop.instruct(laws, time_ns, q)
 
-    def _reference(self, laws: Laws, time_ns: int, q: Array) -> Reference:
+    def _reference(self, laws: Controllers, time_ns: int, q: Array) -> Reference:
         """Return the joints' commanded motion, or the measured one if they are far apart."""
         if self._standing is not None:
             return self._standing.reference
@@ -434,7 +440,7 @@ class Instructor:
         return reference
 
 
-def _begin_and_end(instruction: Instruction, period: float) -> tuple[Reference, Reference]:
+def _begin_and_end(instruction: JointSetpoint, period: float) -> tuple[Reference, Reference]:
     """Return the motion at the begin and at the end of a motion period."""
     q, still = instruction.q, np.zeros_like(instruction.q)
     v = still if instruction.v is None else instruction.v

@@ -19,7 +19,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, Reference
+from arm_emulator.motion.reference import JointSetpoint, Reference
 
 _SHARE = Number("weight", above=0.0, at_most=1.0)
 _STEP_LIMIT = Number("step_limit", "rad", above=0.0)
@@ -106,7 +106,7 @@ class JacobianController:
         self.step_limit = config.step_limit
         self.singular_below = config.singular_below
 
-    def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
+    def update(self, q: npt.ArrayLike, target: Pose) -> JointSetpoint:
         """Return the joint targets that bring the tool nearer to its target.
 
         Args:
@@ -130,7 +130,7 @@ class JacobianController:
         if not np.isfinite(q_target).all():
             raise ArithmeticError(f"the joint targets of eq. (6) are not finite at q = {q}")
         self.error, self.notices = error, tuple(notices)
-        return Instruction(q_target)
+        return JointSetpoint(q_target)
 
     def _step(self, q: Array, target: Pose) -> tuple[Array, Array, list[str]]:
         """Return q_target, the tool's error, and limits of the step as text."""

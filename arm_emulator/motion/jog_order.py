@@ -10,15 +10,15 @@ import pinocchio as pin
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.jog import JogCommand, JogStatus
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
-from arm_emulator.motion.laws import Laws, smooth_joints
+from arm_emulator.motion.laws import Controllers, jerk_limited_velocity
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, Reference
+from arm_emulator.motion.reference import JointSetpoint, Reference
 from arm_emulator.motion.tool_directions import Speeds, ToolDirections
 from arm_emulator.motion.way_controller import ACCELERATION_SHARE
 
 
-class JogOrder:
+class JogGoal:
     """Follows the newest jog command, and comes to rest when it is too old.
 
     Attributes:
@@ -35,7 +35,7 @@ class JogOrder:
         self.status, self.words = JogStatus.NO_WARNING, ""
 
     @classmethod
-    def stop(cls, now_ns: int, joints: int) -> JogOrder:
+    def stop(cls, now_ns: int, joints: int) -> JogGoal:
         """Return the order to come to rest at once."""
         return cls(JogCommand(now_ns, None, "", np.zeros(joints)))
 
@@ -43,10 +43,10 @@ class JogOrder:
         """Follow another command."""
         self._command = command
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         margin = laws.config.jog_joint_limit_margin
-        self._joints = smooth_joints(
+        self._joints = jerk_limited_velocity(
             laws.controller.kinematics, laws.config, margin, ACCELERATION_SHARE
         )
         self._joints.begin(reference)
@@ -54,12 +54,12 @@ class JogOrder:
         self._stale = False
         laws.leading = None
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         self.begin(laws, now_ns, reference)
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
-        """See `Order`."""
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
         now, config = self._joints.now, laws.config
         command = self._command
         timeout = round(config.jog_incoming_command_timeout * 1e9)
@@ -79,9 +79,9 @@ class JogOrder:
             self.status, self.words = JogStatus.HALT_FOR_COLLISION, f"{touching} would touch"
             self._joints.begin(now)
             mean = self._joints.halt()
-        return Instruction(now.q, mean, None, now)
+        return JointSetpoint(now.q, mean, None, now)
 
-    def _speeds(self, laws: Laws, command: JogCommand, now: Reference) -> Speeds:
+    def _speeds(self, laws: Controllers, command: JogCommand, now: Reference) -> Speeds:
         if command.joints is not None:
             return Speeds(command.joints)
         assert command.twist is not None
@@ -100,7 +100,7 @@ class JogOrder:
         back = self._line.back(coming, now.v, command.twist, twist)
         return replace(speeds, v=speeds.v + here.speeds(back, laws.config).v)
 
-    def _bounded(self, laws: Laws, command: JogCommand, q: Array, v: Array) -> Array:
+    def _bounded(self, laws: Controllers, command: JogCommand, q: Array, v: Array) -> Array:
         """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""
         allowed = self._joints.allowed(q, v)
         held = [laws.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)]
@@ -110,14 +110,14 @@ class JogOrder:
         return v * (allowed if command.joints is not None else allowed.min())
 
     def reference(self, now_ns: int) -> Reference | None:
-        """See `Order`."""
+        """See `Goal`."""
         return self._joints.now
 
     def planned(self) -> None:
-        """See `Order`."""
+        """See `Goal`."""
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
-        """See `Order`."""
+        """See `Goal`."""
         if self._stale and not self._joints.moving:
             return Progress(State.REACHED, "no command any more, at rest")
         return MOVING

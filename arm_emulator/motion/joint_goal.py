@@ -26,7 +26,7 @@ _SINGULAR = 0.1  # rad/rad: directions that are probed
 _MOST_DAMPING = 1e9
 
 
-class JointGoal:
+class InverseKinematics:
     """Iteration from the arm's joint angles to those of its tool's target.
 
     A step D of the joints minimises, within the position limits,

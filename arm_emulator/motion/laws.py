@@ -10,15 +10,15 @@ from arm_emulator.motion.feedforward import Feedforward
 from arm_emulator.motion.joint_trajectory import JointLimits
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.smooth_joints import SmoothJoints
+from arm_emulator.motion.smooth_joints import JerkLimitedVelocity
 from arm_emulator.motion.tool_path import ToolLimits
-from arm_emulator.motion.way_controller import ACCELERATION_SHARE, WayController
+from arm_emulator.motion.way_controller import ACCELERATION_SHARE, TargetPlanner
 
 _MOST_MARGIN = 0.1  # of a joint's range: a gripper that slides 25 mm has some left
 RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
 
-class Laws:
+class Controllers:
     """The control laws for tool targets and for tool paths.
 
     Paths are followed along ways that are planned before they begin, whatever the method for
@@ -36,9 +36,9 @@ class Laws:
     def __init__(self, controller: Controller, config: MotionConfig) -> None:
         self.controller, self.config = controller, config
         self.period_ns = round(config.period * 1e9)
-        self._ways = controller if isinstance(controller, WayController) else None
+        self._ways = controller if isinstance(controller, TargetPlanner) else None
         self.leading: Controller | None = None
-        self._braking: SmoothJoints | None = None
+        self._braking: JerkLimitedVelocity | None = None
         self.feedforward = Feedforward(controller.kinematics, config)
         watched = config.watches_collisions
         self.guard = CollisionGuard(controller.kinematics, config) if watched else None
@@ -46,18 +46,18 @@ class Laws:
             self._ways.guard = self.guard
 
     @property
-    def ways(self) -> WayController:
+    def ways(self) -> TargetPlanner:
         """The law for tool paths; the same if possible."""
         if self._ways is None:
-            self._ways = WayController(self.controller.kinematics, self.config)
+            self._ways = TargetPlanner(self.controller.kinematics, self.config)
         return self._ways
 
     @property
-    def braking(self) -> SmoothJoints:
+    def braking(self) -> JerkLimitedVelocity:
         """Braking motion before a collision."""
         kinematics, config = self.controller.kinematics, self.config
         if self._braking is None:
-            self._braking = smooth_joints(kinematics, config, 0.0, ACCELERATION_SHARE)
+            self._braking = jerk_limited_velocity(kinematics, config, 0.0, ACCELERATION_SHARE)
         return self._braking
 
     def retune(self, config: MotionConfig) -> None:
@@ -81,9 +81,9 @@ def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     )
 
 
-def smooth_joints(
+def jerk_limited_velocity(
     kinematics: Kinematics, config: MotionConfig, margin: float, share: float = 1.0
-) -> SmoothJoints:
+) -> JerkLimitedVelocity:
     """Return joints that take up speeds, and come to rest, as in jogs and before collisions.
 
     Args:
@@ -95,7 +95,7 @@ def smooth_joints(
     limits = joint_limits(kinematics, config)
     acceleration = share * limits.acceleration
     within = np.minimum(margin, _MOST_MARGIN * (limits.upper - limits.lower))
-    return SmoothJoints(
+    return JerkLimitedVelocity(
         limits.lower + within,
         limits.upper - within,
         np.minimum(limits.speed, config.velocity_limit),

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.arm_shapes import ArmShapes
+from arm_emulator.motion.arm_shapes import CollisionShapes
 
 DRAWN = 10_000  # configurations: MoveIt's own assistant draws as many
 _JUDGED = 200  # of them for `ALWAYS`
@@ -48,7 +48,7 @@ def link_pairs(urdf_xml: str, joint_names: Sequence[str], drawn: int = DRAWN) ->
     Raises:
         Refusal: a description, or a mesh in it, that cannot be read.
     """
-    arm = ArmShapes(urdf_xml, joint_names)
+    arm = CollisionShapes(urdf_xml, joint_names)
     links = sorted(set(arm.links))
     reasons = dict.fromkeys(_adjacent(urdf_xml, links), Reason.ADJACENT)
     left = [pair for pair in itertools.combinations(links, 2) if pair not in reasons]
@@ -73,7 +73,7 @@ def link_pairs(urdf_xml: str, joint_names: Sequence[str], drawn: int = DRAWN) ->
 class _Contacts:
     """Finds which of some pairs of links touch."""
 
-    def __init__(self, arm: ArmShapes, pairs: Iterable[tuple[str, str]]) -> None:
+    def __init__(self, arm: CollisionShapes, pairs: Iterable[tuple[str, str]]) -> None:
         self.pairs = list(pairs)
         self._arm = arm
         self._hulls, self._meshes = pin.GeometryModel(arm.hulls), pin.GeometryModel(arm.meshes)

@@ -58,7 +58,7 @@ MOVING = Progress(State.MOVING)
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionReport(Progress):
+class GoalStatus(Progress):
     """One change of one request."""
 
     kind: Kind
@@ -86,7 +86,7 @@ class Reports:
     def __init__(self) -> None:
         self.numbers: Counter[Kind] = Counter()
         """Number of orders of each kind so far."""
-        self.waiting: deque[MotionReport] = deque(maxlen=MOST_WAITING)
+        self.waiting: deque[GoalStatus] = deque(maxlen=MOST_WAITING)
 
     def next_number(self, kind: Kind) -> int:
         """Return the number of a new one."""
@@ -100,15 +100,15 @@ class Reports:
 
     def add(self, progress: Progress, kind: Kind, number: int, stamp_ns: int) -> None:
         """Report the progress of one."""
-        one = MotionReport(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
+        one = GoalStatus(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
         self.waiting.append(one)
 
     @property
-    def newest(self) -> MotionReport | None:
+    def newest(self) -> GoalStatus | None:
         """The newest report that was not taken yet, or None."""
         return self.waiting[-1] if self.waiting else None
 
-    def take(self) -> list[MotionReport]:
+    def take(self) -> list[GoalStatus]:
         """Return the reports, and clear them."""
         taken = list(self.waiting)
         self.waiting.clear()

@@ -10,20 +10,25 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.going_on import GoingOn
+from arm_emulator.motion.going_on import Resumed
 from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
-from arm_emulator.motion.laws import Laws
+from arm_emulator.motion.laws import Controllers
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
-from arm_emulator.motion.path_watch import PathWatch
+from arm_emulator.motion.path_watch import PathMonitor
 from arm_emulator.motion.path_way import plan_path
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, Motion, Reference
+from arm_emulator.motion.reference import JointSetpoint, Motion, Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
-from arm_emulator.motion.trajectory_way import Delayed, InSeconds, TimedMotion, within_limits
-from arm_emulator.motion.way_controller import WayController, angles_over
+from arm_emulator.motion.trajectory_way import (
+    DelayedTrajectory,
+    MotionInSeconds,
+    TimedMotion,
+    within_limits,
+)
+from arm_emulator.motion.way_controller import TargetPlanner, angles_over
 
 PATIENCE = 1.0  # s: an error that has not decreased for this long never will
 _SMALLER = 0.99  # decrease that counts
@@ -45,7 +50,7 @@ class Planned:
     """Time within it at the end of the motion period [s]."""
 
 
-class Order(Protocol):
+class Goal(Protocol):
     """Interface of all orders.
 
     Attributes:
@@ -60,26 +65,26 @@ class Order(Protocol):
     def way(self) -> str:
         """Kind of its way and the reason, as text; empty: unknown."""
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
         """Take over from `reference`.
 
         Raises:
             Refusal: it cannot be begun so. Nothing has changed then.
         """
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
         """Continue after a standstill, from rest at `reference`.
 
         Raises:
             Refusal: it cannot be continued so. Nothing has changed then.
         """
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """Return the joint targets of this motion period.
 
         Raises:
-            NoWay: a motion that would begin now leads to a collision, or far past its end. Nothing
-                has changed then.
+            PlanningError: a motion that would begin now leads to a collision, or far past its end.
+                Nothing has changed then.
         """
 
     def reference(self, now_ns: int) -> Reference | None:
@@ -92,7 +97,7 @@ class Order(Protocol):
         """Return its progress, after `instruct`, by the measured angles and speeds."""
 
 
-class TargetOrder:
+class TargetGoal:
     """Order to bring the tool to a pose."""
 
     kind = Kind.TOOL_TARGET
@@ -101,28 +106,28 @@ class TargetOrder:
         self.stamp_ns, self.pose = stamp_ns, pose
         self._held: Array | None = None
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         self._law, self._arrival = laws.controller, _Arrival(laws.config)
         if laws.leading is not self._law:
             self._law.begin_moving(reference)
             laws.leading = self._law
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         laws.leading = None
         self._held = None
         self.begin(laws, now_ns, reference)
 
     @property
     def way(self) -> str:
-        """See `Order`."""
+        """See `Goal`."""
         return self._law.way
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
-        """See `Order`."""
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
         if self._held is not None:
-            return Instruction(self._held)
+            return JointSetpoint(self._held)
         instruction = self._law.update(q, self.pose)
         if self._law.coming is None and self._arrival.stalls(now_ns):
             # Eq. (6) would never give up.
@@ -130,19 +135,19 @@ class TargetOrder:
         return instruction
 
     def reference(self, now_ns: int) -> Reference | None:
-        """See `Order`."""
+        """See `Goal`."""
         return self._law.coming
 
     def planned(self) -> Planned | None:
-        """See `Order`."""
-        return _planned(self._law) if isinstance(self._law, WayController) else None
+        """See `Goal`."""
+        return _planned(self._law) if isinstance(self._law, TargetPlanner) else None
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
-        """See `Order`."""
+        """See `Goal`."""
         return self._arrival.progress(now_ns, self._law, q, v)
 
 
-class PathOrder:
+class PathGoal:
     """Order to move the tool along a path."""
 
     kind = Kind.TOOL_PATH
@@ -151,8 +156,8 @@ class PathOrder:
         self.stamp_ns, self._path = path.stamp_ns, path
         self.way = ""
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         law, leading = laws.ways, laws.leading
         config = laws.config
         if leading is not law:
@@ -163,35 +168,35 @@ class PathOrder:
         laws.leading = law
         law.follow(self._motion)
         self._law, self._arrival = law, _Arrival(config)
-        self._watch = PathWatch(law.kinematics, self._path.poses, config.tool_path_tolerance)
+        self._watch = PathMonitor(law.kinematics, self._path.poses, config.tool_path_tolerance)
         self.way = f"in {self._motion.duration:.3g} s"
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         law = self._law
-        left = GoingOn(law.motion, law.gone, reference, law.limits)
+        left = Resumed(law.motion, law.gone, reference, law.limits)
         _check(laws, self.kind, left)
         law.begin_moving(reference)
         laws.leading = law
         law.follow(left)
         self.way = f"goes on, in {left.duration:.3g} s"
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
-        """See `Order`."""
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
         instruction = self._law.go_on(q, self._path.poses[-1])
         self._watch.see(instruction.q, q)
         return instruction
 
     def reference(self, now_ns: int) -> Reference | None:
-        """See `Order`."""
+        """See `Goal`."""
         return self._law.coming
 
     def planned(self) -> Planned:
-        """See `Order`."""
+        """See `Goal`."""
         return _planned(self._law)
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
-        """See `Order`."""
+        """See `Goal`."""
         if self._watch.broken:
             return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
         if not self._law.resting:
@@ -203,7 +208,7 @@ class PathOrder:
         return progress
 
 
-class TrajectoryOrder:
+class TrajectoryGoal:
     """Order to move the joints along a trajectory."""
 
     kind = Kind.JOINT_TRAJECTORY
@@ -213,8 +218,8 @@ class TrajectoryOrder:
         self._tolerances = tolerances
         self._motion: TimedMotion
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         start_ns = self.stamp_ns or now_ns
         scaled = laws.config.trajectory_limits == "scale"
         motion = within_limits(laws.ways, self.trajectory, now_ns, start_ns, reference, scaled)
@@ -222,43 +227,43 @@ class TrajectoryOrder:
         self._start_ns = start_ns
         laws.leading = None
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
-        left = Delayed(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
+        left = DelayedTrajectory(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
         self._follow(laws, left, now_ns)
 
-    def _follow(self, laws: Laws, motion: TimedMotion, now_ns: int) -> None:
-        whole = InSeconds(motion, now_ns)
+    def _follow(self, laws: Controllers, motion: TimedMotion, now_ns: int) -> None:
+        whole = MotionInSeconds(motion, now_ns)
         if not self.trajectory.stops:
             _check(laws, self.kind, whole)
         self._motion, self._whole, self._began_ns, self._at_ns = motion, whole, now_ns, now_ns
 
     @property
     def way(self) -> str:
-        """See `Order`."""
+        """See `Goal`."""
         return self._motion.way
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
-        """See `Order`."""
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
         self._at_ns, self._period = now_ns, laws.config.period
         now, then = (self._motion.at(now_ns + t) for t in (0, laws.period_ns))
         effort = None
         if not self.trajectory.stops:
             effort = self.trajectory.effort(self._motion.asked_ns(now_ns), self._start_ns)
         v = (then.q - now.q) / (laws.period_ns * _SECONDS)
-        return Instruction(now.q, v, effort, now, then)
+        return JointSetpoint(now.q, v, effort, now, then)
 
     def reference(self, now_ns: int) -> Reference | None:
-        """See `Order`."""
+        """See `Goal`."""
         return self._motion.at(now_ns)
 
     def planned(self) -> Planned | None:
-        """See `Order`."""
+        """See `Goal`."""
         gone = (self._at_ns - self._began_ns) * _SECONDS + self._period
         return None if self.trajectory.stops else Planned(self._whole, gone)
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
-        """See `Order`."""
+        """See `Goal`."""
         asked = self._motion.at(now_ns)
         q_error, v_error = asked.q - q, None if v is None else asked.v - v
         names = self.trajectory.joint_names
@@ -274,15 +279,15 @@ class TrajectoryOrder:
         return MOVING
 
 
-def _planned(law: WayController) -> Planned:
+def _planned(law: TargetPlanner) -> Planned:
     return Planned(law.motion, law.gone)
 
 
-def _check(laws: Laws, kind: Kind, motion: Motion) -> None:
+def _check(laws: Controllers, kind: Kind, motion: Motion) -> None:
     """Check a motion to its end.
 
     Raises:
-        NoWay: parts would touch.
+        PlanningError: parts would touch.
     """
     if laws.guard is not None:
         laws.guard.check(kind.topic, angles_over(motion))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.motion.reference import Motion, Reference
-from arm_emulator.motion.way import WayLimits
+from arm_emulator.motion.way import JointPathLimits
 
 _LOOKS = 40
 _SHORTEST, _LONGEST = 0.05, 1e3  # s, in which the pace changes
 _ROUNDING = 1e-6  # of a limit
 
 
-class Paced:
+class TimeScaled:
     """A motion whose pace changes smoothly at once, as fast as the limits allow, and then stays.
 
     Args:
@@ -27,7 +27,7 @@ class Paced:
     """
 
     def __init__(
-        self, motion: Motion, since: float, pace: float, then: float, limits: WayLimits
+        self, motion: Motion, since: float, pace: float, then: float, limits: JointPathLimits
     ) -> None:
         self._motion, self._end = motion, motion.duration
         self._since = min(since, self._end)
@@ -61,7 +61,7 @@ class Paced:
         change, bend = by * 6.0 * x * (1.0 - x) / T, by * 6.0 * (1.0 - 2.0 * x) / T**2
         return place, self._pace + by * x * x * (3.0 - 2.0 * x), change, bend
 
-    def _keeps(self, limits: WayLimits) -> bool:
+    def _keeps(self, limits: JointPathLimits) -> bool:
         """Whether the pace changes within the limits, or those of the motion itself."""
         for time in np.linspace(0.0, min(self._ramp, self._takes()), _LOOKS):
             one, itself = self.at(float(time)), self._motion.at(self.place(float(time)))

@@ -14,7 +14,7 @@ from arm_emulator.motion.pose import Pose
 _LATE = 100  # motion periods by which the tool may be behind its reference
 
 
-class PathWatch:
+class PathMonitor:
     """Compares the measured tool with the way of the reference, not with its place on it.
 
     A late tool is still on its path.

@@ -12,15 +12,15 @@ import numpy.typing as npt
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.joint_curve import ROUNDING, JointCurve
-from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.joint_goal import InverseKinematics
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Motion, Reference
 from arm_emulator.motion.take_over import Rest
-from arm_emulator.motion.target_ways import TargetWays
+from arm_emulator.motion.target_ways import CandidatePaths
 from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along
 from arm_emulator.motion.tool_path import WHERE, ToolPath
-from arm_emulator.motion.way import AlongLimits, Way
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way import TimedPath, ToolPathLimits
+from arm_emulator.motion.way_controller import TargetPlanner
 
 FEWEST_NODES = 32  # of a run between two stops
 MOST_NODES = 40_000
@@ -32,7 +32,7 @@ _SETTLING_STEPS = 40  # of the joint goal
 _SECONDS = 1e-9
 
 
-class InARow:
+class MotionSequence:
     """Motions one after the other, each beginning where the one before rests.
 
     Attributes:
@@ -54,8 +54,8 @@ class InARow:
 
 
 def plan_path(
-    law: WayController, path: ToolPath, now: Reference, now_ns: int, scaled: bool
-) -> InARow:
+    law: TargetPlanner, path: ToolPath, now: Reference, now_ns: int, scaled: bool
+) -> MotionSequence:
     """Return the joints' motion to a path and along it.
 
     Args:
@@ -83,15 +83,15 @@ def plan_path(
         along = _timed(law, path, start, scaled)
     else:
         along = _as_limits_allow(law, path, start)
-    row = InARow([*before, *along])
+    row = MotionSequence([*before, *along])
     if row.duration > LONGEST_TIME:
         got = f"{row.duration:.6g} s"
         raise Refusal(WHERE, "the path", f"take at most {LONGEST_TIME:g} s", got)
     return row
 
 
-def _way_in(law: WayController, q: Array, path: ToolPath) -> Motion:
-    """Return the way from rest to the first pose, the best of `TargetWays`."""
+def _way_in(law: TargetPlanner, q: Array, path: ToolPath) -> Motion:
+    """Return the way from rest to the first pose, the best of `CandidatePaths`."""
     kinematics, to, limits = law.kinematics, path.first, path.limits
     R_WT, p_WT = kinematics.forward(q)
     begin = Pose(p_WT, R_WT if kinematics.turns_tool else to.R_WT)
@@ -104,7 +104,7 @@ def _way_in(law: WayController, q: Array, path: ToolPath) -> Motion:
     if isinstance(line, JointCurve):
         end = line.end
     else:
-        goal = JointGoal(kinematics)
+        goal = InverseKinematics(kinematics)
         goal.begin(law.posture)
         goal.aim(to, q)
         goal.approach(_SETTLING_STEPS)
@@ -116,14 +116,14 @@ def _way_in(law: WayController, q: Array, path: ToolPath) -> Motion:
         line = joints_along(law.arm, q, begin, to, end)
     turned = float(np.linalg.norm(off[3:])) if kinematics.turns_tool else 0.0
     length = max(float(np.linalg.norm(to.p_WT - p_WT)), limits.per_turn * turned)
-    along = AlongLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)
-    ways = TargetWays(law.arm, law.limits, q, to, along, heavy=False, where=WHERE)
+    along = ToolPathLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)
+    ways = CandidatePaths(law.arm, law.limits, q, to, along, heavy=False, where=WHERE)
     for one in ways.to(end, line):
         return one.way
     raise ways.past_end(end)
 
 
-def _as_limits_allow(law: WayController, path: ToolPath, start: Array) -> list[Motion]:
+def _as_limits_allow(law: TargetPlanner, path: ToolPath, start: Array) -> list[Motion]:
     """Return a way for each run between stops."""
     curve, limits = path.curve, path.limits
     ends = [(float(a), float(b)) for a, b in zip(path.stops, path.stops[1:], strict=False)]
@@ -142,7 +142,7 @@ def _as_limits_allow(law: WayController, path: ToolPath, start: Array) -> list[M
             int(np.searchsorted(curve.ends, a, side="right")),
             int(np.searchsorted(curve.ends, b, side="left")) + 1,
         )
-        along = AlongLimits(
+        along = ToolPathLimits(
             b - a,
             limits.speed,
             limits.acceleration,
@@ -150,7 +150,7 @@ def _as_limits_allow(law: WayController, path: ToolPath, start: Array) -> list[M
             (curve.ends[inside] - a) / (b - a),
             bend[inside],
         )
-        ways.append(Way(joints, law.limits, law.arm, along, where=WHERE))
+        ways.append(TimedPath(joints, law.limits, law.arm, along, where=WHERE))
     return ways
 
 
@@ -165,7 +165,7 @@ def _run(path: ToolPath, a: float, b: float) -> Array:
     return a + (b - a) * np.arange(1, count + 1) / count
 
 
-def _timed(law: WayController, path: ToolPath, start: Array, scaled: bool) -> list[Motion]:
+def _timed(law: TargetPlanner, path: ToolPath, start: Array, scaled: bool) -> list[Motion]:
     """Return the way of a path with times."""
     assert path.times_ns is not None
     curve = path.curve
@@ -183,7 +183,7 @@ def _timed(law: WayController, path: ToolPath, start: Array, scaled: bool) -> li
     q = _joints(law, path, start, [measure(np.arange(1, count + 1) / count)])
     joints = JointCurve.spline(q)
     _check_between(law, path, joints, measure)
-    exact = Evenly(joints, whole)
+    exact = ConstantRateCurve(joints, whole)
     beyond = exact.beyond(law)
     if not beyond:
         return [exact]
@@ -193,10 +193,10 @@ def _timed(law: WayController, path: ToolPath, start: Array, scaled: bool) -> li
         rule = f"keep the limits of {name}; with trajectory_limits: scale it takes longer"
         got = f"{share:.3g} times its {beyond[3]} {path.place(float(measure(np.array([s]))[0]))}"
         raise Refusal(WHERE, "the path", rule, got)
-    return [Way(joints, law.limits, law.arm, asked=whole, where=WHERE)]
+    return [TimedPath(joints, law.limits, law.arm, asked=whole, where=WHERE)]
 
 
-class Evenly:
+class ConstantRateCurve:
     """A curve of the joints at a constant rate.
 
     Args:
@@ -215,7 +215,7 @@ class Evenly:
             *self.curve.moving(max(0.0, time) / self.duration, 1 / self.duration, 0, 0)
         )
 
-    def beyond(self, law: WayController) -> tuple[int, float, float, str] | None:
+    def beyond(self, law: TargetPlanner) -> tuple[int, float, float, str] | None:
         """Return joint, ratio to the limit, place and limit of the largest excess."""
         s = np.linspace(0.0, 1.0, 4 * len(self.curve.breaks) + 1)
         derivatives = self.curve.derivatives(s)
@@ -231,7 +231,7 @@ class Evenly:
         return worst
 
 
-def _joints(law: WayController, path: ToolPath, start: Array, nodes: Sequence[Array]) -> Array:
+def _joints(law: TargetPlanner, path: ToolPath, start: Array, nodes: Sequence[Array]) -> Array:
     """Return the joints at measures of a path (1 + K, N).
 
     Raises:
@@ -243,7 +243,7 @@ def _joints(law: WayController, path: ToolPath, start: Array, nodes: Sequence[Ar
     high = np.maximum(kinematics.upper, start) + ROUNDING
     q = arm.trace(start, poses.p, poses.R)
     if len(q) == len(x) + 1 and kinematics.redundant:
-        goal = JointGoal(kinematics)  # redundant joints end where they began after a cycle
+        goal = InverseKinematics(kinematics)  # redundant joints end where they began after a cycle
         goal.begin(law.posture)
         goal.aim(Pose(poses.p[-1], poses.R[-1]), q[-1])
         goal.approach(_SETTLING_STEPS)
@@ -257,7 +257,7 @@ def _joints(law: WayController, path: ToolPath, start: Array, nodes: Sequence[Ar
     return q
 
 
-def _check_between(law: WayController, path: ToolPath, joints: JointCurve, measure) -> None:  # type: ignore[no-untyped-def]
+def _check_between(law: TargetPlanner, path: ToolPath, joints: JointCurve, measure) -> None:  # type: ignore[no-untyped-def]
     """Refuse a spline that leaves limits of position, or the path: the arm would flip there."""
     kinematics = law.kinematics
     beyond = joints.leaves(kinematics.lower, kinematics.upper)

@@ -47,7 +47,7 @@ class Reference:
 
 
 @dataclass(frozen=True, eq=False)
-class Instruction:
+class JointSetpoint:
     """Joint targets, (N,) each in the motion controller's order of joints."""
 
     q: Array
@@ -63,9 +63,9 @@ class Instruction:
     """The motion at the end of the period; None: the jerk of `now` lasts until then."""
 
 
-class NoWay(Refusal):
+class PlanningError(Refusal):
     """Raised for a motion on which parts would touch, or the tool would go far past its end."""
 
 
-class PastEnd(NoWay):
+class Overshoot(PlanningError):
     """Raised for one on which the tool would go far past its end."""

@@ -19,7 +19,7 @@ _FAR = 1e4  # rad or m: a place on one side of 0
 _NOW = ("current_position", "current_velocity", "current_acceleration")
 
 
-class SmoothJoints:
+class JerkLimitedVelocity:
     """A reference of joint speeds that change together, along a line between two sets of speeds.
 
     Args:
@@ -58,7 +58,7 @@ class SmoothJoints:
 
     def __setstate__(self, state: tuple[tuple[Any, ...], Reference]) -> None:
         given, now = state
-        SmoothJoints.__init__(self, *given)
+        JerkLimitedVelocity.__init__(self, *given)
         for name, values in zip(_NOW, (now.q, now.v, now.a), strict=True):
             setattr(self._in, name, values.tolist())
 

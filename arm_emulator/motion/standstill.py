@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.laws import Laws, smooth_joints
+from arm_emulator.motion.laws import Controllers, jerk_limited_velocity
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress, State
 from arm_emulator.motion.orders import Planned
-from arm_emulator.motion.paced import Paced
-from arm_emulator.motion.reference import Instruction, Motion, Reference
+from arm_emulator.motion.paced import TimeScaled
+from arm_emulator.motion.reference import JointSetpoint, Motion, Reference
 from arm_emulator.motion.take_over import Rest
 
 Flags = npt.NDArray[np.bool_]
@@ -30,9 +30,9 @@ class Standstill:
         now: commanded motion of the joints.
     """
 
-    def __init__(self, laws: Laws, now: Reference) -> None:
+    def __init__(self, laws: Controllers, now: Reference) -> None:
         self._names = laws.controller.kinematics.joint_names
-        self._joints = smooth_joints(laws.controller.kinematics, laws.config, margin=0.0)
+        self._joints = jerk_limited_velocity(laws.controller.kinematics, laws.config, margin=0.0)
         self._joints.begin(now)
         self._led = np.ones(len(now.q), dtype=bool)  # joints that follow the reference
 
@@ -52,7 +52,7 @@ class Standstill:
         held = [name for name, led in zip(self._names, self._led, strict=True) if not led]
         return f"waits for power and brakes of {', '.join(held)}" if held else "comes to rest"
 
-    def instruct(self, q: Array, v: Array | None, movable: Flags) -> Instruction:
+    def instruct(self, q: Array, v: Array | None, movable: Flags) -> JointSetpoint:
         """Return the joint targets of this motion period.
 
         Args:
@@ -67,14 +67,14 @@ class Standstill:
         )
         self._led = movable
         now = self._joints.now
-        return Instruction(now.q, self._joints.halt(), None, now)
+        return JointSetpoint(now.q, self._joints.halt(), None, now)
 
 
 _SECONDS = 1e-9
 _HARDER = 2.0  # jerk, of that of ways: a way at its limit could not be left before its end
 
 
-class SlowingOrder:
+class StopGoal:
     """Comes to rest on a way that is known to be free, instead of each joint by itself.
 
     Args:
@@ -87,39 +87,39 @@ class SlowingOrder:
     stamp_ns = 0
     way = ""
 
-    def __init__(self, laws: Laws, now_ns: int, planned: Planned) -> None:
+    def __init__(self, laws: Controllers, now_ns: int, planned: Planned) -> None:
         self._motion: Motion = planned.motion
         since = planned.gone
-        if not isinstance(planned.motion, Paced):  # which slows down already
+        if not isinstance(planned.motion, TimeScaled):  # which slows down already
             limits = laws.ways.limits
             limits = replace(limits, jerk=_HARDER * limits.jerk)
-            self._motion = Paced(planned.motion, since, 1.0, 0.0, limits)
+            self._motion = TimeScaled(planned.motion, since, 1.0, 0.0, limits)
             since = 0.0
         self._began_ns = now_ns - round(since / _SECONDS)
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         laws.leading = None
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         self._motion, self._began_ns = Rest(reference.q), now_ns
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
-        """See `Order`."""
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
         now, then = self.reference(now_ns), self.reference(now_ns + laws.period_ns)
         self._at_ns = now_ns + laws.period_ns
-        return Instruction(now.q, (then.q - now.q) / laws.config.period, None, now, then)
+        return JointSetpoint(now.q, (then.q - now.q) / laws.config.period, None, now, then)
 
     def reference(self, now_ns: int) -> Reference:
-        """See `Order`."""
+        """See `Goal`."""
         return self._motion.at((now_ns - self._began_ns) * _SECONDS)
 
     def planned(self) -> Planned:
-        """See `Order`."""
+        """See `Goal`."""
         return Planned(self._motion, (self._at_ns - self._began_ns) * _SECONDS)
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
-        """See `Order`."""
+        """See `Goal`."""
         over = (now_ns - self._began_ns) * _SECONDS > self._motion.duration
         return Progress(State.REACHED, "at rest") if over else MOVING

@@ -13,12 +13,12 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import found
-from arm_emulator.motion.way import WayLimits
+from arm_emulator.motion.way import JointPathLimits
 
 _MOMENT = 1e-7  # s, over which the jerk is measured: it is constant but for a few jumps
 
 
-class TakeOver(SharedObject):
+class OnlineTrajectory(SharedObject):
     """A motion of the joints to rest.
 
     Args:
@@ -40,7 +40,7 @@ class TakeOver(SharedObject):
         self,
         now: Reference,
         end: Array | None,
-        limits: WayLimits,
+        limits: JointPathLimits,
         lower: Array,
         upper: Array,
     ) -> None:

@@ -14,11 +14,11 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
-from arm_emulator.motion.laws import Laws, smooth_joints
+from arm_emulator.motion.laws import Controllers, jerk_limited_velocity
 from arm_emulator.motion.motion_report import MOVING, Kind, Progress
-from arm_emulator.motion.orders import Planned, TargetOrder
+from arm_emulator.motion.orders import Planned, TargetGoal
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, Reference
+from arm_emulator.motion.reference import JointSetpoint, Reference
 from arm_emulator.motion.tool_directions import ToolDirections
 
 GAP = 0.1  # s: targets farther apart in time are no stream
@@ -140,14 +140,14 @@ BACK = 2.0  # 1/s, of redundant joints' distance from their posture
 _AHEAD = 1e-3  # s, over which the change of joint speeds is taken
 
 
-def is_near(kinematics: Kinematics, q: Array, target: TargetOrder) -> bool:
+def is_near(kinematics: Kinematics, q: Array, target: TargetGoal) -> bool:
     """Return whether a tool is near enough to its target to go on with a stream."""
     error = kinematics.tool_error(q, target.pose)
     move, turn = error[:POSITION_ROWS], error[POSITION_ROWS:]
     return bool(move @ move <= NEAR**2 and turn @ turn <= NEAR_TURN**2)
 
 
-class StreamOrder:
+class StreamGoal:
     """Follows the motion of a stream.
 
     Args:
@@ -159,23 +159,23 @@ class StreamOrder:
     kind = Kind.TOOL_TARGET
     way = ""
 
-    def __init__(self, target: TargetOrder, motion: StreamMotion, posture: Array) -> None:
+    def __init__(self, target: TargetGoal, motion: StreamMotion, posture: Array) -> None:
         self.stamp_ns = target.stamp_ns
         self._target, self._motion, self._posture = target, motion, posture
 
-    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
-        self._joints = smooth_joints(laws.controller.kinematics, laws.config, margin=0.0)
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
+        self._joints = jerk_limited_velocity(laws.controller.kinematics, laws.config, margin=0.0)
         self._joints.begin(reference)
         self._rests = False
         laws.leading = None
 
-    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
-        """See `Order`."""
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
         self.begin(laws, now_ns, reference)
 
-    def instruct(self, laws: Laws, now_ns: int, q: Array) -> Instruction:
-        """See `Order`."""
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
         age = self._motion.age(now_ns)
         if not self._rests and age > GAP:
             self._rests = True
@@ -197,16 +197,16 @@ class StreamOrder:
         v = v + here.idle(BACK * (self._posture - coming))
         share = self._joints.allowed(now.q, v).min()
         mean = self._joints.go(v * share, alone=False, a=a * share)
-        return Instruction(now.q, mean, None, now)
+        return JointSetpoint(now.q, mean, None, now)
 
     def reference(self, now_ns: int) -> Reference | None:
-        """See `Order`."""
+        """See `Goal`."""
         return self._target.reference(now_ns) if self._rests else self._joints.now
 
     def planned(self) -> Planned | None:
-        """See `Order`."""
+        """See `Goal`."""
         return self._target.planned() if self._rests else None
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
-        """See `Order`."""
+        """See `Goal`."""
         return self._target.progress(now_ns, q, v) if self._rests else MOVING

@@ -16,14 +16,14 @@ import ruckig
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.arm_tree import ArmTree
-from arm_emulator.motion.configuration_search import spread
+from arm_emulator.motion.configuration_search import low_discrepancy
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import PastEnd
+from arm_emulator.motion.reference import Overshoot
 from arm_emulator.motion.smooth_joints import found
 from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way import AlongLimits, Way, WayLimits
+from arm_emulator.motion.way import JointPathLimits, TimedPath, ToolPathLimits
 
 MUCH_LONGER = 1.5  # times the joints' line takes, and
 LONGER = 0.1  # s: then the joints' line is taken
@@ -32,17 +32,17 @@ LEAST_TURN = 0.5 * math.pi  # rad, whose other way round may be gone
 
 
 @dataclass(frozen=True, eq=False)
-class TargetWay:
+class CandidatePath:
     """A way to a target."""
 
-    way: Way
+    way: TimedPath
     words: str
     """Kind and reason, as text."""
     end: Array
     """Joint angles where it ends (N,)."""
 
 
-class TargetWays:
+class CandidatePaths:
     """Ways of an arm within limits.
 
     Args:
@@ -61,10 +61,10 @@ class TargetWays:
     def __init__(
         self,
         arm: ArmTree,
-        limits: WayLimits,
+        limits: JointPathLimits,
         start: Array,
         target: Pose,
-        along: AlongLimits | None = None,
+        along: ToolPathLimits | None = None,
         heavy: bool = True,
         where: str = "motion",
     ) -> None:
@@ -74,7 +74,7 @@ class TargetWays:
         self._begin = Pose.computed(p_WT, R_WT)
         self.notices: list[str] = []
 
-    def to(self, end: Array, line: JointCurve | str) -> Iterator[TargetWay]:
+    def to(self, end: Array, line: JointCurve | str) -> Iterator[CandidatePath]:
         """Yield the ways to joint angles (N,) that reach the target.
 
         Args:
@@ -85,7 +85,7 @@ class TargetWays:
             Refusal: a way needs more torque than the limits, and is not gone.
         """
         along = JointCurve.line(self._start, end)
-        joints: Way | None = None
+        joints: TimedPath | None = None
         slow, other_last = None, True
         if isinstance(line, JointCurve):
             straight = self._way(line)
@@ -94,7 +94,7 @@ class TargetWays:
                 joints = self._way(along)
                 longest = MUCH_LONGER * joints.duration + LONGER
             if straight.duration <= longest:
-                yield TargetWay(self._limited(straight), "along the tool's line", end)
+                yield CandidatePath(self._limited(straight), "along the tool's line", end)
                 line = "parts would touch on the tool's"
                 yield from self._turning_the_other_way(line)
                 other_last = False
@@ -111,29 +111,31 @@ class TargetWays:
             straight = self._way(free)
             if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
                 words = f"along the tool's line, turning as the joints do: {line}"
-                yield TargetWay(self._limited(straight), words, end)
+                yield CandidatePath(self._limited(straight), words, end)
         past = past_end(self._arm, along)
         if past > QUIETLY_PAST:
             line = f"{line}; on the joints' line the tool goes {past * 1e3:.3g} mm past its end"
             arc = joint_arc(self._arm, self._start, end)
             if arc is not None:
-                yield TargetWay(self._way(arc), f"along an arc of the joints: {line}", end)
+                yield CandidatePath(self._way(arc), f"along an arc of the joints: {line}", end)
         if past <= FARTHEST_PAST:
-            yield TargetWay(joints, f"along the joints' line: {line}", end)
+            yield CandidatePath(joints, f"along the joints' line: {line}", end)
         if slow is not None:
             words = "along the tool's line, slowly: no other way is free"
-            yield TargetWay(self._limited(slow), words, end)
+            yield CandidatePath(self._limited(slow), words, end)
         if other_last:
             yield from self._turning_the_other_way("no other way is free")
 
-    def past_end(self, end: Array) -> PastEnd:
+    def past_end(self, end: Array) -> Overshoot:
         """Return the refusal of joint angles (N,) to which no way leads."""
         past = past_end(self._arm, JointCurve.line(self._start, end)) * 1e3
         rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
         valid = "a target on the way, or a joint trajectory"
-        return PastEnd(self._where, "the way", rule, f"{past:.3g} mm on all that were found", valid)
+        return Overshoot(
+            self._where, "the way", rule, f"{past:.3g} mm on all that were found", valid
+        )
 
-    def _turning_the_other_way(self, why: str) -> Iterator[TargetWay]:
+    def _turning_the_other_way(self, why: str) -> Iterator[CandidatePath]:
         """Yield the tool's line, turning the other way round, if that exists."""
         kinematics = self._arm.kinematics
         turn = kinematics.tool_error(self._start, self._target)[POSITION_ROWS:]
@@ -143,7 +145,7 @@ class TargetWays:
         curve = joints_along(self._arm, self._start, *ends, None, other_way=True)
         if isinstance(curve, JointCurve):
             words = f"along the tool's line, turning the other way round: {why}"
-            yield TargetWay(self._limited(self._way(curve)), words, curve.end)
+            yield CandidatePath(self._limited(self._way(curve)), words, curve.end)
 
     def _turning_with_the_joints(self, end: Array) -> JointCurve | str:
         """Return the joints' curve to their angles at the end on which the tool goes straight."""
@@ -153,21 +155,21 @@ class TargetWays:
         begin, to = (Pose.computed(p[k], R[k]) for k in range(2))
         return joints_along(self._arm, self._start, begin, to, end, False)
 
-    def _limited(self, way: Way) -> Way:
+    def _limited(self, way: TimedPath) -> TimedPath:
         """Return a way along the tool's line within the limits of the tool."""
         return way if self._along is None else self._way(way.curve, self._along)
 
-    def _way(self, curve: JointCurve, along: AlongLimits | None = None) -> Way:
+    def _way(self, curve: JointCurve, along: ToolPathLimits | None = None) -> TimedPath:
         try:
-            return Way(curve, self._limits, self._arm, along, where=self._where)
+            return TimedPath(curve, self._limits, self._arm, along, where=self._where)
         except Refusal as reason:  # the arm exceeds the torques of its description there
             if not self._heavy:
                 raise
             self.notices.append(str(reason))
-            return Way(curve, self._limits, along=along)
+            return TimedPath(curve, self._limits, along=along)
 
 
-def joints_duration(step: Array, limits: WayLimits) -> float:
+def joints_duration(step: Array, limits: JointPathLimits) -> float:
     """Return the duration of a line of the joints without torque limits [s]."""
     size = np.maximum(np.abs(step), 1e-12)
     problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
@@ -223,7 +225,7 @@ def joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
     low = np.maximum(np.minimum(kinematics.lower, low), low - aside)
     high = np.minimum(np.maximum(kinematics.upper, high), high + aside)
     for between, count in _TRIED:
-        parts = spread(count, between * len(start)).reshape(count, between, -1)
+        parts = low_discrepancy(count, between * len(start)).reshape(count, between, -1)
         share = np.arange(1.0, between + 1.0)[:, None] / (between + 1)
         line = start + share * (end - start)
         points = np.where(kinematics.to_tool, low + parts * (high - low), line)

@@ -12,13 +12,13 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.going_on import GoingOn
+from arm_emulator.motion.going_on import Resumed
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import WHERE, JointMotion, JointTrajectory
-from arm_emulator.motion.path_way import InARow
+from arm_emulator.motion.path_way import MotionSequence
 from arm_emulator.motion.reference import Motion, Reference
-from arm_emulator.motion.way import Way, WayLimits
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way import JointPathLimits, TimedPath
+from arm_emulator.motion.way_controller import TargetPlanner
 
 # A planner's points keep the limits; a spline through them exceeds them a little here and there.
 BETWEEN_POINTS = 1.05
@@ -45,14 +45,14 @@ class TimedMotion(Protocol):
         """Return the time for which the trajectory gives what holds at a logical time."""
 
 
-class Slower:
+class StretchedTrajectory:
     """A joint trajectory that takes longer than asked."""
 
     def __init__(
-        self, now_ns: int, before: Motion, runs: list[tuple[int, int, Way]], way: str
+        self, now_ns: int, before: Motion, runs: list[tuple[int, int, TimedPath]], way: str
     ) -> None:
         self._now_ns, self._runs, self.way = now_ns, runs, way
-        self._row = InARow([before, *(run for _, _, run in runs)])
+        self._row = MotionSequence([before, *(run for _, _, run in runs)])
         self.end_ns = now_ns + round(self._row.duration / _SECONDS)
 
     def at(self, time_ns: int) -> Reference:
@@ -68,7 +68,7 @@ class Slower:
         return self._runs[-1][1]
 
 
-class Delayed:
+class DelayedTrajectory:
     """A joint trajectory that goes on after a standstill.
 
     Args:
@@ -85,10 +85,10 @@ class Delayed:
         since_ns: int,
         now_ns: int,
         now: Reference,
-        limits: WayLimits,
+        limits: JointPathLimits,
     ) -> None:
         self._before, self._since_ns, self._now_ns = before, since_ns, now_ns
-        self._left = GoingOn(InSeconds(before, since_ns), 0.0, now, limits)
+        self._left = Resumed(MotionInSeconds(before, since_ns), 0.0, now, limits)
         self.end_ns = now_ns + round(self._left.duration / _SECONDS)
         self.way = f"goes on, in {self._left.duration:.3g} s"
 
@@ -102,7 +102,7 @@ class Delayed:
         return self._before.asked_ns(self._since_ns + round(gone / _SECONDS))
 
 
-class InSeconds:
+class MotionInSeconds:
     """A motion over logical time as one over the seconds since a moment."""
 
     def __init__(self, motion: TimedMotion, since_ns: int) -> None:
@@ -115,13 +115,13 @@ class InSeconds:
 
 
 def within_limits(
-    law: WayController,
+    law: TargetPlanner,
     trajectory: JointTrajectory,
     now_ns: int,
     start_ns: int,
     now: Reference,
     scaled: bool,
-) -> JointMotion | Slower:
+) -> JointMotion | StretchedTrajectory:
     """Return the motion of a trajectory.
 
     Args:
@@ -147,16 +147,20 @@ def within_limits(
     still = Reference.at_rest(rest.q)
     motion = trajectory.begin(now_ns, start_ns, still.q, still.v, still.a)
     runs = [
-        (begin, end, Way(curve, law.limits, law.arm, asked=(end - begin) * _SECONDS, where=WHERE))
+        (
+            begin,
+            end,
+            TimedPath(curve, law.limits, law.arm, asked=(end - begin) * _SECONDS, where=WHERE),
+        )
         for begin, end, curve in _runs(law, motion)
     ]
     asked = (motion.end_ns - now_ns) * _SECONDS
     takes = stop.duration + sum(run.duration for _, _, run in runs)
     way = f"in {takes:.3g} s instead of {asked:.3g} s: {beyond}"
-    return Slower(now_ns, stop, runs, way)
+    return StretchedTrajectory(now_ns, stop, runs, way)
 
 
-def too_fast(law: WayController, motion: JointMotion, now: Reference) -> str:
+def too_fast(law: TargetPlanner, motion: JointMotion, now: Reference) -> str:
     """Return the limit that a motion exceeds most, with place and ratio; empty: none."""
     c, T = motion.coefficients, motion.durations[:, None, None]
     limits, names = law.limits, law.kinematics.joint_names
@@ -190,7 +194,7 @@ def _steps(motion: JointMotion, now: Reference) -> Array:
     return np.asarray(np.abs(np.vstack([c[:, 1], 0.0 * now.v]) - np.vstack([now.v, before])))
 
 
-def _runs(law: WayController, motion: JointMotion) -> list[tuple[int, int, JointCurve]]:
+def _runs(law: TargetPlanner, motion: JointMotion) -> list[tuple[int, int, JointCurve]]:
     """Return the stretches of a motion between steps of its speed: begin, end [ns], curve."""
     times = [*motion.starts_ns, motion.end_ns]
     steps = _steps(motion, Reference.at_rest(motion.coefficients[0, 0])) / law.limits.speed

@@ -35,7 +35,7 @@ _LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
 
 
 @dataclass(frozen=True, eq=False)
-class WayLimits:
+class JointPathLimits:
     """Limits of the joints along a way, (N,) each; speed, acceleration and jerk > 0."""
 
     speed: Array
@@ -49,7 +49,7 @@ class WayLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class AlongLimits:
+class ToolPathLimits:
     """Limits of the tool along its curve, which ends at s = 1."""
 
     length: float
@@ -66,12 +66,14 @@ class AlongLimits:
     """Curvature of these parts: acceleration across at speed 1, (S,) [1/m]."""
 
     @classmethod
-    def straight(cls, length: float, speed: float, acceleration: float, jerk: float) -> AlongLimits:
+    def straight(
+        cls, length: float, speed: float, acceleration: float, jerk: float
+    ) -> ToolPathLimits:
         """Return those of a line."""
         return cls(length, speed, acceleration, jerk, np.ones(1), np.zeros(1))
 
 
-class Way(SharedObject):
+class TimedPath(SharedObject):
     """A way from rest to rest.
 
     Args:
@@ -93,9 +95,9 @@ class Way(SharedObject):
     def __init__(
         self,
         curve: JointCurve,
-        limits: WayLimits,
+        limits: JointPathLimits,
         arm: ArmTree | None = None,
-        along: AlongLimits | None = None,
+        along: ToolPathLimits | None = None,
         asked: float = 0.0,
         where: str = "motion",
     ) -> None:

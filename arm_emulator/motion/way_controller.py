@@ -3,9 +3,9 @@
 A target that comes while the arm rests is reached along the tool's line, or along the joints' line
 where that of the tool is not possible or takes much longer; where the tool would go past its end
 on that, along an arc of the joints beside it. One that comes while the arm moves is
-reached from that motion, jerk-limited (`TakeOver`). All of them are planned to their end within the
-limits of speed, acceleration and jerk, those from rest within the torques of the description too;
-so nothing goes past its end.
+reached from that motion, jerk-limited (`OnlineTrajectory`). All of them are planned to their end
+within the limits of speed, acceleration and jerk, those from rest within the torques of the
+description too; so nothing goes past its end.
 
 The reference is the controller's own. It begins at rest where the arm is and never depends on a
 measurement later, so that the limits hold by construction, whatever the servo does, and measurement
@@ -27,15 +27,15 @@ from arm_emulator.motion.arm_tree import ArmTree
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.configuration_search import ConfigurationSearch
 from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.joint_goal import InverseKinematics
 from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.reference import Instruction, Motion, NoWay, PastEnd, Reference
-from arm_emulator.motion.take_over import Rest, TakeOver
-from arm_emulator.motion.target_ways import TargetWays
+from arm_emulator.motion.reference import JointSetpoint, Motion, Overshoot, PlanningError, Reference
+from arm_emulator.motion.take_over import OnlineTrajectory, Rest
+from arm_emulator.motion.target_ways import CandidatePaths
 from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.motion.way import JointPathLimits, TimedPath
 
 LOST = 0.2  # rad (or m per reach) between arm and reference: something else moves the arm
 # Of the description's limits; the rest is for links that swing on their gears.
@@ -56,7 +56,7 @@ _STILL = 1e-9  # rad/s, rad/s2 and per reach
 _SAME = 1e-9  # m, and of a rotation's entries: the same target once more
 
 
-class WayController:
+class TargetPlanner:
     """Tool targets to joint targets with their derivatives.
 
     Args:
@@ -69,7 +69,7 @@ class WayController:
         self.period = config.period
         self.arm = ArmTree(kinematics, (config.gravity_x, config.gravity_y, config.gravity_z))
         self._limit(config)
-        self._goal = JointGoal(kinematics)
+        self._goal = InverseKinematics(kinematics)
         self._elsewhere = ConfigurationSearch(kinematics)
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last answer found, (rows,) [m, rad]; NaN before any."""
@@ -143,7 +143,7 @@ class WayController:
         """Whether it still looks for joint angles that reach the target."""
         return self._seeking > 0 or (self._looking and not self._elsewhere.over)
 
-    def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
+    def update(self, q: npt.ArrayLike, target: Pose) -> JointSetpoint:
         """Return the joint targets that bring the tool nearer to its target, and hold it there.
 
         Args:
@@ -152,7 +152,7 @@ class WayController:
 
         Raises:
             Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
-            NoWay: parts would touch on the way, or the tool would go far past its end.
+            PlanningError: parts would touch on the way, or the tool would go far past its end.
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
@@ -164,7 +164,7 @@ class WayController:
         self._target = target
         try:
             self._find_way(now, notices)
-        except NoWay:
+        except PlanningError:
             self._forget()  # the same target is a new one
             raise
         if not self._seeking and not self._goal.reached:
@@ -186,7 +186,7 @@ class WayController:
         self._forget()
         self._follow(motion, "")
 
-    def go_on(self, q: Array, end: Pose) -> Instruction:
+    def go_on(self, q: Array, end: Pose) -> JointSetpoint:
         """Return the present joint targets, and advance along the motion.
 
         Args:
@@ -199,7 +199,7 @@ class WayController:
         if not np.isfinite(v).all():
             raise ArithmeticError(f"the joint speeds are not finite at q = {q}")
         self.error = self.kinematics.tool_error(q, end)
-        return Instruction(now.q, v, None, now, self.coming)
+        return JointSetpoint(now.q, v, None, now, self.coming)
 
     @property
     def resting(self) -> bool:
@@ -207,7 +207,7 @@ class WayController:
         return self._time > self._motion.duration and not self.searching
 
     def _limit(self, config: MotionConfig) -> None:
-        self.limits = way_limits(self.kinematics, config)
+        self.limits = joint_path_limits(self.kinematics, config)
         self.top_speed = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
         """Bounds of requested speeds (N,): without the reserve for swinging links."""
 
@@ -220,7 +220,7 @@ class WayController:
     def _forget(self) -> None:
         self._target = None
         self._seeking, self._looking, self._waits = 0, False, 0
-        self._past_end: PastEnd | None = None  # why the way to the first joint angles is not gone
+        self._past_end: Overshoot | None = None  # why the way to the first joint angles is not gone
 
     def _follow(self, motion: Motion, way: str) -> None:
         self._motion, self._time, self._coming, self.way = motion, 0.0, None, way
@@ -230,7 +230,7 @@ class WayController:
         if self._is_still(now):
             return Rest(now.q)
         kinematics = self.kinematics
-        return TakeOver(now, None, self.limits, kinematics.lower, kinematics.upper)
+        return OnlineTrajectory(now, None, self.limits, kinematics.lower, kinematics.upper)
 
     def _is_still(self, now: Reference) -> bool:
         scale = self.kinematics.joint_scale
@@ -295,7 +295,7 @@ class WayController:
         if goal.reached:
             try:
                 self._set_out(now, line, notices)
-            except PastEnd as reason:
+            except Overshoot as reason:
                 self._past_end = reason
                 self._search_begins(now)
         elif goal.settled or self._seeking == _LONGEST_SEEK:
@@ -313,7 +313,7 @@ class WayController:
     def _turn_off(self, now: Reference) -> None:
         """Go to the joint goal from a motion."""
         kinematics = self.kinematics
-        way = TakeOver(now, self._goal.q, self.limits, kinematics.lower, kinematics.upper)
+        way = OnlineTrajectory(now, self._goal.q, self.limits, kinematics.lower, kinematics.upper)
         self._permit(way)
         self._follow(way, "from its motion along a way of the joints: the target came on the way")
         if way.stops:  # from rest it goes on
@@ -323,18 +323,19 @@ class WayController:
         """Go to the joint goal from rest, along the tool's line or the reason why not.
 
         Raises:
-            NoWay: parts would touch, or the tool would go far past its end. Nothing has changed.
+            PlanningError: parts would touch, or the tool would go far past its end. Nothing has
+                changed.
         """
         assert self._target is not None
-        refused: NoWay | None = None
-        ways = TargetWays(self.arm, self.limits, now.q, self._target, where=WHERE)
+        refused: PlanningError | None = None
+        ways = CandidatePaths(self.arm, self.limits, now.q, self._target, where=WHERE)
         end = self._goal.q
         for one in ways.to(end, line):
             if refused is not None and one.end is end and self._touches(end):
                 continue  # wherever it comes from
             try:
                 self._permit(one.way)
-            except NoWay as reason:
+            except PlanningError as reason:
                 refused = refused or reason
                 continue
             notices += ways.notices
@@ -366,7 +367,7 @@ class WayController:
             self._goal.take(found)
             try:
                 self._set_out(now, "another configuration reaches the target", notices)
-            except PastEnd as reason:
+            except Overshoot as reason:
                 self._past_end = self._past_end or reason
             else:
                 self._looking, self._past_end = False, None
@@ -403,12 +404,12 @@ class WayController:
 
 def angles_over(motion: Motion) -> Callable[[Array], Array]:
     """Return joint angles (K, N) at parts of a motion (K,): of its curve where it has one."""
-    if isinstance(motion, Way):
+    if isinstance(motion, TimedPath):
         return lambda part: np.asarray(motion.curve.derivatives(part)[0])
     return lambda part: np.array([motion.at(time).q for time in part * motion.duration])
 
 
-def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
+def joint_path_limits(kinematics: Kinematics, config: MotionConfig) -> JointPathLimits:
     """Return the joints' limits, by robot description and parameters."""
     speed = np.minimum(SPEED_SHARE * kinematics.velocity_limit, config.velocity_limit)
     acceleration = np.minimum(
@@ -417,7 +418,7 @@ def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
     jerk = acceleration / max(JERK_TIME, JERK_PERIODS * config.period)
     if config.jerk_limit > 0.0:
         jerk = np.full_like(acceleration, config.jerk_limit)
-    return WayLimits(speed, acceleration, jerk, kinematics.effort_limit)
+    return JointPathLimits(speed, acceleration, jerk, kinematics.effort_limit)
 
 
 def _same(one: Pose, other: Pose | None) -> bool:

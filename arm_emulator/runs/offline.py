@@ -21,10 +21,10 @@ from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
 from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import Instruction
+from arm_emulator.motion.reference import JointSetpoint
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.servo.drives import ServoArm, Target
@@ -62,7 +62,7 @@ class OfflineRun(NonCopyable):
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = ServoArm(servo)
         self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
-        self.instructor = Instructor(motion)
+        self.instructor = MotionExecutor(motion)
         self.aimed = scene.start
         self._saved = SavedObjects()
         self._motion = motion
@@ -107,7 +107,7 @@ class OfflineRun(NonCopyable):
         self.session.reset()
         self.session.restore(machine)
         self.drives.reset()
-        self.instructor = Instructor(self._motion)
+        self.instructor = MotionExecutor(self._motion)
 
     @property
     def tick(self) -> int:
@@ -151,7 +151,7 @@ class OfflineRun(NonCopyable):
         self.aimed = target.q
         drives.aim(target)
 
-    def _target(self, instruction: Instruction) -> Target:
+    def _target(self, instruction: JointSetpoint) -> Target:
         """Return joint targets in the servo's order of joints."""
         order = self._from_motion
         return Target(

@@ -30,7 +30,7 @@ from arm_emulator.machine.tool_chain import ToolChain
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.way_controller import WayController
+from arm_emulator.motion.way_controller import TargetPlanner
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_identification.inertia import dynamic
 from arm_emulator_identification.link_regressor import LinkRegressor
@@ -184,7 +184,7 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
     q = rng.uniform(-1.0, 1.0, 9)
     J = arm.jacobian(q)
     assert (J[:, ~arm.to_tool] == 0.0).all()
-    law = WayController(arm, MotionConfig(tool=arm.tool, period=0.01))
+    law = TargetPlanner(arm, MotionConfig(tool=arm.tool, period=0.01))
     v = np.where(arm.to_tool, 0.0, rng.uniform(-0.2, 0.2, 9))
     law.begin(q, v)
     stop = law.motion.at(law.motion.duration).q
