@@ -25,7 +25,7 @@ from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 
 LOOK: Any = {"width": 1280, "height": 720}
 LIVE: Any = {"width": 1000, "height": 620}
@@ -77,7 +77,7 @@ def look(folder: Path) -> Path:
     line.change("target", partial(new_target, offset=np.array([-0.1, 0.35, 0.15])))
     line.advance(LAST - line.tick)
     line.go_to(AT)
-    page = RunPage(Subject.of(line, LAST), lambda: (TermsNow({}, {}), []))
+    page = RunPage(RunView.of(line, LAST), lambda: (TermsNow({}, {}), []))
     file = folder / "look.png"
     try:
         with _in_chromium(page.url, LOOK) as shown:

@@ -33,7 +33,7 @@ from arm_emulator.machine.pace import LARGEST, Pace
 from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
-from arm_emulator.page.watched import Watched
+from arm_emulator.page.watched import PageProcess
 from arm_emulator.ros.doubles import Doubles
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
@@ -201,17 +201,17 @@ class EmulatorNode(ManagedNode):
         diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
 
-    def _watch(self, session: Session) -> Watched:
+    def _watch(self, session: Session) -> PageProcess:
         """Return the machine with a page, or without one."""
         host, port = self._config.page_host, self._config.page_port
         if port < 0:
-            return Watched(session.plant, None)
+            return PageProcess(session.plant, None)
         # Not imported without a page: it takes messages of other nodes.
-        from emulator_node.page_hands import RosHands
+        from emulator_node.page_hands import RosControls
 
         of_run = session.scene.servo_period, session.lockstep, self._config.real_time_factor
-        hands = partial(RosHands, self.get_namespace(), *of_run)
-        watched = Watched(session.plant, f"{host}:{port}", hands)
+        hands = partial(RosControls, self.get_namespace(), *of_run)
+        watched = PageProcess(session.plant, f"{host}:{port}", hands)
         print(f"page: {watched.url}", flush=True)
         return watched
 

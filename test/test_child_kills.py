@@ -146,7 +146,7 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     with (
         pytest.raises(Refusal, match="over"),  # what this recorder calls its trouble
         recorder.Recorder(plant, RunOutputs(record=Path("never.csv")), waits=False),
-        watched.Watched(plant, 0),
+        watched.PageProcess(plant, 0),
     ):
         raise KeyboardInterrupt
     assert len(list(tmp_path.glob("met_*"))) == 2

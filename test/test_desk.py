@@ -13,33 +13,33 @@ import numpy as np
 import pytest
 
 from arm_emulator import Plant, Refusal, Session
-from arm_emulator.page.desk import Desk, MachineHands, _PipedHands
+from arm_emulator.page.desk import ControlServer, MachineControls, _PipedControls
 
 
 @contextmanager
-def asked(hands: MachineHands, ask: Callable[[_PipedHands], None]) -> Iterator[Desk]:
+def asked(hands: MachineControls, ask: Callable[[_PipedControls], None]) -> Iterator[ControlServer]:
     """Yield a desk at which a thread asks for something."""
     near, far = Pipe()
     failed: list[BaseException] = []
 
     def work() -> None:
         try:
-            ask(_PipedHands(os.dup(far.fileno()), hands.can()))
+            ask(_PipedControls(os.dup(far.fileno()), hands.can()))
         except BaseException as error:
             failed.append(error)
 
     worker = threading.Thread(target=work)
     worker.start()
-    yield Desk(hands, near)
+    yield ControlServer(hands, near)
     worker.join()
     assert not failed, failed
 
 
 def test_requests_are_fulfilled_between_two_ticks() -> None:
     plant, answers = Plant("three_axis"), []
-    hands = MachineHands(plant, steps=True)
+    hands = MachineControls(plant, steps=True)
 
-    def ask(there: _PipedHands) -> None:
+    def ask(there: _PipedControls) -> None:
         answers.append(there.do("pause", True))
         answers.append(there.do("step", 7))
         while hands.due:  # until they have passed
@@ -67,7 +67,7 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
 
 
 def test_a_desk_without_a_page_does_nothing() -> None:
-    desk, done = Desk(MachineHands(Plant("three_axis"))), []
+    desk, done = ControlServer(MachineControls(Plant("three_axis"))), []
     assert desk.attends()
     desk.drive(done.append, 12345)
     assert done == [12345]
@@ -75,9 +75,9 @@ def test_a_desk_without_a_page_does_nothing() -> None:
 
 def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
     session = Session("three_axis", "lockstep", "first_answer")
-    hands, over = MachineHands(session), threading.Event()
+    hands, over = MachineControls(session), threading.Event()
 
-    def ask(there: _PipedHands) -> None:
+    def ask(there: _PipedControls) -> None:
         there.do("power", False)
         there.do("pause", True)
         before = session.tick
@@ -97,7 +97,7 @@ def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
 
 
 def test_a_scene_has_the_hands_that_it_can_bear() -> None:
-    can = MachineHands(Plant("three_axis")).can()
+    can = MachineControls(Plant("three_axis")).can()
     assert {"pause", "power"} <= can and not {"push", "set_varied", "step", "aim"} & can
 
 
@@ -107,8 +107,8 @@ def test_a_machine_goes_on_when_its_page_has_ended(
 ) -> None:
     """A page that was killed can let no time go on."""
     near, far = Pipe()
-    hands = MachineHands(Plant("three_axis"))
-    desk = Desk(hands, near)
+    hands = MachineControls(Plant("three_axis"))
+    desk = ControlServer(hands, near)
     far.send((1, "pause", (paused,)))
     worker = threading.Thread(target=lambda: (far.recv(), far.close()))
     worker.start()
@@ -123,9 +123,9 @@ def test_a_machine_goes_on_when_its_page_has_ended(
 
 def test_a_desk_answers_anything_that_a_browser_sends() -> None:
     plant = Plant("three_axis")
-    hands = MachineHands(plant)
+    hands = MachineControls(plant)
 
-    def ask(there: _PipedHands) -> None:
+    def ask(there: _PipedControls) -> None:
         for what, given in (
             ("save", ("x",)), ("tick", ()), ("_machine", ()), ("__init__", (plant,)), ("can", (1,)),
             ("set_varied", ()), ("push", ("tool", "force", None)), ("set_varied", (None, "x")),
@@ -142,7 +142,7 @@ def test_a_desk_answers_anything_that_a_browser_sends() -> None:
 def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("arm_emulator.page.desk.PATIENCE", 0.05)
     near, far = Pipe()
-    there = _PipedHands(os.dup(far.fileno()), frozenset())
+    there = _PipedControls(os.dup(far.fileno()), frozenset())
     with pytest.raises(Refusal, match="answer within"):
         there.ask("pause", True)
     first, *_ = near.recv()

@@ -36,7 +36,7 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
-from emulator_node.page_hands import RosHands
+from emulator_node.page_hands import RosControls
 
 TICKS = 400
 
@@ -312,7 +312,7 @@ def test_services_in_lock_step(lockstep: SharedNetwork) -> None:
 def test_the_first_actions_of_a_page_are_answered(lockstep: SharedNetwork) -> None:
     with lockstep() as (user, _):
         user.await_start()
-        hands = RosHands("/", 1e-3, lockstep=True)
+        hands = RosControls("/", 1e-3, lockstep=True)
         try:
             assert hands.pause(False) == "going on at tick 0"
             user.wait("the run", lambda: user.tick > 20)

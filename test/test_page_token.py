@@ -8,7 +8,7 @@ import re
 import pytest
 
 from arm_emulator.page.page_address import VARIABLE, new_token, page_token
-from arm_emulator_page.page_server import is_at_entrance
+from arm_emulator_page.page_server import is_landing_page
 
 
 def test_every_run_has_a_token_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,5 +32,5 @@ def test_a_launcher_cannot_weaken_it(weak: str, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_browsers_come_in_by_the_entrance_once() -> None:
-    assert is_at_entrance("/?x=y") and is_at_entrance("/")
-    assert not is_at_entrance("/?look=dark&darkMode=") and not is_at_entrance("/a.js")
+    assert is_landing_page("/?x=y") and is_landing_page("/")
+    assert not is_landing_page("/?look=dark&darkMode=") and not is_landing_page("/a.js")

@@ -31,7 +31,7 @@ from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus, ServoState
-from emulator_node.page_hands import RosHands
+from emulator_node.page_hands import RosControls
 
 WORDS = (
     *JOINTS, "world", "tool", "base", "abs(v.elbow) > 1", "q.waist > 0.1", "clock", "period",
@@ -269,7 +269,7 @@ def test_the_page_outlives_what_others_publish() -> None:
     rng = random.Random(f"page {SEED}")
     with own_domain() as domain:
         user = User(domain)
-        hands = RosHands("/", 1e-3, lockstep=True)
+        hands = RosControls("/", 1e-3, lockstep=True)
         try:
             kinds = (EmulatorStatus, MachineEvent, MotionStatus, DiagnosticArray)
             topics = ("emulator/status", "emulator/events", "motion/status", "diagnostics")

@@ -17,17 +17,17 @@ from arm_emulator.cli.run_report import ctrl_c_ends_at_once, ticks_of
 from arm_emulator.cli.run_report import report as report_run
 from arm_emulator.cli.served import served_session
 from arm_emulator.page.desk import watched
-from arm_emulator.page.watched import Watched, stay
+from arm_emulator.page.watched import PageProcess, stay
 
 __all__ = [
     "Clock",
     "Keep",
     "PageAt",
+    "PageProcess",
     "RunNumber",
     "SceneName",
     "Seconds",
     "TargetFile",
-    "Watched",
     "When",
     "check_new_bag",
     "command",

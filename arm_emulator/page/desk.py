@@ -15,15 +15,15 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.session import Session
-from arm_emulator.page.hands import Hands, News, Vector
-from arm_emulator.page.watched import Watched
+from arm_emulator.page.hands import Controls, News, Vector
+from arm_emulator.page.watched import PageProcess
 
 PATIENCE = 10.0  # s, wall: for an answer
 PIECE = 1000  # ticks between two looks
 LOOK = 0.05  # s, wall, between two looks for requests while time stands still
 
 
-class Desk:
+class ControlServer:
     """The machine's side: answers the requests of a page. Without a page it does nothing.
 
     Args:
@@ -31,7 +31,7 @@ class Desk:
         near: end of the pipe; None: there is no page.
     """
 
-    def __init__(self, hands: MachineHands, near: Connection | None = None) -> None:
+    def __init__(self, hands: MachineControls, near: Connection | None = None) -> None:
         self._hands, self._near, self._closing = hands, near, threading.Event()
         self._served = near is not None
 
@@ -92,7 +92,7 @@ class Desk:
     def _answer(self, what: str, given: tuple[Any, ...]) -> Any:
         """Return the answer to a request, which a browser may have filled with anything."""
         try:
-            if what not in Hands.can(self._hands):
+            if what not in Controls.can(self._hands):
                 raise Refusal("page", "action", "be possible here", what)
             return getattr(self._hands, what)(*given)
         except Refusal as reason:
@@ -112,7 +112,7 @@ class Desk:
 @contextlib.contextmanager
 def watched(
     machine: Plant | Session, at: str | int | None, *, steps: bool = False, waits: bool = False
-) -> Iterator[Desk]:
+) -> Iterator[ControlServer]:
     """Serve a page with a machine, and with actions on it, in this block.
 
     The owner of a plant calls `attends` of the desk between two ticks; that of a session need not.
@@ -120,23 +120,23 @@ def watched(
     Args:
         machine: a plant, or a session.
         at: [HOST:]PORT of the page, see `PageServer`; None: no page.
-        steps: whether the owner lets single ticks pass, see `MachineHands`.
-        waits: see `Watched`.
+        steps: whether the owner lets single ticks pass, see `MachineControls`.
+        waits: see `PageProcess`.
 
     Raises:
-        Refusal: see `Watched`.
+        Refusal: see `PageProcess`.
     """
-    hands = MachineHands(machine, steps)
+    hands = MachineControls(machine, steps)
     if at is None:
-        yield Desk(hands)
+        yield ControlServer(hands)
         return
     near, far = Pipe()
     plant = machine.plant if isinstance(machine, Session) else machine
     with contextlib.closing(near):
         with contextlib.closing(far):
-            there = partial(_PipedHands, far.fileno(), hands.can())
-            page = Watched(plant, at, there, (far.fileno(),), waits)
-        desk = Desk(hands, near)
+            there = partial(_PipedControls, far.fileno(), hands.can())
+            page = PageProcess(plant, at, there, (far.fileno(),), waits)
+        desk = ControlServer(hands, near)
         hands.changed = page.take
         with page:
             print(f"page: {page.url}", flush=True)
@@ -152,8 +152,8 @@ def watched(
                     thread.join()
 
 
-class _PipedHands(Hands):
-    """Actions that are requests to a desk; see `Hands`.
+class _PipedControls(Controls):
+    """Actions that are requests to a desk; see `Controls`.
 
     Args:
         descriptor: of the pipe in this process, the page's.
@@ -205,7 +205,7 @@ class _PipedHands(Hands):
         return answer
 
 
-class MachineHands(Hands):
+class MachineControls(Controls):
     """Changes a plant or a session; its owner calls it between two ticks.
 
     Attributes:

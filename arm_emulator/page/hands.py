@@ -44,7 +44,7 @@ ACTIONS = {
 }
 
 
-class Hands:
+class Controls:
     """Base of all actions. A page shows the controls of those that a subclass has as methods.
 
     Attributes:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant import Plant
-from arm_emulator.page.hands import Hands
+from arm_emulator.page.hands import Controls
 from arm_emulator.runs.row_process import RowProcess, dismiss_all
 
 PATIENCE = 4.0  # s, wall: for the end of the page
@@ -22,7 +22,7 @@ def stay() -> None:
         threading.Event().wait()
 
 
-class Watched:
+class PageProcess:
     """A plant that browsers watch from now on; use it in a `with` block.
 
     Attributes:
@@ -44,7 +44,7 @@ class Watched:
         self,
         plant: Plant,
         at: str | int | None,
-        hands: Callable[[], Hands] = Hands,
+        hands: Callable[[], Controls] = Controls,
         files: tuple[int, ...] = (),
         waits: bool = False,
     ) -> None:
@@ -64,7 +64,7 @@ class Watched:
         )
         self.url = str(self._process.ready)
 
-    def __enter__(self) -> Watched:
+    def __enter__(self) -> PageProcess:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:

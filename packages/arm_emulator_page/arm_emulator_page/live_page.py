@@ -14,7 +14,7 @@ import numpy as np
 from arm_emulator.extension.base import Column, Refusal, markdown_text
 from arm_emulator.extension.base import ColumnRows as Rows
 from arm_emulator.extension.machine import Scene, values_of
-from arm_emulator.extension.page import Hands
+from arm_emulator.extension.page import Controls
 from arm_emulator_page.arm_scene import ArmScene
 from arm_emulator_page.machine_tab import TargetTab, machine_tab
 from arm_emulator_page.number_table import EventList, machine_table
@@ -61,7 +61,7 @@ class LivePage:
         scene: Scene,
         columns: Sequence[Column],
         kind: np.dtype[np.void],
-        hands: Hands,
+        hands: Controls,
         at: str | int = 0,
         varied: Mapping[str, float] | None = None,
     ) -> None:

@@ -9,7 +9,7 @@ import sys
 import traceback
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator.extension.page import Hands, RowEnd, SharedRing
+from arm_emulator.extension.page import Controls, RowEnd, SharedRing
 from arm_emulator_page.live_page import LivePage
 
 FRAME = 0.05  # s, wall, between two pictures
@@ -22,7 +22,7 @@ def main() -> None:
     task = end.task
     try:
         ring = SharedRing(task["memory"], task["kind"])
-        hands: Hands = task["hands"]()
+        hands: Controls = task["hands"]()
         page = LivePage(
             task["scene"], task["columns"], task["kind"], hands, task["at"], task["varied"]
         )

@@ -45,7 +45,7 @@ class PageServer:
             except (OSError, RuntimeError) as error:
                 raise Refusal("page", "port", "be free", address.port) from error
         self.url = address.url(token)
-        dress(self.server)
+        apply_theme(self.server)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", 4.0, 4.0, cell_size=0.25)
 
@@ -82,7 +82,7 @@ table.u-legend { white-space: normal; }  /* of a plot, an entry for each joint *
 </style>"""
 
 
-def dress(server: Any) -> None:
+def apply_theme(server: Any) -> None:
     """Give a server of viser the looks of our pages."""
     gui = server.gui
     gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
@@ -190,7 +190,7 @@ def guarded(guard: Guard) -> Iterator[None]:
             verdict = guard.judge(request.path, request.headers)
             if verdict.status is not HTTPStatus.OK:
                 return answer(verdict.status, "plain", f"arm_emulator: {verdict.text}\n")
-            if is_at_entrance(verdict.path) and "Upgrade" not in request.headers:
+            if is_landing_page(verdict.path) and "Upgrade" not in request.headers:
                 return answer(HTTPStatus.OK, "html", TEXT)
             below = dataclasses.replace(request, path=verdict.path)
             try:
@@ -227,7 +227,7 @@ location.replace(to);
 """.replace("LOOK", LOOK)
 
 
-def is_at_entrance(path: str) -> bool:
+def is_landing_page(path: str) -> bool:
     """Return whether a request is the first one of a browser.
 
     Args:

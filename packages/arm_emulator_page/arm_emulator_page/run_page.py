@@ -15,7 +15,7 @@ from arm_emulator_page.arm_scene import ArmScene
 from arm_emulator_page.number_table import EventList, machine_table, number_table
 from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, chosen, lines_of
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 
 FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")
@@ -48,15 +48,15 @@ class RunPage:
 
     def __init__(
         self,
-        subject: Subject,
+        subject: RunView,
         explain: Callable[[], tuple[TermsNow, list[str]]],
         at: str | int = 0,
-        over: Subject | None = None,
+        over: RunView | None = None,
     ) -> None:
         if over is not None:
             _check_alike(subject, over)
         self._subject, self._explain = subject, explain
-        self._over: Subject | None = None
+        self._over: RunView | None = None
         self._arm_over: ArmScene | None = None
         self.exclusive = threading.RLock()
         self._playing, self._closing = False, threading.Event()
@@ -103,7 +103,7 @@ class RunPage:
         """Return a new tab as a context for its controls."""
         return self._tabs.add_tab(name)
 
-    def turn_to(self, subject: Subject, tick: int) -> None:
+    def turn_to(self, subject: RunView, tick: int) -> None:
         """Show another run, from a tick on."""
         with self.exclusive:
             self._subject = subject
@@ -119,7 +119,7 @@ class RunPage:
             self._plot()
             self._show()
 
-    def lay_over(self, subject: Subject | None) -> None:
+    def lay_over(self, subject: RunView | None) -> None:
         """Show a second run over this one, at the same ticks, or none any more.
 
         Raises:
@@ -327,7 +327,7 @@ class RunPage:
             )
 
 
-def _check_alike(one: Subject, other: Subject) -> None:
+def _check_alike(one: RunView, other: RunView) -> None:
     first, second = (each.line.run.session.scene for each in (one, other))
     if first.joint_names != second.joint_names:
         names = list(second.joint_names)

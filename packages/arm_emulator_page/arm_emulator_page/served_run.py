@@ -10,7 +10,7 @@ from arm_emulator.extension.commands import output
 from arm_emulator.extension.page import TermsNow, Timeline, TorqueTerms
 from arm_emulator.extension.runs import OfflineRun
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 from arm_emulator_page.what_if import WhatIf
 
 
@@ -27,7 +27,7 @@ def serve_run(line: Timeline[OfflineRun], at: str) -> None:
     def explained() -> tuple[TermsNow, list[str]]:
         return terms.of(session.plant.save(), session.measured.applied), []
 
-    page = RunPage(Subject.of(line, line.newest), explained, at)
+    page = RunPage(RunView.of(line, line.newest), explained, at)
     try:
         from arm_emulator.extension.bags import write_timeline
     except (ModuleNotFoundError, Refusal):  # without ROS 2

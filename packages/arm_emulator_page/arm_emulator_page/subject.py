@@ -14,7 +14,7 @@ from arm_emulator_page.signal_plot import grouped
 
 
 @dataclass(frozen=True)
-class Subject:
+class RunView:
     """A run up to some tick.
 
     Attributes:
@@ -32,7 +32,7 @@ class Subject:
     @classmethod
     def of(
         cls, line: Timeline[Any], last: int, events: tuple[tuple[int, str], ...] | None = None
-    ) -> Subject:
+    ) -> RunView:
         """Return a run from its first tick on; its events are its changes if none are given."""
         at = line.tick
         line.go_to(line.first)

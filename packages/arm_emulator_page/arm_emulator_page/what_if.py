@@ -21,7 +21,7 @@ from arm_emulator.extension.page import (
 from arm_emulator.extension.runs import OfflineRun
 from arm_emulator_page.push_tab import PushTab
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 
 Keep = Callable[[Timeline[OfflineRun], Path, Path | None], None]
 NOTHING = "nothing"
@@ -96,7 +96,7 @@ class WhatIf:
         with self._page.exclusive:
             if not self._page.changing:
                 line = self._lines[name]
-                self._page.turn_to(Subject.of(line, line.newest), line.tick)
+                self._page.turn_to(RunView.of(line, line.newest), line.tick)
 
     def _lay_over(self, name: str) -> None:
         with self._page.exclusive:
@@ -104,7 +104,7 @@ class WhatIf:
                 return
             line = self._lines.get(name)
             at = self._page.line.tick
-            over = None if line is None else Subject.of(line, line.newest)
+            over = None if line is None else RunView.of(line, line.newest)
             self._page.line.go_to(at)  # forks take turns in one machine
             self._page.lay_over(over)
 
@@ -133,7 +133,7 @@ class WhatIf:
                 self._lines[name] = line
                 self._page.put(self._which, tuple(self._lines), name)
                 self._page.put(self._over, (NOTHING, *self._lines), self._over.value)
-            self._page.turn_to(Subject.of(line, line.newest), begin)
+            self._page.turn_to(RunView.of(line, line.newest), begin)
             self._answer.content = answer
 
     def _change(self, line: Timeline[OfflineRun]) -> str:

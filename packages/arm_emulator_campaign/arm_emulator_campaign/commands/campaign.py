@@ -21,7 +21,7 @@ from arm_emulator.extension.base import Refusal, RunOutputs, check_count, warn
 from arm_emulator.extension.commands import (
     Keep,
     PageAt,
-    Watched,
+    PageProcess,
     check_new_bag,
     command,
     output,
@@ -331,7 +331,7 @@ def record_case(
     plant = simulator.session.plant
     with (
         Recorder(plant, kept, waits=True, stays=page is None),
-        Watched(plant, page, waits=True) as watched,
+        PageProcess(plant, page, waits=True) as watched,
     ):
         if page is not None:
             print(f"page: {watched.url}", flush=True)

@@ -13,7 +13,7 @@ from arm_emulator.extension.bags import RecordedMachine, explain_moment
 from arm_emulator.extension.commands import RunNumber, SceneName, command, output
 from arm_emulator.extension.page import TermsNow, Timeline
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 
 
 @command(until_stopped=True, keys="`url`, `scene`, `ticks`")
@@ -58,9 +58,9 @@ def look(
     return 0
 
 
-def _subject(machine: RecordedMachine) -> Subject:
+def _subject(machine: RecordedMachine) -> RunView:
     events = tuple(
         (tick, ", ".join(str(KINDS.get(one.kind, one.kind)) for one in made))
         for tick, made in sorted(machine.changes.items())
     )
-    return Subject.of(Timeline(machine), machine.last, events)
+    return RunView.of(Timeline(machine), machine.last, events)

@@ -30,7 +30,7 @@ from machines import own_three_axis
 
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of
-from arm_emulator.page.desk import MachineHands
+from arm_emulator.page.desk import MachineControls
 from arm_emulator_page import live_page
 from arm_emulator_page.live_page import LivePage
 
@@ -55,7 +55,7 @@ class Live:
 
     def __init__(self, scene: Path) -> None:
         self.plant = plant = Plant(str(scene))
-        self.hands = MachineHands(plant, steps=True)
+        self.hands = MachineControls(plant, steps=True)
         self._row = RecordRow(plant)
         kind, columns = self._row.rows.dtype, columns_of(plant.scene)
         self.page = LivePage(plant.scene, columns, kind, self.hands, 0, dict(plant.parameters))

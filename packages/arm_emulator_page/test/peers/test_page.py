@@ -42,7 +42,7 @@ from arm_emulator.runs.order import Push, ScaleGains
 from arm_emulator.runs.timeline import Timeline
 from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 from arm_emulator_page.what_if import WhatIf
 from bench.page_picture import new_target
 
@@ -65,7 +65,7 @@ class Shown:
             return now, ["nothing is at its limit"]
 
         events = (120, "power"), (250, "set_state")
-        self.page = RunPage(Subject.of(self.line, LAST, events), explain)
+        self.page = RunPage(RunView.of(self.line, LAST, events), explain)
         self.url = self.page.url
 
 
@@ -166,7 +166,7 @@ def test_no_other_page_gets_a_connection(shown: Shown) -> None:
 def test_a_port_that_is_taken_is_refused(shown: Shown) -> None:
     port = int(shown.url.split(":")[2].partition("/")[0])
     with pytest.raises(Refusal, match="port must be free"):
-        RunPage(Subject.of(shown.line, LAST), lambda: (TermsNow({}, {}), []), port)
+        RunPage(RunView.of(shown.line, LAST), lambda: (TermsNow({}, {}), []), port)
 
 
 def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
@@ -239,7 +239,7 @@ def test_a_second_browser_and_a_lost_connection(shown: Shown, browser: Any) -> N
 def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
-    shown = RunPage(Subject.of(line, 300), lambda: (TermsNow({}, {}), []))
+    shown = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
     futures = WhatIf(shown, line)
     try:
         page = opened(browser, shown.url)
@@ -276,7 +276,7 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
     scene = own_three_axis(tmp_path / "scene", "external_wrench: true")
     line = Timeline(load_offline_run(str(scene)), every=100)
     line.advance(120)
-    shown = RunPage(Subject.of(line, 120), lambda: (TermsNow({}, {}), []))
+    shown = RunPage(RunView.of(line, 120), lambda: (TermsNow({}, {}), []))
     futures = WhatIf(shown, line, write_timeline)
     try:
         page = opened(browser, shown.url)
@@ -356,7 +356,7 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
     apart = 1e3 * float(np.linalg.norm(tool_of(straight) - tool_of(left)))
     assert apart > 1.0
     shown = RunPage(
-        Subject.of(line, 500), lambda: (TermsNow({}, {}), []), over=Subject.of(fork, 480)
+        RunView.of(line, 500), lambda: (TermsNow({}, {}), []), over=RunView.of(fork, 480)
     )
     try:
         page = opened(browser, shown.url)
@@ -387,7 +387,7 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
 def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
-    shown = RunPage(Subject.of(line, 300), lambda: (TermsNow({}, {}), []))
+    shown = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
     WhatIf(shown, line)
     try:
         page = opened(browser, shown.url)
@@ -405,7 +405,7 @@ def test_runs_of_other_joints_are_not_laid_over_each_other(shown: Shown) -> None
     other = Timeline(load_offline_run("panda"))
     other.advance(1)
     with pytest.raises(Refusal, match="joints of the other run must be"):
-        shown.page.lay_over(Subject.of(other, 1))
+        shown.page.lay_over(RunView.of(other, 1))
     scene = SimpleNamespace(joint_names=shown.machine.scene.joint_names, servo_period=0.5)
     run = SimpleNamespace(session=SimpleNamespace(scene=scene))
     slow: Any = SimpleNamespace(line=SimpleNamespace(run=run))

@@ -13,7 +13,7 @@ from arm_emulator.analysis.torque_terms import TermsNow
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.timeline import Timeline
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import Subject
+from arm_emulator_page.subject import RunView
 from arm_emulator_page.what_if import WhatIf
 
 __all__ = ["browser"]  # a fixture
@@ -33,7 +33,7 @@ COLORS = """() => {
 def shown() -> Iterator[RunPage]:
     line = Timeline(load_offline_run("ur5"), every=100)
     line.advance(100)
-    page = RunPage(Subject.of(line, 100), lambda: (TermsNow({}, {}), []))
+    page = RunPage(RunView.of(line, 100), lambda: (TermsNow({}, {}), []))
     WhatIf(page, line)
     yield page
     page.close()
