@@ -10,7 +10,7 @@ from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
-from emulator_node.breaks import Breaks
+from emulator_node.breaks import Breakpoints
 from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
@@ -47,7 +47,7 @@ class AnsweredTicks:
         subscription: Subscription,
         reports: Reports,
         health: Health,
-        breaks: Breaks,
+        breaks: Breakpoints,
     ) -> None:
         self._breaks = breaks
         self._session, self._gate, self._view, self._outbox = (

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from arm_emulator.runs.breakpoint import Breakpoint
 
 
-class Breaks:
+class Breakpoints:
     """Reasons for which the machine of a context stops.
 
     Args:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from arm_emulator.machine.session import Session
 from arm_emulator.page.watched import PageProcess
-from emulator_node.breaks import Breaks
+from emulator_node.breaks import Breakpoints
 from emulator_node.pacer import Pacer
 from emulator_node.reports import Reports
 
@@ -25,7 +25,12 @@ class Changes:
     """
 
     def __init__(
-        self, session: Session, pacer: Pacer, reports: Reports, watched: PageProcess, breaks: Breaks
+        self,
+        session: Session,
+        pacer: Pacer,
+        reports: Reports,
+        watched: PageProcess,
+        breaks: Breakpoints,
     ) -> None:
         self._session, self.pacer, self.reports = session, pacer, reports
         self._watched, self._breaks = watched, breaks

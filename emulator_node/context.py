@@ -9,7 +9,7 @@ from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics
-from emulator_node.outbox import Outbox
+from emulator_node.outbox import OutgoingMessages
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.view import View
 
@@ -34,7 +34,7 @@ class Context:
     session: Session
     diagnostics: Diagnostics
     gate: RecorderGate
-    outbox: Outbox
+    outbox: OutgoingMessages
     view: View
     pace: Pace
     lock: threading.RLock = field(default_factory=threading.RLock)

@@ -17,7 +17,7 @@ from arm_emulator.ros.doubles import started
 from arm_emulator.ros.message_reader import no_message
 from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
-from emulator_node.breaks import Breaks
+from emulator_node.breaks import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.pacer import Pacer
@@ -26,7 +26,7 @@ from emulator_node.pacer import Pacer
 EXTERNAL_WRENCHES = {"external_wrench": "link", "external_wrench_in_world": "world"}
 
 
-class Intake:
+class Subscriptions:
     """Subscribes to topics, and passes their messages on.
 
     Attributes:
@@ -34,7 +34,7 @@ class Intake:
         commands: subscription to motor commands.
     """
 
-    def __init__(self, own: Context, pacer: Pacer, changes: Changes, breaks: Breaks) -> None:
+    def __init__(self, own: Context, pacer: Pacer, changes: Changes, breaks: Breakpoints) -> None:
         self._breaks = breaks
         self._session, self._pacer, self._changes = own.session, pacer, changes
         self.answered: Callable[[], None] = lambda: None

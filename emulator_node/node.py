@@ -34,7 +34,7 @@ from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
 from arm_emulator.page.watched import PageProcess
-from arm_emulator.ros.doubles import Doubles
+from arm_emulator.ros.doubles import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
     accept_changes,
@@ -43,19 +43,19 @@ from arm_emulator.ros.node_parameters import (
     replaced,
 )
 from arm_emulator.ros.node_shell import Diagnostics, run_node, wall_timer
-from arm_emulator.ros.precedence import precede
+from arm_emulator.ros.precedence import raise_priority
 from emulator_node.answered_ticks import AnsweredTicks
-from emulator_node.breaks import Breaks
+from emulator_node.breaks import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
-from emulator_node.intake import Intake
+from emulator_node.intake import Subscriptions
 from emulator_node.others import subscribe_to_others, take_rest
-from emulator_node.outbox import Outbox, own_record
+from emulator_node.outbox import OutgoingMessages, own_record
 from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
 from emulator_node.real_time_ticks import READERS, HeldCommands
 from emulator_node.recorder_gate import RecorderGate
-from emulator_node.repeater import REPEAT_AFTER, Repeater
+from emulator_node.repeater import REPEAT_AFTER, Retransmitter
 from emulator_node.reports import Reports
 from emulator_node.services import Services
 from emulator_node.simulation_services import SimulationServices, installed
@@ -117,7 +117,7 @@ class EmulatorNode(ManagedNode):
         refuse_other_parameters(self, self._config)
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "machine")
-        self._doubles = Doubles(
+        self._doubles = DuplicateNodes(
             self, self._diagnostics, "emulator", "motor_states", "the one started first rules"
         )
         self.start()
@@ -126,7 +126,7 @@ class EmulatorNode(ManagedNode):
         """Create the machine, which stands, and its topics and services."""
         config = self._config
         check_pace(config)
-        outbox = Outbox()
+        outbox = OutgoingMessages()
         self.cleanup.callback(outbox.close)
         diagnostics = self._diagnostics
         self._session = session = self._new_session()
@@ -144,12 +144,12 @@ class EmulatorNode(ManagedNode):
         self._reports = reports = Reports(own, config.report_period)
         self._status = status = Status(own, reports)
         health = Health(own, lambda: self._config.timeout, lambda: watched.trouble)
-        breaks = Breaks(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
+        breaks = Breakpoints(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
         loop = LoopPacer(own, reports, health, breaks) if session.by_itself else None
         self._pacer: Pacer = loop or LockstepPacer(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
         changes = Changes(session, self._pacer, reports, watched, breaks)
-        intake = Intake(own, self._pacer, changes, breaks)
+        intake = Subscriptions(own, self._pacer, changes, breaks)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
             self._begin_record(outbox, publishers, intake.commands.topic_name)
@@ -165,7 +165,7 @@ class EmulatorNode(ManagedNode):
             intake.answered = stepper.go_on
             SimulationServices(self, own, changes, control, stepper)
             self.housekeeping = 0.02  # s, wall: bounds the delay of steps and actions
-        self._repeater = Repeater(own, self._pacer, reports, health)
+        self._repeater = Retransmitter(own, self._pacer, reports, health)
         wall_timer(self, REPEAT_AFTER, self._on_repeat)
         wall_timer(self, STATUS_PERIOD, self._on_status)
         self.get_logger().info(
@@ -189,10 +189,12 @@ class EmulatorNode(ManagedNode):
         )
         self._diagnostics.values |= build_facts(session.plant)
         if session.by_itself:
-            self._diagnostics.values["nice value"] = precede()
+            self._diagnostics.values["nice value"] = raise_priority()
         return session
 
-    def _begin_record(self, outbox: Outbox, publishers: list[Publisher], commands: str) -> None:
+    def _begin_record(
+        self, outbox: OutgoingMessages, publishers: list[Publisher], commands: str
+    ) -> None:
         """Record what is published, commands, and messages between others, until the node ends."""
         folder, diagnostics = Path(self._config.record), self._diagnostics
         self._others = subscribe_to_others(self, outbox.record_other)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from arm_emulator.ros.run_record import RunRecord
 
 
-class Outbox:
+class OutgoingMessages:
     """Outgoing messages of Python.
 
     Attributes:

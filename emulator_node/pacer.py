@@ -9,7 +9,7 @@ import rclpy
 
 from arm_emulator.machine.phase import Phase
 from arm_emulator.ros.node_shell import wall_timer
-from emulator_node.breaks import Breaks
+from emulator_node.breaks import Breakpoints
 from emulator_node.context import Context
 from emulator_node.health import Health
 from emulator_node.real_time_ticks import RealTimeTicks
@@ -46,7 +46,7 @@ class Pacer:
 class LockstepPacer(Pacer):
     """Ticks follow answers, and wait for the pace; a free run goes by the servo period."""
 
-    def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
+    def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breakpoints) -> None:
         self._breaks = breaks
         self._session, self._gate = own.session, own.gate
         self._reports, self._health, self._lock = reports, health, own.lock
@@ -104,7 +104,7 @@ class LoopPacer(Pacer):
         ticks: what C publishes.
     """
 
-    def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breaks) -> None:
+    def __init__(self, own: Context, reports: Reports, health: Health, breaks: Breakpoints) -> None:
         self._breaks, self._own = breaks, own
         self._session, self._gate, self._lock = own.session, own.gate, own.lock
         self._reports, self._health = reports, health

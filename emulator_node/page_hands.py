@@ -250,7 +250,7 @@ class RosControls(Controls):
         return self._clients[name]
 
     def _meet(self, node: str) -> None:
-        """Wait until a node knows all clients made so far, see `NetworkGuest.meet`."""
+        """Wait until a node knows all clients made so far, see `NetworkClient.meet`."""
         client = self._node.create_client(GetParameters, f"{node}/get_parameters")
         until, met = time.monotonic() + PATIENCE, threading.Event()
         while not met.is_set() and time.monotonic() < until:

@@ -15,7 +15,7 @@ REPEAT_AFTER = (
 )
 
 
-class Repeater:
+class Retransmitter:
     """Checks every `REPEAT_AFTER` whether the machine waits, and for which partner."""
 
     def __init__(self, own: Context, pacer: Pacer, reports: Reports, health: Health) -> None:

@@ -11,7 +11,7 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_msgs.msg import MachineEvent
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetState, SetVaried
-from emulator_node.breaks import Breaks
+from emulator_node.breaks import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.time_control import TimeControl
@@ -23,7 +23,7 @@ class Services:
     """Time and power; saving, restoring and setting the machine by hand; breakpoints."""
 
     def __init__(
-        self, own: Context, control: TimeControl, changes: Changes, breaks: Breaks
+        self, own: Context, control: TimeControl, changes: Changes, breaks: Breakpoints
     ) -> None:
         self._session, self._gate, self._lock = own.session, own.gate, own.lock
         self._control, self._changes, self._breaks = control, changes, breaks

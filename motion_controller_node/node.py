@@ -39,7 +39,7 @@ from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
 from arm_emulator.motion.motion_report import Kind, State
-from arm_emulator.ros.doubles import Doubles
+from arm_emulator.ros.doubles import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
     accept_changes,
@@ -82,7 +82,7 @@ class MotionControllerNode(ManagedNode):
         self._config = self._with_sections(config, {})
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "motion controller")
-        self._doubles = Doubles(
+        self._doubles = DuplicateNodes(
             self,
             self._diagnostics,
             "motion controller",

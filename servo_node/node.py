@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 
 from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.doubles import Doubles
+from arm_emulator.ros.doubles import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import Outgoing
 from arm_emulator.ros.node_parameters import accept_changes, declare_parameters, describe, replaced
@@ -42,7 +42,7 @@ from arm_emulator.ros.node_shell import (
     run_node,
     wall_timer,
 )
-from arm_emulator.ros.precedence import precede
+from arm_emulator.ros.precedence import raise_priority
 from arm_emulator.servo.drives import ServoArm
 from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
@@ -108,7 +108,7 @@ class ServoNode(ManagedNode):
         self._next_config: ServoConfig | None = None  # from the next tick on
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "servo drives")
-        self._doubles = Doubles(
+        self._doubles = DuplicateNodes(
             self,
             self._diagnostics,
             "servo",
@@ -122,7 +122,7 @@ class ServoNode(ManagedNode):
         own, names = self._own, self._config.joint_names
         self._lockstep = own.clock == "lockstep"
         if not self._lockstep:
-            self._diagnostics.values["nice value"] = precede()
+            self._diagnostics.values["nice value"] = raise_priority()
         self._drives = ServoArm(self._config)
         self._next_config = None
         self._hot = hot = AnsweredStates(

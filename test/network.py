@@ -25,7 +25,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.network_guest import NetworkClient
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import OfflineRun
@@ -87,7 +87,7 @@ class User:
         self.joint_names = JOINTS
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self.node = NetworkGuest("user", namespace, self._context)
+        self.node = NetworkClient("user", namespace, self._context)
         self._raw_states: list[bytes] = []
         self.tick = -1  # newest tick recorded, -1 for none
         self.machine = 0  # the emulator whose states are recorded, 0 for any

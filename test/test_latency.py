@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.cli.commands.latency import answers_in_time, latency, wake_ups
+from arm_emulator.cli.commands.latency import latency, measure_wake_up_latency, probe_latency
 from arm_emulator.cli.output import output
 
 
 @pytest.mark.parametrize("rate", [200.0, 3000.0])
 def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
     began = time.monotonic()
-    found = wake_ups(load_scene("three_axis"), 1.0 / rate, 2.5)
+    found = measure_wake_up_latency(load_scene("three_axis"), 1.0 / rate, 2.5)
     wall = time.monotonic() - began
     periods = len(found.late) + found.lost
     # A busy machine may keep the thread from its last wake-ups.
@@ -28,12 +28,12 @@ def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
 
 def test_a_wake_up_is_waited_for_beyond_the_time_given() -> None:
     """A machine may be so busy that the thread does not run meanwhile."""
-    found = wake_ups(load_scene("three_axis"), 0.02, 0.0)
+    found = measure_wake_up_latency(load_scene("three_axis"), 0.02, 0.0)
     assert len(found.late) > 0 and found.quantiles[0] >= 0.0
 
 
 def test_emulator_and_servo_run_at_another_rate() -> None:
-    answers = answers_in_time("three_axis", 2e-3, 0.4)
+    answers = probe_latency("three_axis", 2e-3, 0.4)
     assert 0.4 / 2e-3 <= answers.periods < 60.0 / 2e-3
     assert 0 <= answers.old <= answers.periods and answers.lost >= 0
     assert 0.0 < answers.p99_lateness and 0.0 < answers.worst_lateness

@@ -335,10 +335,10 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(
 
 SPOILED_END = """
 import ctypes
-from arm_emulator.ros.end_anyway import end_anyway
+from arm_emulator.ros.start_exit_watchdog import start_exit_watchdog
 
 print("ended, but for the middleware")
-with end_anyway({seconds}, {code}):
+with start_exit_watchdog({seconds}, {code}):
     ctypes.PyDLL(None).{call}  # with Python's lock
 """
 

@@ -16,7 +16,7 @@ from std_msgs.msg import Int64
 
 from arm_emulator import Refusal, testing
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.network_guest import NetworkClient
 from arm_emulator.ros.network_under_test import NetworkUnderTest
 from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
 from arm_emulator.ros.ros_domain import own_domain
@@ -97,7 +97,7 @@ def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:
         context.init()
         try:
             sender, viewer, acting = (
-                NetworkGuest(name, "", context) for name in ("sender", "viewer", "acting")
+                NetworkClient(name, "", context) for name in ("sender", "viewer", "acting")
             )
             publisher = sender.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
             viewer.listen("tool_target", PoseStamped, COMMAND_QOS)
@@ -120,7 +120,7 @@ def test_a_node_that_was_met_gets_what_is_published_once() -> None:
         contexts = [Context(), Context()]
         for one in contexts:
             rclpy.init(context=one, domain_id=domain)
-        sender, node = NetworkGuest("sender", "", contexts[0]), Node("acting", context=contexts[1])
+        sender, node = NetworkClient("sender", "", contexts[0]), Node("acting", context=contexts[1])
         heard: list[Int64] = []
         node.create_subscription(Int64, "numbers", heard.append, qos_profile_sensor_data)
         executor = SingleThreadedExecutor(context=contexts[1])

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.network_guest import NetworkClient
 from arm_emulator.ros.node_shell import COMMAND_QOS, DESCRIPTION_QOS, nanoseconds_of
 from arm_emulator.ros.node_topics import NODES, STATUS, TYPES
 from arm_emulator_msgs.msg import MotionStatus
@@ -101,7 +101,7 @@ class CausalReplay:
         Refusal: the bag lacks a topic, or has goals that are not in it.
     """
 
-    def __init__(self, bag: Bag, name: str, node: NetworkGuest) -> None:
+    def __init__(self, bag: Bag, name: str, node: NetworkClient) -> None:
         self._bag, self._name, self._node, self._topics = bag, name, node, NODES[name]
         self._where = str(bag.path)
         ends = [one for one in bag.topics if one.endswith("/joint_targets")]

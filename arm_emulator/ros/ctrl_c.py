@@ -42,7 +42,7 @@ def end_at_once(code: int | None) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, END_SIGNALS)
 
 
-def heed_no_more() -> None:
+def ignore_signals() -> None:
     """Ignore signals: all is done, and Python would let them kill it while it ends."""
     for number in END_SIGNALS:
         signal.signal(number, signal.SIG_IGN)

@@ -81,7 +81,7 @@ class _Double:
     seen: bool = False  # by the middleware, which may learn of it a little later
 
 
-class Doubles:
+class DuplicateNodes:
     """Finds other nodes of this one's kind that publish on the same topic.
 
     Args:

@@ -44,7 +44,7 @@ class _Times(ctypes.Structure):
 
 
 @contextlib.contextmanager
-def end_anyway(seconds: float, code: int) -> Iterator[None]:
+def start_exit_watchdog(seconds: float, code: int) -> Iterator[None]:
     """End this process with the exit code `code` after this many seconds, unless it has ended.
 
     Nothing is flushed or cleaned up then: enter it when all is written. A thread that crashes in

@@ -58,7 +58,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str) -> None:
         self.sole_publishers: dict[Any, SolePublisher] = {}
-        # `Diagnostics` and `Doubles` put their own in the places of these.
+        # `Diagnostics` and `DuplicateNodes` put their own in the places of these.
         self.refuse: Callable[..., None] = self._log_refusal
         self.count: Callable[..., None] = lambda what, times=1: None
         self.note: Callable[[str, object], None] = lambda what, value: None

@@ -32,7 +32,7 @@ STATES = {
 ASK_AGAIN = 2.0  # s, after which a service that has not answered is called once more
 
 
-class NetworkGuest(Node):
+class NetworkClient(Node):
     """Keeps the newest message of each subscribed topic.
 
     Args:
@@ -123,7 +123,7 @@ class NetworkGuest(Node):
 
 
 @contextlib.contextmanager
-def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
+def guest(name: str, namespace: str) -> Iterator[NetworkClient]:
     """Join the network for a block; Ctrl-C breaks it off.
 
     Raises:
@@ -131,7 +131,7 @@ def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
     """
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
-        node = NetworkGuest(name, namespace)
+        node = NetworkClient(name, namespace)
     except Exception as error:  # rclpy has an exception for each rule of names
         rclpy.try_shutdown()
         reason = str(error).splitlines()[0]

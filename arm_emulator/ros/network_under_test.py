@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.network_guest import STATES, NetworkGuest
+from arm_emulator.ros.network_guest import STATES, NetworkClient
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     EVENT_QOS,
@@ -54,7 +54,7 @@ class NetworkUnderTest:
     def __init__(self, context: Context, ended: Callable[[], object], ours: Sequence[str]) -> None:
         self._ended, self._ours = ended, ours
         self._health: dict[str, DiagnosticStatus] = {}
-        self._guest = guest = NetworkGuest("test", "", context)
+        self._guest = guest = NetworkClient("test", "", context)
         self.statuses: list[MotionStatus] = []
         self._known: list[tuple[int, int]] = []  # kind and time [ns] of each target sent
         guest.listen("emulator/joint_states", JointState, STATE_PUB_QOS)

@@ -24,8 +24,8 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.barrier import StartAnew
-from arm_emulator.ros.ctrl_c import CtrlC, heed_no_more, until_shut_down
-from arm_emulator.ros.end_anyway import end_anyway
+from arm_emulator.ros.ctrl_c import CtrlC, ignore_signals, until_shut_down
+from arm_emulator.ros.end_anyway import start_exit_watchdog
 from arm_emulator.ros.end_with_parent import end_with_parent
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.managed_node import ManagedNode
@@ -271,13 +271,13 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
             except Refusal as refusal:  # its outputs are incomplete
                 print(refusal, file=sys.stderr)
                 code = 1
-        with end_anyway(ENDING, code):
+        with start_exit_watchdog(ENDING, code):
             if node is not None:
                 # Not left to the garbage collector: the middleware may leave its shared memory.
                 node.destroy_node()
             with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come between
                 rclpy.try_shutdown()
-        heed_no_more()
+        ignore_signals()
     if code:
         sys.exit(code)
 

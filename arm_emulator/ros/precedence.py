@@ -11,7 +11,7 @@ import os
 NICE = -10
 
 
-def precede() -> int:
+def raise_priority() -> int:
     """Let all threads of this process, and those that they start, precede others.
 
     Returns:

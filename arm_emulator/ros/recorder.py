@@ -24,7 +24,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.end_anyway import end_anyway
+from arm_emulator.ros.end_anyway import start_exit_watchdog
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.message_types import definition_of, message_class
 from arm_emulator.ros.middleware import middleware
@@ -107,7 +107,7 @@ def record(
         refused = Refusal("record", f"folder {out}", "accept the recorded messages", failure, cure)
     report(Recorded(count, written, bag.seconds, lost, refused))
     code = 2 if failure is not None else 1 if lost else 0
-    with end_anyway(ENDING, code):
+    with start_exit_watchdog(ENDING, code):
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

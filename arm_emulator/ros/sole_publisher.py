@@ -21,7 +21,7 @@ from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
 
 # Kinds of nodes, and topics by which such a node is known: it publishes all of them. The first one
-# is named in its diagnostics, see `Doubles`.
+# is named in its diagnostics, see `DuplicateNodes`.
 KINDS = {
     "emulator": ("motor_states", "emulator/status", "emulator/events"),
     "servo": ("motor_commands", "servo_states", "joint_states"),

@@ -33,7 +33,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.cli.commands.ros2_control import ros2_control
 from arm_emulator.design.ros2_control import PLUGIN
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.ros.network_guest import NetworkGuest
+from arm_emulator.ros.network_guest import NetworkClient
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of
 from arm_emulator.ros.ros_domain import own_domain
 
@@ -316,11 +316,11 @@ def test_lockstep_node_refuses_a_parameter_in_a_line(
 
 
 @contextmanager
-def guest() -> Iterator[NetworkGuest]:
+def guest() -> Iterator[NetworkClient]:
     """A client in the domain."""
     context = rclpy.Context()
     context.init()
-    node = NetworkGuest("client", "", context)
+    node = NetworkClient("client", "", context)
     try:
         yield node
     finally:
@@ -364,7 +364,7 @@ class Managed:
     """
 
     def __init__(
-        self, node: NetworkGuest, prefix: Path, description: Path, parameters: Path
+        self, node: NetworkClient, prefix: Path, description: Path, parameters: Path
     ) -> None:
         self.node, self.name, self.log = node, description.stem, parameters.with_suffix(".log")
         self._services: dict[str, Any] = {}

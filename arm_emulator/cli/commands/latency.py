@@ -83,13 +83,13 @@ def latency(
     output.line(f"{'rate':>8}   {head if not alone else head[:54]}")
     with load_processors(busy):
         for rate in rates:
-            one = wake_ups(machine, 1.0 / rate, seconds)
+            one = measure_wake_up_latency(machine, 1.0 / rate, seconds)
             found.append(one)
             facts[f"{rate:g}"] = fact = _facts(one)
             words = "".join(f"{late * 1e6:7.0f} us" for late in one.quantiles)
             words = f"{rate:5g} Hz         {words} {one.lost:9d}"
             if not alone:
-                answers = answers_in_time(scene, 1.0 / rate, seconds)
+                answers = probe_latency(scene, 1.0 / rate, seconds)
                 fact["answers"] = answers._asdict()
                 share = answers.old / max(1, answers.periods)
                 fact["held"] = fact["held"] and share < HELD_OLD
@@ -170,7 +170,7 @@ class WakeUps:
         return [float(np.quantile(self.late, part, method="higher")) for part in QUANTILES]
 
 
-def wake_ups(scene: Scene, period: float, seconds: float) -> WakeUps:
+def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> WakeUps:
     """Run the real-time loop of a scene, its motors at 0.
 
     Args:
@@ -223,7 +223,7 @@ class AnswersInTime(NamedTuple):
     worst_lateness: float
 
 
-def answers_in_time(scene: str, period: float, seconds: float) -> AnswersInTime:
+def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
     """Run emulator and servo of a scene with another servo period, in a ROS domain of their own.
 
     Args:

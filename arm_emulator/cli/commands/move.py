@@ -24,7 +24,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import left
 from arm_emulator.motion.pose import Pose
-from arm_emulator.ros.network_guest import STATES, NetworkGuest, guest
+from arm_emulator.ros.network_guest import STATES, NetworkClient, guest
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     DESCRIPTION_QOS,
@@ -107,7 +107,7 @@ def move(
 
 
 def _watch(
-    node: NetworkGuest,
+    node: NetworkClient,
     publisher: Publisher,
     message: PoseStamped | JointTrajectory,
     kind: int,
@@ -156,7 +156,7 @@ def _watch(
     return 0 if outcome == "reached" else 1
 
 
-def _logical_ns(node: NetworkGuest) -> int:
+def _logical_ns(node: NetworkClient) -> int:
     """Return logical time by the newest messages [ns]."""
     known = node.newest
     stamps = [known["joint_states"].header.stamp] if "joint_states" in known else []
@@ -198,7 +198,7 @@ def _trajectory(now: JointState, angles: dict[str, float], seconds: float) -> Jo
 
 
 def _tool_target(
-    node: NetworkGuest,
+    node: NetworkClient,
     to: Sequence[float] | None,
     by: Sequence[float] | None,
     quaternion: Sequence[float] | None,
@@ -218,7 +218,7 @@ def _tool_target(
     return message
 
 
-def _tool_now(node: NetworkGuest) -> tuple[np.ndarray, np.ndarray]:
+def _tool_now(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation and position of the motion controller's tool, from the measured angles."""
     asked = node.create_client(GetParameters, "motion_controller/get_parameters")
 
