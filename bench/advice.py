@@ -24,7 +24,13 @@ import numpy as np
 import yaml
 
 from arm_emulator.analysis.advice import Advice, Judge, advise, step_counts
-from arm_emulator.analysis.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
+from arm_emulator.analysis.judged_motions import (
+    KINDS,
+    SECONDS,
+    ExcitationMotions,
+    Motion,
+    judged_motions,
+)
 from arm_emulator.analysis.true_motion import Method
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.current_motor import CurrentMotor
@@ -100,7 +106,7 @@ def drawn_scene(folder: Path, seed: int) -> tuple[str, Scene]:
 
 def other_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Motion]:
     """Return motions that `advise` has not seen."""
-    rng, leader = np.random.default_rng([seed, 32]), Leader(scene, seconds)
+    rng, leader = np.random.default_rng([seed, 32]), ExcitationMotions(scene, seconds)
     kinds = [str(kind) for kind in rng.choice(list(KINDS), OTHERS)]
     return [leader.drawn(kind, rng) for kind in kinds]
 

@@ -29,7 +29,7 @@ from arm_emulator.machine.varied import of_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.found import numbers_found
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
-from arm_emulator_identification.plausibility import check_fit, looked_over
+from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.read_run import read_run
 from arm_emulator_identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
@@ -210,7 +210,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
         return warmer(numbers, share) if effect == "temperature" else {}
 
     run = make_record(real, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, numbers, drift)
-    run, motion, _ = looked_over(scene, run, LOW_PASS, as_is=True)
+    run, motion, _ = filter_record(scene, run, LOW_PASS, as_is=True)
     model = model_of(scene, motion)
     fit = fit_torques(model, motion, model.choose(["*"], "bench"))
     inside = [
@@ -299,7 +299,7 @@ def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
     """Return what identification reports of a record, in words, and whether it refuses it."""
     try:
         check_samples(run)
-        run, motion, doubts = looked_over(scene, run, LOW_PASS)
+        run, motion, doubts = filter_record(scene, run, LOW_PASS)
         model = model_of(scene, motion)
         fit = fit_torques(model, motion, model.choose(["*"], "bench"))
         check_fit(run.where, run.joints, fit.explained)

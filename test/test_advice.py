@@ -18,7 +18,7 @@ from test_written_integrator import add_demo, run, scene_copy
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.advice import Judge, advise, reserve, step_counts
-from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_motions
+from arm_emulator.analysis.judged_motions import KINDS, ExcitationMotions, Motion, judged_motions
 from arm_emulator.analysis.stability import why
 from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
 from arm_emulator.base.arrays import Array
@@ -236,7 +236,7 @@ def test_motions_are_the_same_every_time_and_begin_at_rest() -> None:
     scene = load_scene("three_axis")
     for one, other in zip(judged_motions(scene, 0.1), judged_motions(scene, 0.1), strict=True):
         assert np.array_equal(one.commands, other.commands), one.name
-    stop = Leader(scene, 0.1).drawn("stop", np.random.default_rng(3)).commands
+    stop = ExcitationMotions(scene, 0.1).drawn("stop", np.random.default_rng(3)).commands
     assert (stop[50:] == 0.0).all() and np.abs(stop[:50]).max() > 0.0, "no commands from the middle"
 
 

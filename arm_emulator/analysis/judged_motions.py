@@ -38,7 +38,7 @@ class Motion:
     commands: Array
 
 
-class Leader:
+class ExcitationMotions:
     """Generates random motions of a scene: leads the arm along references, records the commands.
 
     Args:
@@ -123,7 +123,7 @@ class Leader:
 
 def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
     """Return the default test motions of a scene, always the same."""
-    leader = Leader(scene, seconds)
+    leader = ExcitationMotions(scene, seconds)
     kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # often of the largest errors
     return [
         leader.drawn(kind, np.random.default_rng([7, number])) for number, kind in enumerate(kinds)

@@ -78,7 +78,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Crew:
+class WorkerPool:
     """Processes that simulate, and who is informed of it.
 
     Attributes:
@@ -108,7 +108,7 @@ class Work:
         progress: of this work; a chunk that is done counts there.
     """
 
-    def __init__(self, campaign: Campaign, crew: Crew, progress: Progress) -> None:
+    def __init__(self, campaign: Campaign, crew: WorkerPool, progress: Progress) -> None:
         self._campaign, self._crew, self._progress = campaign, crew, progress
         self._pool: Pool | None = None
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import drawn_case
-from arm_emulator_campaign.crew import Crew, Pool, Progress, Work
+from arm_emulator_campaign.crew import Pool, Progress, Work, WorkerPool
 from arm_emulator_campaign.lanes import WIDTH
 from arm_emulator_campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator_campaign.worker import Done, end_with, simulate, simulator_of
@@ -103,7 +103,7 @@ class DaskPool:
         self._client.close()
 
 
-def run_campaign(campaign: Campaign, results: Results, crew: Crew) -> None:
+def run_campaign(campaign: Campaign, results: Results, crew: WorkerPool) -> None:
     """Simulate what is missing, to the end or until the campaign may stop.
 
     Raises:
@@ -120,7 +120,7 @@ def run_campaign(campaign: Campaign, results: Results, crew: Crew) -> None:
 
 
 def _complete(
-    campaign: Campaign, results: Results, crew: Crew, progress: Progress, count: int
+    campaign: Campaign, results: Results, crew: WorkerPool, progress: Progress, count: int
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
 
@@ -136,7 +136,7 @@ def _complete(
 def _work(
     campaign: Campaign,
     results: Results,
-    crew: Crew,
+    crew: WorkerPool,
     pool: Pool,
     chunks: Iterable[tuple[int, int]],
     progress: Progress,

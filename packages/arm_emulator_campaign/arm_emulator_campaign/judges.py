@@ -157,7 +157,7 @@ def statements_about_the_start(campaign: Campaign) -> Iterator[str]:
             yield f"{campaign.where}: requirements.{name}: {rule}; always (...) the whole run"
 
 
-class Judges:
+class Evaluators:
     """All judges of runs.
 
     Attributes:

@@ -17,7 +17,7 @@ from arm_emulator.extension.machine import Fleet, FleetWay
 from arm_emulator.extension.runs import ServoFleet
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case
-from arm_emulator_campaign.judges import Judges
+from arm_emulator_campaign.judges import Evaluators
 from arm_emulator_campaign.outcome import Outcome, Outcomes
 from arm_emulator_campaign.program import BLOCK, Targets
 from arm_emulator_campaign.scenario import Scenario
@@ -37,7 +37,7 @@ class _Run(NamedTuple):
     bound: BoundCase
 
 
-class RunsInLanes:
+class BatchSimulator:
     """Simulates runs of a campaign whose targets go to the servo, many at a time.
 
     A run is the same to the last bit whatever runs are beside it, and equals that of a `Simulator`
@@ -54,7 +54,7 @@ class RunsInLanes:
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
-        self._judges = Judges(campaign, ROOM, WIDTH)  # first: its refusals need no compiler
+        self._judges = Evaluators(campaign, ROOM, WIDTH)  # first: its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
         self._names = [one.name for one in campaign.variation.numbers]
@@ -180,9 +180,9 @@ class RunsInLanes:
         self._aimed = every
 
 
-def runs_of(campaign: Campaign) -> Simulator | RunsInLanes:
+def runs_of(campaign: Campaign) -> Simulator | BatchSimulator:
     """Return what simulates a campaign's runs.
 
     In lanes, but for moves of the tool: the motion controller that leads them is Python.
     """
-    return Simulator(campaign) if campaign.nominal[0].moves else RunsInLanes(campaign)
+    return Simulator(campaign) if campaign.nominal[0].moves else BatchSimulator(campaign)

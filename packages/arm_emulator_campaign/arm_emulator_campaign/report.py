@@ -23,7 +23,7 @@ from arm_emulator_campaign.results import (
     digest_of,
 )
 from arm_emulator_campaign.search.method import Finding
-from arm_emulator_campaign.summary import Share, Summary
+from arm_emulator_campaign.summary import FailureRate, Summary
 
 WORST = 12  # runs that are listed
 _STYLE = """
@@ -225,7 +225,7 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     yield "</table></div>"
 
 
-def _bar(one: Share, scale: float) -> str:
+def _bar(one: FailureRate, scale: float) -> str:
     left, width = 100 * one.low / scale, 100 * (one.high - one.low) / scale
     return (
         f"<div class=bar title='{100 * one.low:.4g} to {100 * one.high:.4g} %'>"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from arm_emulator.extension.base import Array, Refusal, atomic_write
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import case_at
-from arm_emulator_campaign.crew import Crew, Pool, Progress, Work
+from arm_emulator_campaign.crew import Pool, Progress, Work, WorkerPool
 from arm_emulator_campaign.executor import failures_in
 from arm_emulator_campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator_campaign.search.method import Finding
@@ -42,7 +42,7 @@ class Searcher:
         crew: simulates; the workers of its pool share a batch.
     """
 
-    def __init__(self, campaign: Campaign, results: Results, crew: Crew) -> None:
+    def __init__(self, campaign: Campaign, results: Results, crew: WorkerPool) -> None:
         assert campaign.search is not None
         self._campaign, self._results, self._method = campaign, results, campaign.search
         self._crew = crew

@@ -22,7 +22,7 @@ from arm_emulator.extension.runs import ServoDrives as Drives
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case, drawn_case
 from arm_emulator_campaign.fault import changes_of
-from arm_emulator_campaign.judges import Judges
+from arm_emulator_campaign.judges import Evaluators
 from arm_emulator_campaign.outcome import Outcome, Outcomes
 from arm_emulator_campaign.program import Targets
 from arm_emulator_campaign.scenario import Move, Scenario, ticks_of
@@ -47,7 +47,7 @@ class Simulator:
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
-        self._judges = Judges(campaign, ROOM)  # first, since its refusals need no compiler
+        self._judges = Evaluators(campaign, ROOM)  # first, since its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
         self._parameters = {one.name for one in campaign.scene.varied}
@@ -102,7 +102,7 @@ class Simulator:
         )
 
     def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
-        """Simulate runs one after the other, see `RunsInLanes.runs`."""
+        """Simulate runs one after the other, see `BatchSimulator.runs`."""
         for case in cases:
             one = self.run(case)
             yield Outcomes.of(one)

@@ -12,7 +12,7 @@ from typing import Any
 
 from arm_emulator.extension.base import atomic_write
 from arm_emulator_campaign.campaign_file import Campaign
-from arm_emulator_campaign.crew import Crew, Pool, Progress, Work
+from arm_emulator_campaign.crew import Pool, Progress, Work, WorkerPool
 from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results import Results, checksum_of
 from arm_emulator_campaign.search.method import Finding
@@ -37,7 +37,7 @@ class Splitter:
         crew: does it; its report is called after each repetition.
     """
 
-    def __init__(self, campaign: Campaign, results: Results, crew: Crew) -> None:
+    def __init__(self, campaign: Campaign, results: Results, crew: WorkerPool) -> None:
         assert isinstance(campaign.search, Splitting)
         self._campaign, self._method, self._results = campaign, campaign.search, results
         self._crew = crew

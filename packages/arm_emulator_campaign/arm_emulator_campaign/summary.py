@@ -19,7 +19,7 @@ ANY = "any requirement"
 
 
 @dataclass(frozen=True)
-class Share:
+class FailureRate:
     """Rate of failures of a requirement.
 
     Attributes:
@@ -78,7 +78,7 @@ class Summary:
 
     count: int
     confidence: float
-    shares: tuple[Share, ...]
+    shares: tuple[FailureRate, ...]
     quantiles: tuple[Quantile, ...]
 
 
@@ -95,7 +95,7 @@ def summary_of(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summa
         worst = int(columns[INDEX][at]) if at >= 0 else -1
         least = float(values[at]) if at >= 0 else float("nan")
         share = hits / count if count else float("nan")
-        shares.append(Share(name, hits, share, low, high, worst, least))
+        shares.append(FailureRate(name, hits, share, low, high, worst, least))
     names = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
     names += [f"{MEASURE}{name}" for name in campaign.measures]
     quantiles = [one for name in names for one in _quantiles(name, columns[name], confidence)]

@@ -17,7 +17,7 @@ import numpy as np
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, case_at, drawn_case
-from arm_emulator_campaign.lanes import RunsInLanes, runs_of
+from arm_emulator_campaign.lanes import BatchSimulator, runs_of
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.results import write_part
 from arm_emulator_campaign.simulator import Simulator
@@ -44,7 +44,7 @@ class Done(NamedTuple):
     outputs: Array | None = None
 
 
-def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | RunsInLanes]:
+def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | BatchSimulator]:
     """Return a campaign and this thread's machines for it.
 
     Raises:
@@ -54,7 +54,7 @@ def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | RunsInLan
 
 
 @cache
-def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator | RunsInLanes]:
+def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator | BatchSimulator]:
     campaign = campaign_of(file, key)
     return campaign, runs_of(campaign)
 

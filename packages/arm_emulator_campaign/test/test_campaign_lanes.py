@@ -15,7 +15,7 @@ from arm_emulator.machine.change import Change, NumberChange, PowerChange, Wrenc
 from arm_emulator.machine.fleet_way import FleetWay
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, drawn_case
-from arm_emulator_campaign.lanes import WIDTH, RunsInLanes, runs_of
+from arm_emulator_campaign.lanes import WIDTH, BatchSimulator, runs_of
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.simulator import Simulator
 
@@ -100,7 +100,7 @@ def rows_of(outcomes: Outcomes) -> np.ndarray:
 def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, name: str) -> None:
     campaign = campaign_of(tmp_path, DRAWN[name])
     runs, alone = runs_of(campaign), Simulator(campaign)
-    assert isinstance(runs, RunsInLanes)
+    assert isinstance(runs, BatchSimulator)
     count = WIDTH + 5
     whole = rows_of(Outcomes.joined(list(runs.runs(cases_of(campaign, range(count))))))
     assert len(np.unique(whole, axis=0)) == count

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.crew import MOST_BREAKS, Crew, Progress, Work
+from arm_emulator_campaign.crew import MOST_BREAKS, Progress, Work, WorkerPool
 from arm_emulator_campaign.executor import chunk_of
 from arm_emulator_campaign.lanes import WIDTH
 
@@ -37,7 +37,7 @@ def work_of(kills, done_before_each):
         return pools[-1]
 
     progress = Progress(12, 0)
-    crew = Crew(make_pool, 1.0, lambda progress: None)
+    crew = WorkerPool(make_pool, 1.0, lambda progress: None)
 
     def work(pool, missing, killed):
         assert pool is pools[-1] and killed == len(pools) - 1

@@ -21,7 +21,7 @@ from arm_emulator.machine.tool_chain import TOOL
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.forking import ForkingRun
-from arm_emulator_campaign.lanes import RunsInLanes
+from arm_emulator_campaign.lanes import BatchSimulator
 from arm_emulator_campaign.results import of_formula
 from arm_emulator_campaign.simulator import Simulator
 
@@ -131,7 +131,7 @@ def by_breakpoint(texts: Sequence[str], folder: Path) -> list[bool]:
 def by_lanes(texts: Sequence[str], folder: Path) -> Answers:
     campaign = campaign_of(texts, folder, SAMPLED)
     case = drawn_case(campaign.variation, 0)
-    return list(RunsInLanes(campaign).run(case).robustness.values())
+    return list(BatchSimulator(campaign).run(case).robustness.values())
 
 
 def by_simulator(texts: Sequence[str], folder: Path) -> Answers:

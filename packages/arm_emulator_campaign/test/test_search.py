@@ -19,7 +19,7 @@ from scipy import optimize, special, stats
 from arm_emulator import Refusal
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import case_at, case_with, drawn_case
-from arm_emulator_campaign.crew import Crew
+from arm_emulator_campaign.crew import WorkerPool
 from arm_emulator_campaign.intervals import of_repetitions
 from arm_emulator_campaign.lanes import runs_of
 from arm_emulator_campaign.results import Results, checksum_of, digest_of
@@ -217,7 +217,7 @@ class Here:
 
 def searched(one, folder, pool, workers, seconds=1e-3):
     results, pool.workers = Results(folder, one), workers
-    crew = Crew(lambda: pool, seconds, lambda _: None)
+    crew = WorkerPool(lambda: pool, seconds, lambda _: None)
     return Searcher(one, results, crew).run(), results.columns()
 
 

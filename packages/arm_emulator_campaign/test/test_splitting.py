@@ -13,7 +13,7 @@ from scipy import stats
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.commands.campaign import case_of
-from arm_emulator_campaign.crew import Crew
+from arm_emulator_campaign.crew import WorkerPool
 from arm_emulator_campaign.forking import ForkingRun, forked_case
 from arm_emulator_campaign.lanes import runs_of
 from arm_emulator_campaign.report import write_report
@@ -192,7 +192,7 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, ch
 def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
     one, into = read(tmp_path, RARE), tmp_path / "results"
     results = Results(into, one)
-    found = Splitter(one, results, Crew(Here, 1.0, lambda _: None)).run()
+    found = Splitter(one, results, WorkerPool(Here, 1.0, lambda _: None)).run()
     assert found[2].title == "Failures" and len(found[2].rows) == 10
     first, *_ = failed_forks(results)
     assert found[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
@@ -226,11 +226,11 @@ class Here:
 def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     one = read(tmp_path, RARE)
     results = Results(tmp_path / "results", one)
-    first = Splitter(one, results, Crew(Here, 1.0, lambda _: None)).run()
+    first = Splitter(one, results, WorkerPool(Here, 1.0, lambda _: None)).run()
     for name in ("pilot", "0003"):  # as if it had been interrupted
         (results.folder / f"splitting/{name}.json").unlink()
     seen = []
-    crew = Crew(Here, 1.0, lambda now: seen.append(now.done))
+    crew = WorkerPool(Here, 1.0, lambda now: seen.append(now.done))
     assert Splitter(one, results, crew).run() == first
     assert len(seen) == 2, "what was there was not done again"
     damaged = results.folder / "splitting/0002.json"

@@ -32,7 +32,7 @@ from arm_emulator_identification import inertia
 from arm_emulator_identification.filtered import Filtered
 from arm_emulator_identification.found import Found
 from arm_emulator_identification.measured_run import MeasuredRun
-from arm_emulator_identification.plausibility import check_fit, looked_over
+from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator_identification.torque_model import TorqueModel, matches
 
@@ -97,7 +97,7 @@ def identified(
         Refusal: the record is not one of this machine, or there is nothing to identify.
     """
     stage("look the record over")
-    run, motion, doubts = looked_over(nominal, record, asked.low_pass, as_is=asked.as_is)
+    run, motion, doubts = filter_record(nominal, record, asked.low_pass, as_is=asked.as_is)
     stage("fit torques")
     typical = motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)
     model = TorqueModel(nominal, typical, asked.trust)

@@ -16,7 +16,7 @@ from arm_emulator.extension.base import Array, Refusal
 from arm_emulator.extension.machine import Scene
 from arm_emulator_identification.filtered import Filtered, filtered
 from arm_emulator_identification.measured_run import MeasuredRun
-from arm_emulator_identification.slips import Slip, Slips
+from arm_emulator_identification.slips import DataMistakes, Slip
 
 # Saving of an undone slip, in squares of deviations and relative to the record's cost. In correct
 # measured records, slips save up to 30 and 7 %.
@@ -32,7 +32,7 @@ POOR = 50.0  # %: of an unusable fit
 SLOWEST_SAMPLES, FASTEST_SAMPLES = 0.1, 1e-6  # s
 
 
-def looked_over(scene: Scene, run: MeasuredRun, low_pass: float, *,
+def filter_record(scene: Scene, run: MeasuredRun, low_pass: float, *,
                 as_is: bool = False) -> tuple[MeasuredRun, Filtered, list[str]]:  # fmt: skip
     """Return a record without outliers, low-passed, and doubts about it, as text.
 
@@ -128,7 +128,7 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     got = f"a rate {factors[j]:.4g} times as large; are units the same?"
     common = float(np.median(factors))
     if wrong.all() and np.ptp(np.log(np.abs(factors))) < 0.1:
-        slips = Slips(scene, data)
+        slips = DataMistakes(scene, data)
         with_clock = slips.cost(slips.at_clock(common))
         if with_clock < (1.0 - A_SLIP[1]) * slips.cost(slips.as_is):
             got = f"rates {common:.4g} times as large, since a second of t is {common:.4g} s"
@@ -142,7 +142,7 @@ def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
     Raises:
         Refusal: names the slip, or those that cannot be distinguished.
     """
-    slips = Slips(scene, data)
+    slips = DataMistakes(scene, data)
     tried = sorted(slips.tried(), key=lambda slip: slip.cost)[:NEAREST]
     # With the likeliest slip undone, less may stay unexplained.
     slips.noise = np.minimum(slips.noise, slips.left(tried[0].view))

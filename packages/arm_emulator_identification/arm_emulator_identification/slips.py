@@ -78,7 +78,7 @@ class Slip:
     scale: float = 0.0  # of torques, if it is that; 0: another slip
 
 
-class Slips:
+class DataMistakes:
     """Costs of a record, unchanged and with slips undone."""
 
     def __init__(self, scene: Scene, data: Filtered) -> None:

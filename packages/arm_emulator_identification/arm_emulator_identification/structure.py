@@ -64,7 +64,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Structure:
+class ResidualEffects:
     """Analysis of the residual of a fit."""
 
     effects: tuple[Effect, ...]
@@ -97,7 +97,7 @@ def _inverse(H: Array) -> Array:
 
 
 def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, widths: Array,
-                   load: Array) -> Structure:  # fmt: skip
+                   load: Array) -> ResidualEffects:  # fmt: skip
     """Return the analysis of a fit's residual.
 
     Args:
@@ -146,7 +146,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     independent = np.array([_lasting(r, m) for r, m in zip(normal.left, masks, strict=True)])
     covariance = _sandwich(normal, masks, independent)[:U, :U]
     scaled = covariance * widths[:, None] * widths[None, :]
-    return Structure(tuple(effects), shift * widths, scaled)
+    return ResidualEffects(tuple(effects), shift * widths, scaled)
 
 
 def lasting(error: Array, rows: Mask) -> float:

@@ -18,7 +18,7 @@ from arm_emulator_identification.filtered import filtered
 from arm_emulator_identification.found import numbers_found
 from arm_emulator_identification.identified import with_followers, write_fitted
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
-from arm_emulator_identification.plausibility import looked_over
+from arm_emulator_identification.plausibility import filter_record
 from arm_emulator_identification.read_run import read_run
 from arm_emulator_identification.torque_fit import fit_torques
 from arm_emulator_identification.torque_model import TorqueModel
@@ -34,7 +34,7 @@ RUN_A = read_run(SHIPPED[0], GIVEN, angles="deg").shifted(DELAYS)
 def look_over(run: MeasuredRun) -> list[str]:
     """All that `identify` asks of a record before it fits; its doubts."""
     check_samples(run)
-    return looked_over(GIVEN, run, 10.0)[2]
+    return filter_record(GIVEN, run, 10.0)[2]
 
 
 def other(**changes: object) -> MeasuredRun:

@@ -33,7 +33,7 @@ from arm_emulator.extension.runs import Recorder
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, case_with, drawn_case
 from arm_emulator_campaign.case_bag import write_case_bag
-from arm_emulator_campaign.crew import Crew, Pool, Progress
+from arm_emulator_campaign.crew import Pool, Progress, WorkerPool
 from arm_emulator_campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
 from arm_emulator_campaign.forking import forked_case
 from arm_emulator_campaign.judges import statements_about_the_start
@@ -180,7 +180,7 @@ def _simulate(
         return DaskPool(dask, next(patience), workers)
 
     with _shown() as report:
-        crew = Crew(pool, seconds, report)
+        crew = WorkerPool(pool, seconds, report)
         try:
             if one.search is not None and one.search.forks:
                 return False, Splitter(one, results, crew).run()
