@@ -296,7 +296,10 @@ MUTANTS = (
         "test_pmsm.py",
     ),
     Mutant(
-        f"{SCHEMES}/located.hpp", "      left -= t;\n", "      left = h_ - t;\n", "test_located.py"
+        f"{SCHEMES}/event_location.hpp",
+        "      left -= t;\n",
+        "      left = h_ - t;\n",
+        "test_located.py",
     ),
     Mutant(
         f"{SCHEMES}/linearly_implicit.hpp",

@@ -92,7 +92,7 @@ def sensitivity_library_of(scene: Scene) -> Library:
     about = f"derivatives of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "boundary/sensitivity.hpp")
     unit = _unit(f"{scene.name}-derivatives", source, (SENSITIVITY,), scene.where, about)
-    leader = OF_LEADER + scene_unit(scene, "boundary/leader.hpp")
+    leader = OF_LEADER + scene_unit(scene, "boundary/primal_run.hpp")
     flags = (*FLAGS, f"-DARM_DIRECTIONS={DIRECTIONS}")
     return library(replace(unit, flags=flags, beside=leader))
 

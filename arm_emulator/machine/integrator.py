@@ -36,7 +36,7 @@ class Integrator:
         text="with two threads: how much earlier that sample is. From 2 on the way between the "
         "cores takes no time of a step, and its error is the larger",
     )
-    events: str  # where modes of joints change, see core/schemes/located.hpp
+    events: str  # where modes of joints change, see core/schemes/event_location.hpp
 
     @property
     def method(self) -> type[Scheme]:

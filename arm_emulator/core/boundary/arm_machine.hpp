@@ -6,7 +6,7 @@
 #include <cstddef>
 
 #include "arm.h"
-#include "boundary/lines.hpp"
+#include "boundary/io_links.hpp"
 #include "machine/machine.hpp"
 #include "mechanics/sensors.hpp"
 
@@ -154,7 +154,7 @@ struct arm_machine {
   }
 
   // Whether something measures at every tick.
-  static constexpr bool looks = arm::Sensors<Scene>::present || arm::Lines<Scene>::present;
+  static constexpr bool looks = arm::Sensors<Scene>::present || arm::IoLinks<Scene>::present;
 
   // Take `steps` steps by calls of advance(count); sensors measure at every tick.
   template <class Advance>
@@ -198,14 +198,14 @@ struct arm_machine {
   void look() {
     if (machine.faulty_joint() >= 0) return begin_to_look(false);
     sensors.look(machine, tick());
-    if constexpr (Lines::present)
+    if constexpr (IoLinks::present)
       if (tick() != lines.newest())
         measure_all([&](arm_measurement& all) { lines.measure(machine, tick(), all); });
   }
   // Measure as if the machine had always rested where it is; `anew`: with nothing from before.
   void begin_to_look(bool anew) {
     sensors.begin(machine, tick(), anew);
-    if constexpr (Lines::present)
+    if constexpr (IoLinks::present)
       measure_all([&](arm_measurement& all) { lines.begin(tick(), all); });
   }
 
@@ -231,7 +231,7 @@ struct arm_machine {
   // that the drives received.
   void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick,
                      bool came = false) {
-    if constexpr (Lines::present) {
+    if constexpr (IoLinks::present) {
       arm_joint_command received[N];
       double rows[Scene::inputs * N + 1] = {};
       for (int j = 0; j < N; ++j) received[j] = joint[j];
@@ -280,7 +280,7 @@ struct arm_machine {
   }
   void measure(arm_measurement* out, const Motors& motors) const {
     measure_here(out, motors);
-    if constexpr (Lines::present) {
+    if constexpr (IoLinks::present) {
       arm_measurement all = *out;
       if (!has(out, offsetof(arm_measurement, readings)))
         all.sensors = nullptr, all.current_d = nullptr;
@@ -337,7 +337,7 @@ struct arm_machine {
     const bool more = has(out, offsetof(arm_measurement, readings));
     if (more && out->current_d) machine.currents_d(out->current_d);
     if constexpr (Scene::inputs > 0)
-      if (has(out, sizeof *out) && out->further) machine.further_got(out->further);
+      if (has(out, sizeof *out) && out->further) machine.applied_inputs(out->further);
     const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
                            has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr};
     measure_by(sensors, places);
@@ -400,10 +400,10 @@ struct arm_machine {
   }
 
   using Sensors = arm::Sensors<Scene>;
-  using Lines = arm::Lines<Scene>;
+  using IoLinks = arm::IoLinks<Scene>;
   Machine machine;
   [[no_unique_address]] Sensors sensors;
-  [[no_unique_address]] Lines lines;
+  [[no_unique_address]] IoLinks lines;
   double step;
   std::int64_t steps_per_period;
   std::int64_t answered = -1;  // tick that the newest command answered

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "boundary/arm_machine.hpp"
-#include "boundary/point.hpp"
+#include "boundary/equation_point.hpp"
 
 #pragma GCC visibility push(default)
 
@@ -263,14 +263,14 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
 }
 
 ARM_ONCE std::int32_t arm_get_point(const arm_machine* machine, double* out) {
-  using Point = arm::Point<Scene>;
-  if (!machine || !out) return Point::size;
-  for (int k = 0; k < Point::own; ++k) *out++ = machine->machine.parameter(k);
-  for (int link = 0; link < Point::wrenches; ++link)
+  using EquationPoint = arm::EquationPoint<Scene>;
+  if (!machine || !out) return EquationPoint::size;
+  for (int k = 0; k < EquationPoint::own; ++k) *out++ = machine->machine.parameter(k);
+  for (int link = 0; link < EquationPoint::wrenches; ++link)
     for (double number : machine->given[link].numbers) *out++ = number;
   auto x = machine->machine.state();
   arm::for_each_number(x, [&](double number) { *out++ = number; });
-  return Point::size;
+  return EquationPoint::size;
 }
 
 void arm_get_winding_temperatures(const arm_machine* machine, double* out) {

@@ -1,8 +1,8 @@
 // The functions of equations.h for one scene. Included last in a unit after its `struct Scene`.
 #pragma once
 
+#include "boundary/equation_point.hpp"
 #include "boundary/equations.h"
-#include "boundary/point.hpp"
 #include "mechanics/command_bounds.hpp"
 #include "mechanics/linearisation.hpp"
 #include "mechanics/torque_terms.hpp"
@@ -14,7 +14,7 @@ ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded
   constexpr int K = arm::most_states<Scene>();
   if (!out) return K;
   if (!point) return 0;
-  const arm::Point<Scene> at(point);
+  const arm::EquationPoint<Scene> at(point);
   const auto copy = [&](const double* from, int count) {
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
@@ -41,7 +41,7 @@ ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std
                             std::int32_t slides, double* out) {
   using Linear = arm::Linearisation<Scene>;
   if (!point || !x || !command || !out) return;
-  const arm::Point<Scene> given(point);
+  const arm::EquationPoint<Scene> given(point);
   const arm::Numbers<Scene>& numbers = given.numbers;
   arm::State<Scene> at = given.state;
   if (!as_it_is)
@@ -59,7 +59,7 @@ void arm_forward_dynamics(const double* point, std::int64_t count, const double*
   constexpr int N = Scene::N;
   using Links = arm::Links<Scene>;
   if (!point || !q || !v || !tau || !a) return;
-  const arm::Point<Scene> at(point);
+  const arm::EquationPoint<Scene> at(point);
   for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
     Links::Dynamics links;
     double x[N];
@@ -77,7 +77,7 @@ void arm_inverse_dynamics(const double* point, std::int64_t count, const double*
   constexpr int N = Scene::N;
   using Links = arm::Links<Scene>;
   if (!point || !q || !v || !a || !tau) return;
-  const arm::Point<Scene> at(point);
+  const arm::EquationPoint<Scene> at(point);
   for (std::int64_t row = 0; row < count; ++row, q += N, v += N, a += N, tau += N) {
     Links::Dynamics links;
     Links::dynamics_apart(at.numbers, q, v, links);
@@ -93,7 +93,7 @@ void arm_link_dynamics(const double* point, std::int64_t count, const double* q,
   constexpr int N = Scene::N;
   using Links = arm::Links<Scene>;
   if (!point || !q || !v || !M || !nle) return;
-  const arm::Point<Scene> at(point);
+  const arm::EquationPoint<Scene> at(point);
   for (std::int64_t row = 0; row < count; ++row, q += N, v += N, M += N * N, nle += N) {
     Links::Dynamics links;
     Links::dynamics_apart(at.numbers, q, v, links);
@@ -107,7 +107,7 @@ void arm_link_dynamics(const double* point, std::int64_t count, const double* q,
 std::int32_t arm_torque_terms(const double* point, const double* command, double* out) {
   using Terms = arm::TorqueTerms<Scene>;
   if (!point || !command || !out) return Terms::rows;
-  const arm::Point<Scene> at(point);
+  const arm::EquationPoint<Scene> at(point);
   double within[Scene::N];
   for (int j = 0; j < Scene::N; ++j) within[j] = command[j];
   arm::bound_commands(at.numbers, at.state, within);

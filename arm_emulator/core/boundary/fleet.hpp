@@ -3,7 +3,7 @@
 
 #include "arm_fleet.h"
 #include "boundary.hpp"
-#include "machine/side_by_side.hpp"
+#include "machine/lanes.hpp"
 
 struct arm_fleet {
   using Machine = arm_machine::Machine;

@@ -4,10 +4,10 @@
 #include <memory>
 #include <vector>
 
-#include "boundary/leader_calls.hpp"
+#include "boundary/primal_calls.hpp"
 #include "boundary/sensitivity.h"
 #include "machine/machine.hpp"
-#include "schemes/follower.hpp"
+#include "schemes/derivative_replay.hpp"
 
 namespace {
 
@@ -86,28 +86,28 @@ std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
 // Those that follow one whose values decide.
 template <class S>
 std::int64_t run_following(const arm_sensitive_run& run) {
-  using Follower = arm::Follower<S>;
+  using DerivativeReplay = arm::DerivativeReplay<S>;
   const std::unique_ptr<arm_leader, void (*)(arm_leader*)> leader(arm_leader_new(&run),
                                                                   arm_leader_delete);
-  std::vector<std::unique_ptr<Follower>> followers;
+  std::vector<std::unique_ptr<DerivativeReplay>> followers;
   for (std::int64_t part = 0; part < run.parts; ++part) {
     const Begin begin(run, part);
     followers.push_back(
-        std::make_unique<Follower>(run.step, begin.parameters.at, begin.state(run)));
+        std::make_unique<DerivativeReplay>(run.step, begin.parameters.at, begin.state(run)));
   }
   const std::vector<Real> parameters(run.parameters, run.parameters + S::parameters);
-  typename Follower::Values values(run.step, parameters.data(), run.parts == 1);
-  std::vector<typename Follower::Common> common;
+  typename DerivativeReplay::Values values(run.step, parameters.data(), run.parts == 1);
+  std::vector<typename DerivativeReplay::Common> common;
   for (std::int64_t row = 0; row < run.rows; ++row) {
     const double* command = run.commands + row * Scene::N;
     if (!arm_leader_advance(leader.get(), command, run.steps)) return row;
     std::int64_t count;
-    const auto* pieces =
-        static_cast<const typename Follower::Piece*>(arm_leader_pieces(leader.get(), &count));
+    const auto* pieces = static_cast<const typename DerivativeReplay::Piece*>(
+        arm_leader_pieces(leader.get(), &count));
     common.resize(count);
     for (auto& of_piece : common) of_piece.begun = false;
     for (std::int64_t part = 0; part < run.parts; ++part) {
-      Follower& one = *followers[part];
+      DerivativeReplay& one = *followers[part];
       one.command(command);
       for (std::int64_t k = 0; k < count; ++k)
         one.follow(pieces[k], pieces[k + 1], values, common[k]);

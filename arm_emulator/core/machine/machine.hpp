@@ -5,13 +5,13 @@
 #include <type_traits>
 
 #include "machine/brakes.hpp"
-#include "machine/course.hpp"
-#include "machine/instant.hpp"
+#include "machine/checkpoint.hpp"
+#include "machine/command_schedule.hpp"
 #include "mechanics/energy.hpp"
 #include "mechanics/energy_flow.hpp"
 #include "mechanics/external_work.hpp"
 #include "numerics/finite.hpp"
-#include "schemes/located.hpp"
+#include "schemes/event_location.hpp"
 
 namespace arm {
 
@@ -22,7 +22,7 @@ class Machine {
 
   static constexpr bool locates = kLocates<S>;
   using Method = MethodOf<S, Real>;
-  using Stepper = std::conditional_t<locates, Located<S>, Method>;
+  using Stepper = std::conditional_t<locates, EventLocation<S>, Method>;
 
   using Threads = typename S::template Threads<Stepper>;
 
@@ -57,11 +57,11 @@ class Machine {
   // In a forked child: have the threads that the parent has.
   void begin_thread() { threads_.begin_thread(); }
 
-  using Instant = arm::Instant<S, typename Threads::Memory, Stepper::row>;
-  using Whole = arm::Whole<S, Instant>;
+  using Checkpoint = arm::Checkpoint<S, typename Threads::Memory, Stepper::row>;
+  using Whole = arm::Whole<S, Checkpoint>;
 
-  Instant instant() const {
-    Instant instant = {x_, threads_.memory(), balance_, work_, {}, power_, steps_taken_};
+  Checkpoint instant() const {
+    Checkpoint instant = {x_, threads_.memory(), balance_, work_, {}, power_, steps_taken_};
     for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied_[j];
     return instant;
   }
@@ -147,15 +147,15 @@ class Machine {
 
   // The same for `rows` rows of commands. The links' positions after each row go to `q`.
   int follow(const Real* command, std::int64_t rows, std::int64_t steps, Real* q) {
-    Course course({command}, {q}, N, steps);
+    CommandSchedule course({command}, {q}, N, steps);
     if (steps == 0 && fault_ < 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x_);
     return follow(course, rows * steps);
   }
 
   // The same for the next `count` steps of a course.
-  using Course = arm::Course<S, Real, Stepper::row>;
-  int follow(Course& course, std::int64_t count) {
+  using CommandSchedule = arm::CommandSchedule<S, Real, Stepper::row>;
+  int follow(CommandSchedule& course, std::int64_t count) {
     if (fault_ >= 0) return fault_;
     renew();
     threads_.begin(count, x_);
@@ -218,11 +218,11 @@ class Machine {
     });
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
   }
-  void further_got(Real* rows) const {
+  void applied_inputs(Real* rows) const {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       for (int r = 0; r < S::inputs; ++r) {
         const int k = S::input[r].of[j];
-        rows[r * N + j] = k < 0 ? 0.0 : drive.further_got(k, input_of(drive, j, x_, 0.0));
+        rows[r * N + j] = k < 0 ? 0.0 : drive.applied_inputs(k, input_of(drive, j, x_, 0.0));
       }
     });
   }
@@ -384,9 +384,9 @@ class Machine {
   // Take `count` steps. Returns -1, or the joint that went out of bounds: then the state is
   // unchanged. Neither inlined nor cloned: every step runs the same instructions and gives the same
   // bits.
-  ARM_APART int run(Course& course, int count) {
+  ARM_APART int run(CommandSchedule& course, int count) {
     const typename Threads::Memory past = threads_.memory();
-    Course there = course;
+    CommandSchedule there = course;
     State<S> y = x_;  // local, so that the compiler may keep it in registers
     alignas(64) Real u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
@@ -408,7 +408,7 @@ class Machine {
     return -1;
   }
 
-  ARM_ONCE void go_back(const Instant& to) {
+  ARM_ONCE void go_back(const Checkpoint& to) {
     threads_.end();
     threads_.restore(to.past);
     x_ = to.x;
@@ -420,7 +420,7 @@ class Machine {
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
-  ARM_ONCE int creep_to_the_fault(Course& course, int chunk) {
+  ARM_ONCE int creep_to_the_fault(CommandSchedule& course, int chunk) {
     for (int s = 0; s < chunk; ++s) {
       threads_.begin(1, x_);
       const int joint = run(course, 1);
@@ -454,7 +454,7 @@ class Machine {
   std::int64_t edition_ = 0;
   bool stale_ = false;  // the scheme's tables are older than the drives
   int fault_ = -1;      // the joint that went out of bounds
-  Instant checked_ = {};
+  Checkpoint checked_ = {};
 };
 
 }  // namespace arm

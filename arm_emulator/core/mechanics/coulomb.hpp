@@ -5,7 +5,7 @@
 // for an instant (load friction): the joint is then free. A joint whose speed would change sign
 // within a step stops at the step's end. A joint at rest stays at rest exactly, without
 // regularisation and at any step size. The instants of stopping and starting are known to one step,
-// and the scheme's order there is 1 (2 in located.hpp).
+// and the scheme's order there is 1 (2 in event_location.hpp).
 //
 // Locked joints are coupled: a descent decides which of them break away. W is positive definite, so
 // the accelerations x minimise x W x / 2 - rhs x + sum of Dc |x|, with Dc for joints that have

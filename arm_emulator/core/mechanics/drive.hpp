@@ -256,8 +256,8 @@ struct Drive {
   constexpr void put_further(int input, Input<Real>& x, Real value, Real supply) const {
     if constexpr (has_further) motor.put_further(input, x.z, value, supply);
   }
-  constexpr Real further_got(int input, const Input<Real>& x) const {
-    if constexpr (has_further) return motor.further_got(input, x.z);
+  constexpr Real applied_inputs(int input, const Input<Real>& x) const {
+    if constexpr (has_further) return motor.applied_inputs(input, x.z);
     return 0.0;
   }
 

@@ -2,7 +2,7 @@
 // modes is in one (mode.hpp). They follow from state and commands alone.
 #pragma once
 
-#include "mechanics/at_once.hpp"
+#include "mechanics/algebraic_states.hpp"
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
 #include "mechanics/links_memo.hpp"

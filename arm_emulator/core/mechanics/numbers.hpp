@@ -244,7 +244,7 @@ class Numbers<S, Real> {
 
 // Those of machines side by side, one in each lane. A number that is not varied is the same for
 // all, as with the brakes open: a machine with a closed one takes its steps alone
-// (smooth_together.hpp).
+// (lane_drives.hpp).
 template <class S, class X>
 class Numbers {
  public:

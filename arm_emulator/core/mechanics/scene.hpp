@@ -11,7 +11,8 @@ namespace arm {
 
 // Data exchanged by two threads: see two_threads.hpp.
 enum class Exchange { lag, predict };
-// Instants at which modes of joints change: at the ends of steps, or within them (located.hpp).
+// Instants at which modes of joints change: at the ends of steps, or within them
+// (event_location.hpp).
 enum class Events { step, located };
 enum class JointKind { revolute, prismatic };
 

@@ -5,8 +5,8 @@
 #include <tuple>
 #include <utility>
 
-#include "mechanics/glance.hpp"
 #include "mechanics/imu.hpp"
+#include "mechanics/sensor_input.hpp"
 #include "parts/encoder.hpp"
 
 namespace arm {
@@ -165,7 +165,7 @@ class Sensors<S> {
     const auto noises = [&](int who) { return Noise::of(suite.seed, who); };
     double current[N], angle[N], speed[N];
     machine.report(current, angle, speed);
-    const Glance<Machine> glance = {machine, current, angle, speed};
+    const SensorInput<Machine> glance = {machine, current, angle, speed};
     const auto& x = machine.state();
     // Since the tick before, in which the machine has gone on.
     const double period = looks_back ? machine.time() / static_cast<double>(tick) : 0.0;

@@ -15,7 +15,7 @@ using Real = double;
 // Whether they carry derivatives.
 inline constexpr bool kDifferentiates = !std::is_same_v<Real, double>;
 
-// Whether machines keep what their motions were made of (schemes/pieces.hpp).
+// Whether machines keep what their motions were made of (schemes/step_segments.hpp).
 #ifdef ARM_RECORDS
 inline constexpr bool kRecords = true;
 #else

@@ -72,7 +72,7 @@ struct PmsmOf {
   constexpr void put_further(int, Real* z, Real ud, Real supply) const {
     z[2] = clamp(ud, amplitude(supply));
   }
-  constexpr Real further_got(int, const Real* z) const { return z[2]; }
+  constexpr Real applied_inputs(int, const Real* z) const { return z[2]; }
   template <class X>
   ARM_INLINE constexpr X largest_command(const X* z, Real supply) const {
     const X left = amplitude(supply) * amplitude(supply) - z[2] * z[2];

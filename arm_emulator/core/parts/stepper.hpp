@@ -44,7 +44,7 @@ struct StepperMotorOf {
   constexpr void put_further(int, Real* z, Real ub, Real) const {
     z[2] = clamp(ub, limit_or_none(current_limit));
   }
-  constexpr Real further_got(int, const Real* z) const { return z[2]; }
+  constexpr Real applied_inputs(int, const Real* z) const { return z[2]; }
 
   constexpr Real inertia(int k, bool) const { return k < 2 ? time_constant(bandwidth) : 1.0; }
   template <class X>

@@ -1,7 +1,7 @@
 // The drives' parts of a step for all joints, side by side in vectors (drive_table.hpp).
 #pragma once
 
-#include "schemes/served_drives.hpp"
+#include "schemes/drive_tables_by_mode.hpp"
 
 namespace arm {
 

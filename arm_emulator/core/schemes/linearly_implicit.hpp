@@ -31,7 +31,7 @@
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
 #include "mechanics/modes.hpp"
-#include "mechanics/usual.hpp"
+#include "mechanics/regular_mode.hpp"
 #include "numerics/finite.hpp"
 #include "schemes/drive_tables.hpp"
 #include "schemes/scheme.hpp"
@@ -48,7 +48,7 @@ class LinearlyImplicit {
   using Drives = Tables;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
-  // Takes steps of any length in modes that are known (located.hpp).
+  // Takes steps of any length in modes that are known (event_location.hpp).
   using Part = LinearlyImplicit<S, X, TrialDrives<S>>;
 
   LinearlyImplicit(Real step, const arm::Numbers<S, X>& numbers)
@@ -103,7 +103,7 @@ class LinearlyImplicit {
   // Whether the last step's data exists and has this step's length.
   enum class Past { used, unknown };
 
-  // A step in the given modes, whether they hold or not (located.hpp).
+  // A step in the given modes, whether they hold or not (event_location.hpp).
   void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], const Dynamics& links,
                Past from) {
     if constexpr (Tables::modal)

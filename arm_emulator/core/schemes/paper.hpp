@@ -2,7 +2,7 @@
 // both.
 #pragma once
 
-#include "mechanics/at_once.hpp"
+#include "mechanics/algebraic_states.hpp"
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
 #include "schemes/drive_tables.hpp"

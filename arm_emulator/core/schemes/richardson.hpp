@@ -7,7 +7,7 @@
 // both have errors that do not scale so, and x' = y.
 #pragma once
 
-#include "mechanics/usual.hpp"
+#include "mechanics/regular_mode.hpp"
 #include "schemes/linearly_implicit.hpp"
 #include "schemes/scheme.hpp"
 
@@ -53,7 +53,7 @@ class RichardsonScheme {
 
  private:
   ARM_APART static void take(Steps& steps, State<S, X>& x, const X (&u)[row], Dynamics& links) {
-    Nobody nobody;
+    NullExchange nobody;
     steps.step(x, u, links, nobody);
   }
 

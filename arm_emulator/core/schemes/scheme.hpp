@@ -19,7 +19,7 @@ template <class S, class X>
 using MethodOf = typename S::Scheme::template Method<S, X>;
 
 // Replaces the exchange with the thread of the links.
-struct Nobody {
+struct NullExchange {
   void take(const auto&) {}
   void give(const auto&) {}
 };

@@ -1,8 +1,8 @@
-// The drives' parts of one step of a length of its own (located.hpp): what DriveTables answers, but
-// without tables, which take longer than one step with them saves.
+// The drives' parts of one step of a length of its own (event_location.hpp): what DriveTables
+// answers, but without tables, which take longer than one step with them saves.
 #pragma once
 
-#include "schemes/served_drives.hpp"
+#include "schemes/drive_tables_by_mode.hpp"
 
 namespace arm {
 

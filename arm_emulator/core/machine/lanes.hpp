@@ -5,8 +5,8 @@
 #pragma once
 
 #include "machine/machine.hpp"
+#include "schemes/lane_drives.hpp"
 #include "schemes/one_thread.hpp"
-#include "schemes/smooth_together.hpp"
 
 namespace arm {
 
@@ -40,7 +40,7 @@ class SideBySide {
       positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
       if (q && lane < used_) began[lane] = steps_taken(lane);
     }
-    Course course(commands, positions, stride, steps, apart);
+    CommandSchedule course(commands, positions, stride, steps, apart);
     for (std::int64_t left = rows * steps; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
       const bool still = together_ && brakes_rest_;
@@ -139,10 +139,10 @@ class SideBySide {
   using X = Lanes<width>;
   using Method = std::conditional_t<kStepsApart<S>, SmoothTogether<S, X, Machine>, MethodOf<S, X>>;
   using Threads = OneThread<S, Method, X>;
-  using Course = arm::Course<S, X, Method::row>;
+  using CommandSchedule = arm::CommandSchedule<S, X, Method::row>;
   using Balance = EnergyBalance<S>;
   using Whole = typename Machine::Whole;
-  using Instant = typename Machine::Instant;
+  using Checkpoint = typename Machine::Checkpoint;
 
   static void put_rows(const X* from, double* to) { __builtin_memcpy(to, from, N * sizeof(X)); }
 
@@ -208,7 +208,7 @@ class SideBySide {
         threads_.stepper().put(lane, abreast_[lane] ? machine_[lane] : nullptr);
     if (sound < 0) return false;
     if (!all || used_ < width) {
-      Instant one = {};
+      Checkpoint one = {};
       threads_.restore(past);
       take(sound, at_, one);
       for (int lane = 0; lane < width; ++lane)
@@ -230,9 +230,9 @@ class SideBySide {
     ++departures_;
   }
 
-  void section(Course& course, int count) {
+  void section(CommandSchedule& course, int count) {
     if (!line_up()) return;
-    const Course start = course;
+    const CommandSchedule start = course;
     const Moment began = {at_, threads_.memory()};
     Mask<X> lost = {};  // in what follows
     Found found = {};   // at the newest check
@@ -293,7 +293,7 @@ class SideBySide {
   }
 
   // Neither inlined nor cloned, as a single machine's steps.
-  ARM_APART void march(Course& course, int steps) {
+  ARM_APART void march(CommandSchedule& course, int steps) {
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
       if (Machine::is_check(at_.steps_taken[lane])) checked[lane] = -1;
@@ -303,7 +303,7 @@ class SideBySide {
   }
 
   void account_for_work(int lane) {
-    Instant now = {};
+    Checkpoint now = {};
     take(lane, at_, now);
     at_.most[lane] += at_.work[lane].since(numbers_of(lane), now.x);
   }
@@ -314,7 +314,7 @@ class SideBySide {
 
   // Whether the energy of a lane is one that a machine can have.
   bool balanced(int lane) {
-    Instant now = {};
+    Checkpoint now = {};
     take(lane, at_, now);
     const int joint = now.balance.broken_by(numbers_of(lane), now.x, h_);
     at_.balance[lane] = now.balance;
@@ -328,7 +328,7 @@ class SideBySide {
     past.for_each_number(number);
   }
 
-  static void put(int lane, Instant& now, Abreast& at, typename Threads::Memory& past) {
+  static void put(int lane, Checkpoint& now, Abreast& at, typename Threads::Memory& past) {
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
     for_each_number(now.x, now.past, [&](double number) { *to++ = number; });
@@ -341,11 +341,11 @@ class SideBySide {
     at.steps_taken[lane] = now.steps_taken;
   }
 
-  void take(int lane, const Abreast& at, Instant& now) const {
+  void take(int lane, const Abreast& at, Checkpoint& now) const {
     take(lane, at, threads_.memory(), now);
   }
   static void take(int lane, const Abreast& at, const typename Threads::Memory& past,
-                   Instant& now) {
+                   Checkpoint& now) {
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
     // Only read here.
@@ -376,7 +376,7 @@ class SideBySide {
   Moment checked_[2] = {};
   int newest_ = 0;
   bool kept_[width] = {};
-  Instant alone_[width] = {};
+  Checkpoint alone_[width] = {};
 };
 
 // A single machine.

@@ -1,5 +1,5 @@
 // A motion with located events as the smooth parts of its steps, so that it can be made again with
-// derivatives, without the decisions and searches (follower.hpp).
+// derivatives, without the decisions and searches (derivative_replay.hpp).
 #pragma once
 
 #if defined(ARM_RECORDS)  // 4 in 10 lines of a unit that does without
@@ -28,10 +28,10 @@ struct Piece {
 // The pieces of one machine, in order.
 #if defined(ARM_RECORDS)
 template <int N, int K>
-using Pieces = std::vector<Piece<N, K>>;
+using StepSegments = std::vector<Piece<N, K>>;
 #else
 template <int N, int K>
-struct Pieces;
+struct StepSegments;
 #endif
 
 }  // namespace arm

@@ -1,5 +1,5 @@
 // The derivatives of a motion with located events: the parts of its steps
-// (pieces.hpp), taken again with numbers that carry derivatives.
+// (step_segments.hpp), taken again with numbers that carry derivatives.
 //
 // The modes of each part and its length were decided for the values, which are
 // put in here. The instant of an event has derivatives by the implicit function
@@ -10,13 +10,13 @@
 
 #include "mechanics/command_bounds.hpp"
 #include "mechanics/modes.hpp"
-#include "schemes/pieces.hpp"
+#include "schemes/step_segments.hpp"
 #include "schemes/step_slopes.hpp"
 
 namespace arm {
 
 template <class S>
-class Follower {
+class DerivativeReplay {
  public:
   using Method = MethodOf<S, Real>;
   using Part = typename Method::Part;
@@ -26,7 +26,7 @@ class Follower {
   using SlopesOfStep = StepSlopes<S, Method, S::Scheme::extrapolates>;
   using SlopesOfPart = StepSlopes<S, Part, false>;
 
-  Follower(Real step, const Real* parameters, const State<S>& start)
+  DerivativeReplay(Real step, const Real* parameters, const State<S>& start)
       : h_(step), n_(parameters), whole_(step, n_), part_(step, n_), x_(start) {
     static const ChangedDrives<S> changed;
     whole_.reset(x_);
@@ -38,8 +38,8 @@ class Follower {
       for (int j = 0; j < N; ++j)
         own_drive_[j] = own_drive_[j] || (has_derivatives(parameters[k]) && changed.at[k][j]);
   }
-  Follower(const Follower&) = delete;
-  Follower& operator=(const Follower&) = delete;
+  DerivativeReplay(const DerivativeReplay&) = delete;
+  DerivativeReplay& operator=(const DerivativeReplay&) = delete;
 
   const Numbers<S>& numbers() const { return n_; }
   const State<S>& state() const { return x_; }
@@ -231,7 +231,7 @@ class Follower {
     }
   }
   void finish() {
-    Nobody nobody;
+    NullExchange nobody;
     Dynamics links;
     Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
     Method part(left_, n_);

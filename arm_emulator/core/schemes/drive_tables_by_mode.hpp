@@ -13,7 +13,7 @@ class ServedDrives {
  public:
   static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
   static constexpr int width = kWidth<X>;
-  // Lanes have the usual modes only (smooth_together.hpp).
+  // Lanes have the usual modes only (lane_drives.hpp).
   static constexpr int M = width == 1 ? most_modes<S>() : 0;
   static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
   static constexpr int R = linear ? 0 : K + 1;

@@ -1,5 +1,6 @@
-// The machine whose motion is differentiated, without derivatives: it decides (schemes/pieces.hpp).
-// Its code and that of those that follow it are compiled apart, since their numbers differ.
+// The machine whose motion is differentiated, without derivatives: it decides
+// (schemes/step_segments.hpp). Its code and that of those that follow it are compiled apart, since
+// their numbers differ.
 #pragma once
 
 #include <cstdint>

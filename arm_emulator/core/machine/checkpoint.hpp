@@ -11,7 +11,7 @@
 namespace arm {
 
 template <class S, class Memory, int row>
-struct Instant {
+struct Checkpoint {
   State<S> x;
   Memory past;
   EnergyBalance<S> balance;
@@ -34,9 +34,9 @@ struct Instant {
 };
 
 // With the state to which it returns if the energy check fails.
-template <class S, class Instant>
+template <class S, class Checkpoint>
 struct Whole {
-  Instant now, checked;
+  Checkpoint now, checked;
   std::int64_t fault;
   Brakes<S> brakes;
 

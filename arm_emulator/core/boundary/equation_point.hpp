@@ -8,7 +8,7 @@
 namespace arm {
 
 template <class S>
-struct Point {
+struct EquationPoint {
   static constexpr int own = kOwnNumbers<S>, wrenches = S::external_wrench ? S::L : 0;
   static constexpr int of_wrench = sizeof(GivenWrench) / sizeof(Real);
   static constexpr int size = own + of_wrench * wrenches + (State<S>::K + 2) * S::N;
@@ -16,7 +16,7 @@ struct Point {
   Numbers<S> numbers;
   State<S> state;
 
-  ARM_ONCE explicit Point(const Real* row) : numbers(row) {
+  ARM_ONCE explicit EquationPoint(const Real* row) : numbers(row) {
     for (int k = S::parameters; k < own; ++k)
       if (row[k] != 0.0) numbers.set(k, row[k]);
     row += own;

@@ -9,7 +9,7 @@ enum class Field { current, torque, reading };
 
 // A machine at the moment of the look, with what was worked out for all sensors, by joint.
 template <class Machine>
-struct Glance {
+struct SensorInput {
   static constexpr int N = Machine::N;
   const Machine& machine;
   const double *current, *motor_angle, *motor_speed;  // A, rad, rad/s

@@ -14,13 +14,13 @@
 
 #include "mechanics/energy_flow.hpp"
 #include "mechanics/modes.hpp"
-#include "schemes/pieces.hpp"
 #include "schemes/scheme.hpp"
+#include "schemes/step_segments.hpp"
 
 namespace arm {
 
 template <class S>
-class Located {
+class EventLocation {
  public:
   using Method = MethodOf<S, Real>;
   using Part = typename Method::Part;
@@ -28,7 +28,7 @@ class Located {
   using Memory = typename Method::Memory;
   static constexpr int N = S::N, row = Method::row;
 
-  Located(Real step, const Numbers<S>& numbers)
+  EventLocation(Real step, const Numbers<S>& numbers)
       : h_(step), n_(numbers), whole_(step, numbers), part_(step, numbers) {}
   void renew() {
     memo_.forget();
@@ -49,8 +49,8 @@ class Located {
   const Dynamics& links_at(const State<S>& x) { return memo_.at(n_, x); }
 
   // Where the parts of steps are noted, or null.
-  using Pieces = arm::Pieces<N, State<S>::K>;
-  void note_in(Pieces* pieces)
+  using StepSegments = arm::StepSegments<N, State<S>::K>;
+  void note_in(StepSegments* pieces)
     requires(kRecords)
   {
     noted_.in = pieces;
@@ -109,7 +109,7 @@ class Located {
       if (events == kMostEvents) {
         Method part(left, n_);
         y = x;
-        Nobody nobody;
+        NullExchange nobody;
         part.reset(y);
         part.step(y, u, links, nobody);
         follow_at_once(n_, y, u);
@@ -240,7 +240,7 @@ class Located {
   LinksMemo<S> memo_;
   EnergyMeter<S>* meter_ = nullptr;
   struct Noted {
-    Pieces* in = nullptr;
+    StepSegments* in = nullptr;
     int failing = -1;
   };
   [[no_unique_address]] std::conditional_t<kRecords, Noted, Nothing> noted_;

@@ -6,10 +6,10 @@
 // limit, a stop, a brake or a located event takes that step alone and continues in its lane.
 #pragma once
 
-#include "mechanics/at_once.hpp"
+#include "mechanics/algebraic_states.hpp"
 #include "mechanics/links_memo.hpp"
 #include "mechanics/modes.hpp"
-#include "mechanics/usual.hpp"
+#include "mechanics/regular_mode.hpp"
 #include "schemes/scheme.hpp"
 
 namespace arm {

@@ -9,15 +9,16 @@
 namespace arm {
 
 template <class S, class X, int row>
-class Course {
+class CommandSchedule {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
 
   // For each lane the first row of its commands, and where its positions after that row go, if not
   // null. `stride`: numbers from one row to the next, of both; `apart`: from the command of a joint
   // to that of the next. If that is `width`, those of all lanes lie side by side.
-  Course(const Real* const (&given)[width], Real* const (&positions)[width], std::int64_t stride,
-         std::int64_t steps_per_row, int apart = 1, std::int64_t left_of_this = 0)
+  CommandSchedule(const Real* const (&given)[width], Real* const (&positions)[width],
+                  std::int64_t stride, std::int64_t steps_per_row, int apart = 1,
+                  std::int64_t left_of_this = 0)
       : steps(steps_per_row), step_over_(stride), apart_(apart), left_(left_of_this) {
     for (int lane = 0; lane < width; ++lane)
       command_[lane] = given[lane], q_[lane] = positions[lane];
@@ -25,7 +26,7 @@ class Course {
 
   // The remaining course of one lane.
   template <int single>
-  Course<S, Real, single> of_lane(int lane) const {
+  CommandSchedule<S, Real, single> of_lane(int lane) const {
     return {{command_[lane]}, {q_[lane]}, step_over_, steps, apart_, left_};
   }
 

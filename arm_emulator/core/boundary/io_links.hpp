@@ -11,7 +11,7 @@ namespace arm {
 
 // A scene without faults of lines: what is sent is received.
 template <class S>
-struct Lines {
+struct IoLinks {
   static constexpr bool present = false;
   std::int64_t newest() const { return 0; }
   void begin(std::int64_t, const arm_measurement&) {}
@@ -26,7 +26,7 @@ struct Lines {
 
 template <class S>
   requires requires(const double* p) { S::lines(p); }
-class Lines<S> {
+class IoLinks<S> {
  public:
   static constexpr bool present = true;
   static constexpr int N = S::N;

@@ -1,15 +1,15 @@
-// leader_calls.hpp of one scene, compiled beside sensitivity.hpp with ARM_RECORDS.
+// primal_calls.hpp of one scene, compiled beside sensitivity.hpp with ARM_RECORDS.
 #pragma once
 
 #include <cstddef>
 
-#include "boundary/leader_calls.hpp"
+#include "boundary/primal_calls.hpp"
 #include "boundary/sensitivity.h"
 #include "machine/machine.hpp"
 
 struct arm_leader {
   arm::Machine<Scene> machine;
-  arm::Pieces<Scene::N, arm::State<Scene>::K> pieces;
+  arm::StepSegments<Scene::N, arm::State<Scene>::K> pieces;
 
   explicit arm_leader(const arm_sensitive_run* run) : machine(run->step, -1, run->parameters) {
     machine.reset(run->q, run->v);
