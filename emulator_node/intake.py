@@ -58,7 +58,7 @@ class Subscriptions:
 
     def _on_command(self, data: bytes) -> None:
         with self._lock:
-            if self._session.by_itself:
+            if self._session.is_self_clocked:
                 self._pacer.look()  # it has gone on since
             try:
                 command: Any = deserialize_message(data, MotorCommand)

@@ -145,7 +145,7 @@ class EmulatorNode(ManagedNode):
         self._status = status = Status(own, reports)
         health = Health(own, lambda: self._config.timeout, lambda: watched.trouble)
         breaks = Breakpoints(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
-        loop = LoopPacer(own, reports, health, breaks) if session.by_itself else None
+        loop = LoopPacer(own, reports, health, breaks) if session.is_self_clocked else None
         self._pacer: Pacer = loop or LockstepPacer(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
         changes = Changes(session, self._pacer, reports, watched, breaks)
@@ -188,7 +188,7 @@ class EmulatorNode(ManagedNode):
             else Session(scene, config.clock, config.start, standing=True)
         )
         self._diagnostics.values |= build_facts(session.plant)
-        if session.by_itself:
+        if session.is_self_clocked:
             self._diagnostics.values["nice value"] = raise_priority()
         return session
 

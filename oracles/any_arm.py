@@ -220,7 +220,7 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Mo
             torques.append(state.gear_torque.copy())
             if step and step % look == 0:
                 error = kinematics.tool_error(state.q, target)
-                wind_up = scene.wind_up(state.gear_torque) - run.wound
+                wind_up = scene.wind_up(state.gear_torque) - run.wind_up
                 predicted = predicted_residual(run.controller, state.q, counts, wind_up)
                 off = np.abs(error - predicted.wind_up) - predicted.encoder
                 rested = rested + 1 if (off <= 0.0).all() else 0

@@ -151,7 +151,7 @@ def follow(
         times.append(run.session.logical_ns * 1e-9)
         run.advance(run.motion_ticks)
         references.append(_reference(run))
-        wound.append(run.wound)
+        wound.append(run.wind_up)
         reference = kinematics.forward(references[-1])[1]
         places.append(float((reference - start) @ along))
         deviations.append((tool - reference) @ frame)
@@ -185,7 +185,7 @@ def _wind_up(scene: Scene, q: Array, period: float) -> Array:
 
 def _reference(run: OfflineRun) -> Array:
     """Return the angles of the links that the servo was asked for last (N,)."""
-    asked: Array = run.drives.servo.state["q_target"] - run.wound
+    asked: Array = run.drives.servo.state["q_target"] - run.wind_up
     return asked
 
 

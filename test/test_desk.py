@@ -68,7 +68,7 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
 
 def test_a_desk_without_a_page_does_nothing() -> None:
     desk, done = ControlServer(MachineControls(Plant("three_axis"))), []
-    assert desk.attends()
+    assert desk.poll()
     desk.drive(done.append, 12345)
     assert done == [12345]
 
@@ -112,13 +112,13 @@ def test_a_machine_goes_on_when_its_page_has_ended(
     far.send((1, "pause", (paused,)))
     worker = threading.Thread(target=lambda: (far.recv(), far.close()))
     worker.start()
-    assert desk.attends(), "it would stay here while time stands still"
+    assert desk.poll(), "it would stay here while time stands still"
     worker.join()
     done: list[int] = []
     desk.drive(done.append, 2500)
     assert sum(done) == 2500 and not hands.paused
     assert capfd.readouterr().err.count("its process has ended") == 1
-    assert desk.attends() and not capfd.readouterr().err
+    assert desk.poll() and not capfd.readouterr().err
 
 
 def test_a_desk_answers_anything_that_a_browser_sends() -> None:
@@ -136,7 +136,7 @@ def test_a_desk_answers_anything_that_a_browser_sends() -> None:
 
     with asked(hands, ask) as desk:
         while plant.powered:
-            desk.attends()
+            desk.poll()
 
 
 def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -63,7 +63,7 @@ class Jogged:
                 run.instructor.jog(dataclasses.replace(command, time_ns=time_ns))
             run.advance(run.motion_ticks)
             self.q.append(run.session.state.q.copy())
-            self.asked.append(run.drives.servo.state["q_target"] - run.wound)
+            self.asked.append(run.drives.servo.state["q_target"] - run.wind_up)
             jog = run.instructor.jogging
             self.statuses.append(JogStatus.NO_WARNING if jog is None else jog.status)
 

@@ -48,10 +48,10 @@ def test_only_commands_that_are_due_are_held(seed: int) -> None:
         session, look = session_of(one), one.nodes["emulator"]._pacer.look
         go_on(one, 20, look)
         for _ in range(200):
-            while session.tick <= session.answered_tick + 2:
+            while session.tick <= session.submit_command + 2:
                 go_on(one, 1, look)
             answered, newest, refused = (
-                session.answered_tick, session.tick, one.refused("emulator"),
+                session.submit_command, session.tick, one.refused("emulator"),
             )  # fmt: skip
             held, in_c = session.held[0].tolist(), done[0]
             command = drawn(draw, answered, newest)
@@ -59,11 +59,11 @@ def test_only_commands_that_are_due_are_held(seed: int) -> None:
             if is_due(command, answered, newest):
                 place = dict(zip(command.joint_names, command.command, strict=True))
                 assert session.held[0].tolist() == [place[name] for name in JOINTS]
-                assert session.answered_tick == command.tick
+                assert session.submit_command == command.tick
                 taken_in_c += done[0] - in_c
             elif command.tick <= newest:  # later ones: time has gone on since
                 assert session.held[0].tolist() == held
-                assert session.answered_tick == answered
+                assert session.submit_command == answered
                 assert done[0] == in_c
                 elsewhere = command.machine not in (0, started())
                 assert one.refused("emulator") == refused + (not elsewhere)

@@ -182,7 +182,7 @@ def test_robots_move_50_mm_with_the_orientation_held(scene: str, method: str) ->
         run.controller,
         session.state.q,
         [joint.count_angle for joint in servo.joints],
-        session.scene.wind_up(session.state.gear_torque) - run.wound,
+        session.scene.wind_up(session.state.gear_torque) - run.wind_up,
     )
     errors = np.array(deviations)
     # Rotation: the wind-up of about 2 mrad, and what the joints' different swing adds on the way.

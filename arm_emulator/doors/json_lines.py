@@ -100,7 +100,7 @@ class JsonLinesServer:
 
     def answer(self, line: bytes) -> bytes:
         """Take a line, and return the reply."""
-        if self._session.by_itself:
+        if self._session.is_self_clocked:
             self._session.take(newest=True)
         try:
             self._take(line)

@@ -149,7 +149,7 @@ class UdpServer:
     def serve(self) -> None:
         """Serve until `close`."""
         ticks = None
-        if self._session.by_itself:
+        if self._session.is_self_clocked:
             ticks = threading.Thread(target=self._report_ticks, daemon=True)
             ticks.start()
         try:

@@ -48,7 +48,7 @@ class RealTimeLoop(Clock, Synchronized):
         Refusal: no such counts.
     """
 
-    by_itself = True
+    is_self_clocked = True
 
     def __init__(self, plant: Plant, period_ns: int, core: int, readers: int = 1) -> None:
         Synchronized.__init__(self)

@@ -87,7 +87,7 @@ class Session(Synchronized):
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
-        self._read = ReadCache(self.plant, by_itself=self._clock.by_itself)
+        self._read = ReadCache(self.plant, by_itself=self._clock.is_self_clocked)
         self._ended = False
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
@@ -97,7 +97,7 @@ class Session(Synchronized):
 
     @synchronized
     def __getstate__(self) -> dict[str, Any]:
-        if self.by_itself:
+        if self.is_self_clocked:
             raise Refusal("Session", "its clock", "be advanced by its owner for a copy", "a loop")
         return {name: one for name, one in vars(self).items() if name not in ("turn", "_clock")}
 
@@ -131,9 +131,9 @@ class Session(Synchronized):
         return self._clock.spent_ns
 
     @property
-    def by_itself(self) -> bool:
+    def is_self_clocked(self) -> bool:
         """Whether a loop lets time pass, the ticks of which are to be taken."""
-        return self._clock.by_itself
+        return self._clock.is_self_clocked
 
     @property
     def figures(self) -> RealTimeFigures:
@@ -454,7 +454,7 @@ class Session(Synchronized):
         return self._answers.rows
 
     @property
-    def answered_tick(self) -> int:
+    def submit_command(self) -> int:
         """The tick that the newest commands answer; -1: none."""
         return self._answers.tick
 

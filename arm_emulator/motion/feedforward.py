@@ -31,7 +31,7 @@ class Feedforward:
     Attributes:
         gives: none, speed, torque (and speed), full.
         trouble: why torques are not known though they were asked for; empty: they are, or were not.
-        wound: by how much the gears are taken to be wound up (N,) [rad]; 0 but with `full`.
+        wind_up: by how much the gears are taken to be wound up (N,) [rad]; 0 but with `full`.
 
     Args:
         kinematics: of the arm.
@@ -42,7 +42,7 @@ class Feedforward:
         names = kinematics.joint_names
         self.gives = config.gives
         self.trouble = ""
-        self.wound: Array = np.zeros(len(names))
+        self.wind_up: Array = np.zeros(len(names))
         self._period = config.period
         self._torques: LinkTorques | None = None
         self._arm: ElasticArm | None = None
@@ -68,13 +68,13 @@ class Feedforward:
         """Return the links' angles for measured motors at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
             for _ in range(_TIMES):  # the weight is that at the links' true angles
-                weight = self._arm.weight(q - self.wound)
-                self.wound = self._arm.wind_up(self._load.factor * weight)
-        return q - self.wound
+                weight = self._arm.weight(q - self.wind_up)
+                self.wind_up = self._arm.wind_up(self._load.factor * weight)
+        return q - self.wind_up
 
     def standing(self, q: Array) -> Array:
         """Return the links' angles at rest for commanded angles q, (N,) [rad]."""
-        measured = q + self.wound
+        measured = q + self.wind_up
         self.forget()
         return self.links(measured)
 
@@ -128,7 +128,7 @@ class Feedforward:
         begins = arm.at(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
         ends = arm.at(q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor)
         self._before = present = _Period(now, mean, q_end, ends, rests)
-        self.wound = begins.theta - q
+        self.wind_up = begins.theta - q
         tau = self._announced(arm, begins, present) if instruction.tau is None else instruction.tau
         return JointSetpoint(begins.theta, (ends.theta - begins.theta) / period, tau, now)
 

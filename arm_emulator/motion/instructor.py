@@ -106,9 +106,9 @@ class MotionExecutor:
         return self._laws.leading
 
     @property
-    def wound(self) -> Array:
+    def wind_up(self) -> Array:
         """Assumed wind-up of the gears in the newest targets (N,) [rad]."""
-        return np.zeros(0) if self._laws is None else self._laws.feedforward.wound
+        return np.zeros(0) if self._laws is None else self._laws.feedforward.wind_up
 
     @property
     def torques_unknown(self) -> str:

@@ -175,11 +175,11 @@ class TargetPlanner:
     def _find_way(self, now: Reference, notices: list[str]) -> None:
         """Search the joint angles of the target, and set out."""
         if self._seeking:
-            self._seek(now, notices)
+            self._iterate_ik(now, notices)
         elif self._past_end is not None or (
             not self._goal.reached and (self._goal.settled or self._looking)
         ):
-            self._look_elsewhere(now, notices)
+            self._search_configurations(now, notices)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion that begins with the joints' commanded motion, from now on."""
@@ -259,9 +259,9 @@ class TargetPlanner:
             # The tool's line leads to the only joint angles that continue those of now.
             self._followed = self._tool_line(now, target, None)
             if isinstance(self._followed, JointCurve):
-                self._settle_for(self._followed.end, now)
+                self._accept_line_end(self._followed.end, now)
 
-    def _settle_for(self, end: Array, now: Reference) -> None:
+    def _accept_line_end(self, end: Array, now: Reference) -> None:
         """Take the joint angles that the tool's line leads to, unless there are nearer ones.
 
         A line close by a singular pose may turn the wrist over.
@@ -276,7 +276,7 @@ class TargetPlanner:
                 return
         self._goal.take(end)
 
-    def _seek(self, now: Reference, notices: list[str]) -> None:
+    def _iterate_ik(self, now: Reference, notices: list[str]) -> None:
         """Search the joint angles of the target, and move there."""
         assert self._target is not None
         goal = self._goal
@@ -286,7 +286,7 @@ class TargetPlanner:
         if still and 0 < self._seeking < _LONGEST_SEEK:  # until it knows the end of its way
             return
         if not still:
-            self._turn_off(now)
+            self._replan_moving(now)
             return
         line = self._followed
         if goal.reached and not isinstance(line, JointCurve):
@@ -294,7 +294,7 @@ class TargetPlanner:
                 line = self._tool_line(now, self._target, goal.q)
         if goal.reached:
             try:
-                self._set_out(now, line, notices)
+                self._start_motion(now, line, notices)
             except Overshoot as reason:
                 self._past_end = reason
                 self._search_begins(now)
@@ -304,13 +304,13 @@ class TargetPlanner:
             self._search_begins(now)
             self._waits = math.ceil(_LONGEST_SEARCH / self.period)
         else:
-            self._set_out(now, BEYOND_REACH, notices)
+            self._start_motion(now, BEYOND_REACH, notices)
 
     def _tool_line(self, now: Reference, target: Pose, goal: Array | None) -> JointCurve | str:
         R_WT, p_WT = self.kinematics.forward(now.q)
         return joints_along(self.arm, now.q, Pose.computed(p_WT, R_WT), target, goal)
 
-    def _turn_off(self, now: Reference) -> None:
+    def _replan_moving(self, now: Reference) -> None:
         """Go to the joint goal from a motion."""
         kinematics = self.kinematics
         way = OnlineTrajectory(now, self._goal.q, self.limits, kinematics.lower, kinematics.upper)
@@ -319,7 +319,7 @@ class TargetPlanner:
         if way.stops:  # from rest it goes on
             self._seeking = max(1, self._seeking)
 
-    def _set_out(self, now: Reference, line: JointCurve | str, notices: list[str]) -> None:
+    def _start_motion(self, now: Reference, line: JointCurve | str, notices: list[str]) -> None:
         """Go to the joint goal from rest, along the tool's line or the reason why not.
 
         Raises:
@@ -354,7 +354,7 @@ class TargetPlanner:
         if self.guard is not None:
             self.guard.check(WHERE, angles_over(motion))
 
-    def _look_elsewhere(self, now: Reference, notices: list[str]) -> None:
+    def _search_configurations(self, now: Reference, notices: list[str]) -> None:
         """Search for a configuration that reaches; while it takes long, at the nearest point."""
         if not self._looking:
             if self._time > self._motion.duration:
@@ -366,7 +366,7 @@ class TargetPlanner:
         if found is not None:
             self._goal.take(found)
             try:
-                self._set_out(now, "another configuration reaches the target", notices)
+                self._start_motion(now, "another configuration reaches the target", notices)
             except Overshoot as reason:
                 self._past_end = self._past_end or reason
             else:
@@ -377,7 +377,7 @@ class TargetPlanner:
             self._waits == 0 or (self._waits > 0 and self._elsewhere.over)
         ):
             self._looking, self._waits = False, 0
-            self._set_out(now, BEYOND_REACH, notices)
+            self._start_motion(now, BEYOND_REACH, notices)
             self._seeking = 0 if self._goal.settled else _LONGEST_SEEK  # goes on on the way
         elif self.searching:
             notices.append("looks for another configuration")

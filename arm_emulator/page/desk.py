@@ -35,7 +35,7 @@ class ControlServer:
         self._hands, self._near, self._closing = hands, near, threading.Event()
         self._served = near is not None
 
-    def attends(self) -> bool:
+    def poll(self) -> bool:
         """Answer waiting requests between two ticks; while time stands still on request, stay here.
 
         Returns:
@@ -51,7 +51,7 @@ class ControlServer:
         if not self._served:
             advance(ticks)
             return
-        while ticks > 0 and self.attends():
+        while ticks > 0 and self.poll():
             piece = min(ticks, self._hands.due or PIECE)
             advance(piece)
             ticks -= piece
@@ -63,7 +63,7 @@ class ControlServer:
         while not self._closing.is_set() and self._near is not None:
             if self._has_request():
                 with session.turn, session.between_ticks():
-                    self.attends()
+                    self.poll()
 
     def _has_request(self) -> bool:
         """Return whether a request waits, or the page has ended."""

@@ -133,10 +133,10 @@ class OfflineRun(NonCopyable):
         self.controller, self.instructor, self.aimed, self._motion = others
 
     @property
-    def wound(self) -> Array:
+    def wind_up(self) -> Array:
         """By how much the motion controller takes the gears to be wound up (N,) [rad or m]."""
         order = self._from_motion
-        return self.instructor.wound[order]
+        return self.instructor.wind_up[order]
 
     def _instruct(self) -> None:
         """Let the motion controller answer what the servo has measured."""

@@ -66,7 +66,7 @@ class Searcher:
         requirements, seed = self._campaign.requirements, int.from_bytes(self._campaign.key[16:24])
         names = self._outputs if self._method.every else [self._method.of or LEAST]
         names = [name.removeprefix(ROBUSTNESS) for name in names]
-        course = self._method.course(self._varying, names, seed)
+        course = self._method.sampler(self._varying, names, seed)
         try:
             points = next(course)
             while True:

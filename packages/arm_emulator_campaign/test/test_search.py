@@ -53,7 +53,7 @@ def written(folder, data, name="c.yaml"):
 
 def found_by(method, outputs_at, D, seed=1, outputs=("g",)):
     """Finding about a function of points (K, D) -> (K, M), and the points that were asked for."""
-    course, asked = method.course([f"x{k}" for k in range(D)], list(outputs), seed), []
+    course, asked = method.sampler([f"x{k}" for k in range(D)], list(outputs), seed), []
     try:
         points = next(course)
         while True:

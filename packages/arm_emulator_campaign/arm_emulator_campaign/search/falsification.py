@@ -83,7 +83,7 @@ class CmaEs(Falsification):
             rule = "have at least two numbers that vary"
             raise section.refusal("method", rule, len(variation.numbers), "bayes")
 
-    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
         from cma import CMAEvolutionStrategy
 
@@ -115,7 +115,7 @@ class Bayes(Falsification):
         text="runs between two looks at their margins; they can be simulated side by side"
     )  # fmt: skip
 
-    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
         import optuna
 

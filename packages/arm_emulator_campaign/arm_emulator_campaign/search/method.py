@@ -82,7 +82,7 @@ class Method:
         """Return how many runs it takes at most."""
         raise NotImplementedError
 
-    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course.
 
         Args:

@@ -79,7 +79,7 @@ class Sobol(Sensitivity):
         """Return how many runs it takes."""
         return int(self.base) * (D + 2)
 
-    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
         from SALib.analyze import sobol as analysis
         from SALib.sample import sobol as sampling
@@ -137,7 +137,7 @@ class Morris(Sensitivity):
         """Part of the range between the outer quantiles that a step spans, as Morris chose it."""
         return 0.5 * self.levels / (self.levels - 1.0)
 
-    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
         from SALib.analyze import morris as analysis
         from SALib.sample import morris as sampling

@@ -59,7 +59,7 @@ class Subset(ByLevels):
         """Return how many runs it takes at most."""
         return int((self.repetitions + 2) * self.per_level) * (self._levels + 1)
 
-    def course(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
         """Return its course."""
         rng, D, N = np.random.default_rng(seed), len(names), int(self.per_level)
         chains = round(self.share * N)

@@ -113,7 +113,7 @@ def canopen(
             plant = segment.drives.plant
             with Recorder(plant, kept, waits=lockstep), watched(plant, page) as desk:
                 print("canopen: ready", flush=True)
-                BusService(on, segment, period).serve(desk.attends)
+                BusService(on, segment, period).serve(desk.poll)
         finally:
             output.facts({"ignored": on.ignored})
             if on.ignored:

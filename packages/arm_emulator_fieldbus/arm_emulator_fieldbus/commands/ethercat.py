@@ -75,7 +75,7 @@ def ethercat(
         plant = segment.drives.plant
         with Recorder(plant, kept, waits=not realtime), watched(plant, page) as desk:
             print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
-            while not segment.figures.diverged and desk.attends():
+            while not segment.figures.diverged and desk.poll():
                 segment.serve(descriptor, _TURN)
         print(f"scene {machine.name}: the machine has diverged", file=sys.stderr)
         return 1
