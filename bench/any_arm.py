@@ -44,7 +44,7 @@ def main() -> None:
     arguments = parser.parse_args()
     outcomes = examined(chosen(arguments.robots), arguments.moves)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps([asdict(one) for one in outcomes], indent=1))
+    arguments.out.write_text(json.dumps([asdict(outcome) for outcome in outcomes], indent=1))
     print(report(outcomes))
     print(failures(outcomes))
     print(f"\nall moves are in {arguments.out}")
@@ -105,7 +105,7 @@ def report(outcomes: list[Outcome]) -> str:
         for words, values in rows
     )
     return "\n\n".join([
-        table(heads, (_row(one) for one in outcomes if one.moves), numbers=True),
+        table(heads, (_row(outcome) for outcome in outcomes if outcome.moves), numbers=True),
         f"All {len(moves)} moves of {sum(bool(o.moves) for o in outcomes)} arms:",
         table(("at most in", *(f"{part:g} %" for part in PARTS)), parts, numbers=True),
     ])  # fmt: skip
@@ -116,7 +116,7 @@ def failures(outcomes: list[Outcome]) -> str:
     moves = [one for outcome in outcomes for one in outcome.moves]
     lines = [""]
     for words, fails, share in CLAIMS:
-        by = {one.name: sum(map(fails, one.moves)) for one in outcomes}
+        by = {outcome.name: sum(map(fails, outcome.moves)) for outcome in outcomes}
         named = ", ".join(f"{name} {count}" for name, count in by.items() if count)
         lines.append(f"{sum(by.values())} of {len(moves)} {words} ({share:.1%} allowed): {named}")
     for one in outcomes:

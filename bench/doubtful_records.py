@@ -78,7 +78,9 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
         period: of the commands [s].
         sought: names of numbers to vary.
     """
-    ideal: Any = next(one for one in MOTORS if one.inputs == (TORQUE,))  # which has an inertia
+    ideal: Any = next(
+        motor for motor in MOTORS if motor.inputs == (TORQUE,)
+    )  # which has an inertia
 
     def driven(joint: Joint) -> Joint:
         if joint.motor is None or joint.inputs == (TORQUE,):
@@ -89,7 +91,9 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
 
     joints = tuple(driven(joint) for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
-    varied = tuple(one for one in variable_numbers(joints, scene.chain, ()) if one.name in sought)
+    varied = tuple(
+        number for number in variable_numbers(joints, scene.chain, ()) if number.name in sought
+    )
     return dataclasses.replace(
         scene, joints=joints, servo_period=period, varied=varied, load=None,
         integrator=dataclasses.replace(scene.integrator, dt=period / steps),
@@ -221,7 +225,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
 
 
 def _names(scene: Scene) -> set[str]:
-    return {one.name for one in variable_numbers(scene.joints, scene.chain, ())}
+    return {number.name for number in variable_numbers(scene.joints, scene.chain, ())}
 
 
 # Spoiled records: what is done to them, and which words must be in the answer.
@@ -321,7 +325,9 @@ def clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
 
 def run(quick: bool) -> dict[str, Any]:
     """Measure both."""
-    effects = [(*one, effect) for effect in EFFECTS for one in RECORDS[: 1 if quick else None]]
+    effects = [
+        (*record, effect) for effect in EFFECTS for record in RECORDS[: 1 if quick else None]
+    ]
     machines = list(MACHINES)[: 1 if quick else None]
     rows, spoiled = list[dict[str, Any]](), list[dict[str, Any]]()
     with progress("records", len(effects) + 20 * len(machines)) as done:
@@ -346,12 +352,12 @@ def run(quick: bool) -> dict[str, Any]:
 def report(figures: dict[str, Any]) -> str:
     """Return the section."""
     rows, spoiled = figures["effects"], figures["spoiled"]
-    well = sum(one["inside"] >= 0.9 for one in rows)
-    named = sum(one["named"] for one in rows)
-    good = sum(one["inside"] >= 0.9 or one["named"] for one in rows)
+    well = sum(row["inside"] >= 0.9 for row in rows)
+    named = sum(row["named"] for row in rows)
+    good = sum(row["inside"] >= 0.9 or row["named"] for row in rows)
     cells = (
-        (one["machine"], one["effect"], f"{100 * one['inside']:.0f}",
-         "yes" if one["named"] else "; ".join(one["names"]) or "no") for one in rows
+        (row["machine"], row["effect"], f"{100 * row['inside']:.0f}",
+         "yes" if row["named"] else "; ".join(row["names"]) or "no") for row in rows
     )  # fmt: skip
     text = (
         f"Of {len(rows)} records with an effect that the scene lacks, two deviations hold for at "

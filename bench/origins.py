@@ -71,7 +71,7 @@ def _origin(
     assumed, source = _ASSUMED.search(comment), _SOURCE.search(comment)
     at = f"{section}.{key}"
     if assumed:
-        low, high = (float(Fraction(one)) for one in assumed.groups())
+        low, high = (float(Fraction(group)) for group in assumed.groups())
         if not low <= value <= high:
             raise Refusal(where, at, f"be within what is assumed, {low:g} to {high:g}", value)
         return Origin(section, key, value, joints, line, (low, high))

@@ -57,7 +57,7 @@ def poses(kind: str, home: Pose) -> list[Array]:
         ]
     else:
         points = [(0.0, -0.1, 0.0), (0.0, 0.1, 0.0), (0.0, 0.1, 0.15), (0.0, -0.1, 0.15)]
-    return [home.p_WT + np.array(one) for one in points]
+    return [home.p_WT + np.array(point) for point in points]
 
 
 def drive(

@@ -25,7 +25,8 @@ def _distributions() -> str:
     rows = []
     for name, function in KINDS.items():
         given = [
-            str(one).partition(":")[0] for one in inspect.signature(function).parameters.values()
+            str(value).partition(":")[0]
+            for value in inspect.signature(function).parameters.values()
         ]
         rows.append((f"`{name}({', '.join(given)})`", (function.__doc__ or "").strip()))
     return _table(("distribution", "values"), rows)
@@ -35,7 +36,9 @@ def _faults() -> str:
     rows = []
     for kind, fault in known_faults().items():
         numbers = [f"`{name}`: {one.described}" for name, one in numbers_of(fault).items()]
-        others = [f"`{one.name}`" for one in fields(fault) if one.name not in numbers_of(fault)]
+        others = [
+            f"`{field.name}`" for field in fields(fault) if field.name not in numbers_of(fault)
+        ]
         about = (fault.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join([*numbers, *others])))
     return _table(("kind", "what happens", "keys"), rows)

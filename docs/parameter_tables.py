@@ -36,14 +36,18 @@ def parameters() -> str:
 
 
 def _parameters(kind: type[Any]) -> Rows:
-    for one in parameters_of(kind).values():
-        about, settable = one.metadata, one.metadata["settable"]
+    for value in parameters_of(kind).values():
+        about, settable = value.metadata, value.metadata["settable"]
         if "number" in about:
-            yield _number(one.name, about["number"], settable)
+            yield _number(value.name, about["number"], settable)
             continue
-        default = _code(str(one.default).lower() if type(one.default) is bool else str(one.default))
-        valid = ("true", "false") if type(one.default) is bool else about["choices"]
-        yield _row(one.name, default, ", ".join(map(_code, valid)), about["description"], settable)
+        default = _code(
+            str(value.default).lower() if type(value.default) is bool else str(value.default)
+        )
+        valid = ("true", "false") if type(value.default) is bool else about["choices"]
+        yield _row(
+            value.name, default, ", ".join(map(_code, valid)), about["description"], settable
+        )
 
 
 def _numbers(kind: type[Any], prefix: str, settable: tuple[str, ...]) -> Rows:

@@ -22,7 +22,7 @@ Keys = dict[str, Key | Number]
 
 def _choice(values: Sequence[str], text: str) -> Key:
     """Return a key whose value is one of several; the first holds without it."""
-    known = ", ".join(f"`{one}`" for one in values)
+    known = ", ".join(f"`{value}`" for value in values)
     return Key("", range=known, absent=f"`{values[0]}`", text=text)
 
 

@@ -89,7 +89,7 @@ def faults(_: str) -> str:
     """Return the kinds of faults of parts, and of numbers of several parts."""
     owners = {"joints": "joint", "links": "link", "imus": "unit", "": "machine"}
     head = ("fault", "of a", "what happens", "magnitude m", "numbers x and what they become")
-    rows = ([_code(one.name), owners[one.of], one.text, *_changes(one)] for one in FAULTS)
+    rows = ([_code(fault.name), owners[fault.of], fault.text, *_changes(fault)] for fault in FAULTS)
     return "\n".join(_table(head, rows))
 
 
@@ -136,7 +136,7 @@ def joint_keys(folder: str) -> str:
         folder: of the pages of parts.
     """
     rows = [_row(key, one) for key, one in numbers_of(Joint).items()]
-    kinds = ", ".join(_code(one.kind) for one in MOTORS)
+    kinds = ", ".join(_code(motor.kind) for motor in MOTORS)
     rows.append(_row("motor.kind", Key(
         name="", range=kinds, absent=_code(MOTORS[0].kind),
         text="which motor; those with a page of their own have other keys",
@@ -171,8 +171,8 @@ def _keys_table(owners: str, rows: Iterable[list[str]]) -> str:
 def _keys(kind: type[Part] | type[Imu]) -> list[list[str]]:
     """Return the rows of a kind of part: its section, if it has one of its own, and its keys."""
     if issubclass(kind, Imu):
-        own = [_row(one.name, one) for one in kind.keys]
-        return own + [row for one in IMU_SENSORS for row in _keys(one)]
+        own = [_row(key.name, key) for key in kind.keys]
+        return own + [row for sensor in IMU_SENSORS for row in _keys(sensor)]
     rows = []
     if issubclass(kind, Motor):
         this = Key(name="", range=_code(kind.kind), absent=_code(MOTORS[0].kind), text="this motor")
@@ -180,7 +180,7 @@ def _keys(kind: type[Part] | type[Imu]) -> list[list[str]]:
     elif kind.section not in SHARED and kind.owners == Part.owners:
         own_section = Key(name="", range="section", text=_sentence(kind))
         rows.append(_row(kind.section, own_section))
-    rows += [_row(f"{kind.section}.{one.name}", one) for one in kind.keys]
+    rows += [_row(f"{kind.section}.{key.name}", key) for key in kind.keys]
     moves = kind.owners == Part.owners and (kind.shaft == "link" or issubclass(kind, Gear))
     for key, one in kind.numbers().items():
         if key in getattr(kind, "named_by", ()):

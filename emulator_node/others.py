@@ -37,7 +37,7 @@ def subscribe_to_others(node: Node, put: Callable[[str, bytes], None]) -> list[S
 
 def take_rest(subscriptions: Iterable[Subscription]) -> None:
     """Take the messages that have come by now, as many as wait at most."""
-    for one in subscriptions:
+    for subscription in subscriptions:
         for _ in range(COMMAND_QOS.depth):
-            if not take_message(one):
+            if not take_message(subscription):
                 break

@@ -62,7 +62,8 @@ def own_record(
     from arm_emulator.ros.run_record import RunRecord
 
     ends = [
-        (one.topic_name, node.get_publishers_info_by_topic(one.topic_name)) for one in publishers
+        (publisher.topic_name, node.get_publishers_info_by_topic(publisher.topic_name))
+        for publisher in publishers
     ]
     ends += [(name, node.get_subscriptions_info_by_topic(name)) for name in taken]
     topics = []

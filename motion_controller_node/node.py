@@ -168,7 +168,7 @@ class MotionControllerNode(ManagedNode):
 
     def _with_sections(self, config: MotionConfig, changes: Mapping[str, Any]) -> MotionConfig:
         """Return parameters beside the sections of the node, with some entries changed."""
-        sections: dict[str, dict[str, Any]] = {one: {} for one in SECTIONS}
+        sections: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
         for one, entries in sections.items():
             for name in self.get_parameters_by_prefix(one):
                 entries[name] = self.get_parameter(f"{one}.{name}").value

@@ -110,13 +110,13 @@ class OrderTopics:
     def _on_tool_path(self, message: Path) -> None:
         def take() -> None:
             check_number_of_poses(len(message.poses))
-            for header in (message.header, *(one.header for one in message.poses)):
+            for header in (message.header, *(pose.header for pose in message.poses)):
                 self._check_frame("tool_path", header)
             stamp_ns = time_of("tool_path", message.header.stamp)
-            times = [time_of("tool_path", one.header.stamp) for one in message.poses]
+            times = [time_of("tool_path", pose.header.stamp) for pose in message.poses]
             # Planners put one stamp on all poses, or none: such stamps carry no times.
             given = times if len(set(times)) > 1 else None
-            poses = [_pose(one.pose, "tool_path") for one in message.poses]
+            poses = [_pose(pose.pose, "tool_path") for pose in message.poses]
             self._instructor.add_path(self._now()[0], poses, stamp_ns, given)
 
         self._take(Kind.TOOL_PATH, message.header, take)

@@ -145,7 +145,7 @@ def machines() -> Iterator[tuple[DrawnJoint, DrawnJoint]]:
 def write_machine(folder: Path, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Path:
     """Write the scene of a machine, all of whose numbers may differ, and return its path."""
     urdf = random_chain_urdf(np.random.default_rng([seed, 51]), 2)
-    sections = dict(zip(moving_joints(urdf), (one.section for one in joints), strict=True))
+    sections = dict(zip(moving_joints(urdf), (joint.section for joint in joints), strict=True))
     return write_scene(folder, urdf, sections, varied=["joints.*"], energy_flow=False)
 
 

@@ -55,7 +55,7 @@ def main() -> int:
         file = folder / f"unit_{unit.name}.cpp"  # units include files of their name
         file.write_text(unit.source, encoding="utf-8")
         command = [CLANG_TIDY, "--quiet", *sys.argv[1:], str(file), "--"]
-        includes = [f"-I{one.resolve()}" for one in unit.folders]
+        includes = [f"-I{folder.resolve()}" for folder in unit.folders]
         done = subprocess.run(
             [*command, LANGUAGE, *includes], check=False, capture_output=True, text=True
         )

@@ -50,7 +50,9 @@ class Doors:
     def give(self, node: str, topic: str, message: Any) -> None:
         """Call what listens to a topic."""
         listener = next(
-            one for one in self.nodes[node].subscriptions if one.topic_name == f"/{topic}"
+            subscription
+            for subscription in self.nodes[node].subscriptions
+            if subscription.topic_name == f"/{topic}"
         )
         listener.callback(serialize_message(message) if listener.raw else message)
 

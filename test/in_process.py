@@ -225,7 +225,11 @@ class InProcess:
             message.bind()
         for subscription, take, argument in hot.takes:
             topic = subscription.topic_name[1:]
-            (python,) = (one for one in self._wires.listeners[topic] if one in self._wires.of_bytes)
+            (python,) = (
+                listener
+                for listener in self._wires.listeners[topic]
+                if listener in self._wires.of_bytes
+            )
 
             def both(
                 data: bytes, take: Any = take, argument: Any = argument, python: Any = python

@@ -59,7 +59,7 @@ def drawings(folder: Path) -> dict[str, Drawing]:
         return load_scene(write_mixture(place, seed), overrides)
 
     def faulty(overrides: dict[str, Any]) -> Scene:
-        possible = [one.name for one in everything(folder, faults=[]).possible_faults]
+        possible = [fault.name for fault in everything(folder, faults=[]).possible_faults]
         possible.remove("wrist_link.mass_at_joint")  # of the link that carries the payload
         return load_scene(folder / "scene.yaml", overrides | {"faults": possible})
 

@@ -489,8 +489,8 @@ def _stir(rng: random.Random, message: Any) -> None:
                     sec = rng.choice((0, 1, 5, 2**31 - 1, rng.randint(0, 100)))
                     point.time_from_start = Duration(sec=sec, nanosec=rng.randrange(10**9))
         elif kind == "sequence<geometry_msgs/PoseStamped>":
-            for one in values:
-                _stir(rng, one)
+            for value in values:
+                _stir(rng, value)
         elif kind == "geometry_msgs/Pose":
             for part, names in ((values.position, "xyz"), (values.orientation, "xyzw")):
                 setattr(part, rng.choice(names), number(rng))

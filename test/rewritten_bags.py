@@ -33,10 +33,10 @@ def rewrite(
         for name, topic in original.topics.items():
             new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
             numbers[name] = writer.add_topic(new)
-        for one in original.messages():
-            data = change(one)
+        for message in original.messages():
+            data = change(message)
             if data is not None:
-                writer.write(numbers[one.topic], one.received, one.published, data)
+                writer.write(numbers[message.topic], message.received, message.published, data)
     return copy
 
 

@@ -43,9 +43,9 @@ def bag_odd(rng: Rng, file: Path) -> None:
     """Write chunks that are sound by their heading and their CRC, and not by what is in them."""
     stream = io.BytesIO(_sound_bag(210))
     ((packed,),) = [
-        (one.data,)
-        for one in StreamReader(stream, emit_chunks=True).records
-        if isinstance(one, Chunk)
+        (record.data,)
+        for record in StreamReader(stream, emit_chunks=True).records
+        if isinstance(record, Chunk)
     ]
     inner = zstandard.decompress(packed)
     match int(rng.integers(9)):

@@ -27,7 +27,7 @@ SHIPPED = sorted(file.stem for file in config_folder().glob("*.yaml"))
 @pytest.mark.parametrize(("name", "scheme"), [*zip(SHIPPED, itertools.cycle(SCHEMES))])
 def test_a_scene_without_its_extras_has_the_parts_of_peers(name: str, scheme: str) -> None:
     scene = load_scene(name, {**BARE, "integrator.scheme": scheme})
-    assert not [one for one in odd_parts(scene) if not one.endswith(".motor")]  # they stay
+    assert not [part for part in odd_parts(scene) if not part.endswith(".motor")]  # they stay
     assert scene.integrator.events == "step"
 
 

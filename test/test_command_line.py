@@ -87,22 +87,22 @@ def test_every_argument_is_explained_and_every_command_has_a_page(one: Command) 
 
 def test_misspelled_words_are_refused_in_a_line_that_names_the_right_one() -> None:
     draw = random.Random(1)
-    for one in commands():
-        names = options_of(arguments.page_of(one))
+    for command in commands():
+        names = options_of(arguments.page_of(command))
         for name in names:
             letters = list(name)
             at = draw.randrange(3, len(name)) if len(name) > 4 else 2
             letters.insert(at, draw.choice("qxz"))
             wrong = "".join(letters)
-            code, out, errors = run(one.name, wrong)
-            assert code == 2 and not out, (one.name, wrong)
-            assert errors.startswith(f"arm_emulator {one.name}: ") and errors.count("\n") == 1
+            code, out, errors = run(command.name, wrong)
+            assert code == 2 and not out, (command.name, wrong)
+            assert errors.startswith(f"arm_emulator {command.name}: ") and errors.count("\n") == 1
             required = "requires an argument" in errors  # which is missed first
             assert required or (wrong in errors and "Did you mean --" in errors), errors
-        name = f"{one.name}q"
+        name = f"{command.name}q"
         code, out, errors = run(name)
         assert code == 2 and not out and errors.count("\n") == 1, errors
-        assert f"unknown command {name}; did you mean" in errors and one.name in errors
+        assert f"unknown command {name}; did you mean" in errors and command.name in errors
 
 
 BAD = {
@@ -170,10 +170,10 @@ SHELLS = {"bash": ["bash", "-n"], "zsh": ["zsh", "-n"], "fish": ["fish", "--no-e
 def test_completion_knows_every_command_and_option(shell: str, tmp_path: Path) -> None:
     code, script, errors = run("completion", shell)
     assert code == 0 and not errors
-    for one in commands():
-        assert one.name in script, one.name
-        for option in options_of(arguments.page_of(one)):
-            assert option.lstrip("-") in script, (one.name, option)
+    for command in commands():
+        assert command.name in script, command.name
+        for option in options_of(arguments.page_of(command)):
+            assert option.lstrip("-") in script, (command.name, option)
     file = tmp_path / "completion"
     file.write_text(script)
     try:

@@ -37,6 +37,6 @@ def test_a_header_includes_the_number_that_it_uses() -> None:
     """In a scene any part may come first."""
     real = CORE / "numerics" / "real.hpp"
     files = [file for file in CORE.rglob("*.hpp") if file.name not in ("real.hpp", "dual.hpp")]
-    users = [one for one in files if re.search(r"\bReal\b", re.sub("//.*", "", one.read_text()))]
+    users = [file for file in files if re.search(r"\bReal\b", re.sub("//.*", "", file.read_text()))]
     assert len(users) > 50
     assert not [one.name for one in users if real not in included(one, set())]

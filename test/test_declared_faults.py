@@ -60,7 +60,7 @@ def faults_in(table: str) -> dict[str, Written]:
     return found
 
 
-WRITTEN, DECLARED = faults_in(TABLE.read_text()), {one.name: one for one in FAULTS}
+WRITTEN, DECLARED = faults_in(TABLE.read_text()), {fault.name: fault for fault in FAULTS}
 
 
 def test_the_table_has_every_kind_of_fault() -> None:

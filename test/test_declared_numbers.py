@@ -94,7 +94,7 @@ def declared(one: Number) -> Row:
 
 
 def rows_of(numbers: Iterable[Number]) -> dict[str, Row]:
-    return {one.name: declared(one) for one in numbers}
+    return {number.name: declared(number) for number in numbers}
 
 
 def of_class(kind: type[Any]) -> dict[str, Row]:
@@ -104,9 +104,9 @@ def of_class(kind: type[Any]) -> dict[str, Row]:
 def declarations() -> Iterator[tuple[str, dict[str, Row]]]:
     """Yield what parts, scenes, nodes and messages declare, by the headings of the table."""
     for part in kinds_of(Part):
-        beside = (one for one in part.keys if isinstance(one, Number))
+        beside = (key for key in part.keys if isinstance(key, Number))
         yield part.owned_name(), rows_of((*part.numbers().values(), *beside))
-    yield "imus.NAME", rows_of(one for one in Imu.keys if isinstance(one, Number))
+    yield "imus.NAME", rows_of(key for key in Imu.keys if isinstance(key, Number))
     yield "joints.NAME", of_class(Joint)
     yield "scene", of_class(Scene)
     yield "integrator", of_class(Integrator)

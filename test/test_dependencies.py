@@ -85,5 +85,7 @@ def test_the_wheel_names_all_that_it_imports() -> None:
     wheels = set(re.findall(r"^([\w.-]+)==", "\n".join(named), re.M))
     assert len(wheels) > 10
     modules = {module for module in imported("arm_emulator") if not OF_ROS.fullmatch(module)}
-    missing = {one for one in modules if NAMES.get(one, BROUGHT.get(one, one)) not in wheels}
+    missing = {
+        module for module in modules if NAMES.get(module, BROUGHT.get(module, module)) not in wheels
+    }
     assert not missing

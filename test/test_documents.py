@@ -263,7 +263,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
         ]
         assert row == wanted, f"{joint}: addresses, and counts per ampere"
         assert (channel["offset"], 2 ** channel["bits"]) == (middle, 2 * middle), joint
-    assert {supply} == {one["full_scale"] for one in board["pwm"].values()}, "full scale"
+    assert {supply} == {value["full_scale"] for value in board["pwm"].values()}, "full scale"
     assert float(board["clock"]) / top * scene["servo_period"] % 1.0 == 0.0, (
         "whole periods of the PWM"
     )

@@ -134,7 +134,7 @@ def test_two_servos_and_two_motion_controllers_are_named(
 def test_c_reads_commands_for_this_emulator_alone() -> None:
     """Or for any, with the identity 0; others are left to Python, as -1."""
     parts = ("messages", "message_reader", "motor_commands")
-    source = "".join(f'#include "{one}.c"\n' for one in parts)
+    source = "".join(f'#include "{part}.c"\n' for part in parts)
     unit = Unit("commands_alone", source, C_FLAGS, FOLDERS, (MOTOR_COMMANDS,), "test", "", "m.c")
     code, struct = compiled_once(lambda: unit)(), MOTOR_COMMANDS.new("motor_commands")
     reader = CommandReader(load_scene("three_axis"), struct, 0)

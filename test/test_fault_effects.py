@@ -212,10 +212,10 @@ CHECKS: dict[str, Callable[..., None]] = {
 @pytest.mark.parametrize("kind", CHECKS)
 def test_effect(kind: str, begun: Begun, scene: Scene) -> None:
     plant, saved, _ = begun
-    one = next(one for one in scene.faults if one.kind.name == kind)
+    one = next(fault for fault in scene.faults if fault.kind.name == kind)
     CHECKS[kind](plant, saved, one, scene)
 
 
 def test_all_faults_of_lines_have_a_check() -> None:
-    of_lines = {one.name for one in FAULTS if "line" in one.sections}
+    of_lines = {fault.name for fault in FAULTS if "line" in fault.sections}
     assert of_lines <= CHECKS.keys()

@@ -67,7 +67,7 @@ class Recorded:
 
 def every_kind_first(session: Session, rng: np.random.Generator) -> list[int]:
     """The scene's faults in a random order, but one of each kind before all others."""
-    kinds = [one.kind.name for one in session.scene.faults]
+    kinds = [fault.kind.name for fault in session.scene.faults]
     order: list[int] = rng.permutation(len(kinds)).tolist()
     first = {kinds[place]: place for place in order}.values()
     return [*first, *(place for place in order if place not in first)]
@@ -111,7 +111,7 @@ def test_random_faults_are_repeated_to_equal_bits(tmp_path: Path) -> None:
     found = compare(tmp_path / "bag", str(file / "scene.yaml"))
     assert found.difference is None, found.difference
     assert found.tally.states == RUNS * (TICKS + 1) and found.tally.changes == 3 * RUNS
-    assert seen == {one.kind.name for one in session.scene.faults}, "every kind"
+    assert seen == {fault.kind.name for fault in session.scene.faults}, "every kind"
 
 
 def test_a_fault_that_is_not_recorded_is_found(

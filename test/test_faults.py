@@ -110,12 +110,12 @@ def whole_scene(folder: Path) -> Scene:
     """The machine with every fault, and every number varied that they change."""
     # The link that carries the payload has its mass's numbers from there.
     plain = everything(folder, faults=[])
-    faults = [one for one in plain.possible_faults if one.name != "wrist_link.mass_at_joint"]
-    possible = [one.name for one in variable_numbers(plain.joints, plain.chain, plain.imus)]
-    changed = {change.number for one in faults for change in one.changes}
+    faults = [fault for fault in plain.possible_faults if fault.name != "wrist_link.mass_at_joint"]
+    possible = [number.name for number in variable_numbers(plain.joints, plain.chain, plain.imus)]
+    changed = {change.number for fault in faults for change in fault.changes}
     return everything(
         folder,
-        faults=[one.name for one in faults],
+        faults=[fault.name for fault in faults],
         varied=[*sorted(changed.intersection(possible)), "payload.mass"],
     )
 
@@ -154,7 +154,7 @@ def begun(scene: Scene) -> tuple[Plant, bytes, list[bytes]]:
 
 def test_names_units_and_ranges_are_sound() -> None:
     assert len(FAULTS) >= 40
-    assert len({one.name for one in FAULTS}) == len(FAULTS), "a name twice"
+    assert len({fault.name for fault in FAULTS}) == len(FAULTS), "a name twice"
     for kind in FAULTS:
         number = kind.magnitude
         assert number.holds(0.0) and number.holds(number.default) and number.default, kind.name
@@ -165,9 +165,9 @@ def test_names_units_and_ranges_are_sound() -> None:
 
 
 def test_every_kind_is_there(scene: Scene) -> None:
-    assert {one.kind.name for one in scene.faults} == {one.name for one in FAULTS}
+    assert {fault.kind.name for fault in scene.faults} == {fault.name for fault in FAULTS}
     names = {one.name for one in scene.varied if one.name.startswith("faults.")}
-    assert names == {f"faults.{one.name}" for one in scene.faults}
+    assert names == {f"faults.{fault.name}" for fault in scene.faults}
 
 
 def test_a_scene_without_faults_has_the_same_unit(tmp_path: Path) -> None:
@@ -196,44 +196,44 @@ def test_off_is_as_without_it(tmp_path: Path, scene: Scene, begun: Begun) -> Non
 def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Scene) -> None:
     plant, saved, without = begun
     other, acting = Plant(scene), set()
-    for one in scene.faults:
+    for fault in scene.faults:
         plant.restore(saved)
-        plant.set_parameter(one.varied.name, magnitude_of(one))
+        plant.set_parameter(fault.varied.name, magnitude_of(fault))
         middle = (BEGIN + END) // 2
         seen = drive(plant, range(BEGIN, middle))
         other.restore(plant.save())
-        assert other.parameters[one.varied.name] == magnitude_of(one), one.name
+        assert other.parameters[fault.varied.name] == magnitude_of(fault), fault.name
         rest = drive(plant, range(middle, END))
-        assert drive(other, range(middle, END)) == rest, f"{one.name}: restored in the middle"
+        assert drive(other, range(middle, END)) == rest, f"{fault.name}: restored in the middle"
         if seen + rest != without:
-            acting.add(one.kind.name)
+            acting.add(fault.kind.name)
         plant.restore(saved)
-        plant.set_parameter(one.varied.name, magnitude_of(one))
-        plant.set_parameter(one.varied.name, 0.0)
-        assert drive(plant, range(BEGIN, END)) == without, f"{one.name}: on and off at one tick"
-    assert {one.name for one in FAULTS} == acting, "kinds that change nothing of this motion"
+        plant.set_parameter(fault.varied.name, magnitude_of(fault))
+        plant.set_parameter(fault.varied.name, 0.0)
+        assert drive(plant, range(BEGIN, END)) == without, f"{fault.name}: on and off at one tick"
+    assert {fault.name for fault in FAULTS} == acting, "kinds that change nothing of this motion"
 
 
 def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene) -> None:
     """The same machine with these numbers set by hand."""
     plant, saved, _ = begun
     numbers, compared = {one.name: one.number for one in scene.varied}, set()
-    for one in scene.faults:
-        m, by_hand = magnitude_of(one), {}
-        for change in one.changes:
+    for fault in scene.faults:
+        m, by_hand = magnitude_of(fault), {}
+        for change in fault.changes:
             value = eval(change.expression.format(x=repr(change.value), m=repr(m)))
             if change.number in numbers and numbers[change.number].holds(value):
                 by_hand[change.number] = value
-        if len(by_hand) < len(one.changes):
+        if len(by_hand) < len(fault.changes):
             continue  # a number that the scene leaves out, or nothing is left of it
-        compared.add(one.kind.name)
+        compared.add(fault.kind.name)
         plant.restore(saved)
-        plant.set_parameter(one.varied.name, m)
+        plant.set_parameter(fault.varied.name, m)
         expected = drive(plant, range(BEGIN, END))
         plant.restore(saved)
         for name, value in by_hand.items():
             plant.set_parameter(name, value)
-        assert drive(plant, range(BEGIN, END)) == expected, one.name
+        assert drive(plant, range(BEGIN, END)) == expected, fault.name
     assert len(compared) > 30, compared
 
 
@@ -241,7 +241,7 @@ def test_a_stuck_output_keeps_its_value(begun: Begun, scene: Scene) -> None:
     """Readings are those of the tick before, truth goes on, and off lets them catch up."""
     plant, saved, _ = begun
     plant.restore(saved)
-    before, stuck = plant.measured, [one for one in scene.faults if "_stuck" in one.name]
+    before, stuck = plant.measured, [fault for fault in scene.faults if "_stuck" in fault.name]
     assert len(stuck) >= 3 * 4 + 2, "encoders and sensors of three joints, a unit"
     for one in stuck:
         plant.set_parameter(one.varied.name, 1.0)
@@ -289,7 +289,7 @@ def test_the_table_of_the_page_has_all_kinds() -> None:
     assert "<!-- generated: faults -->\n" in page_of("faults").read_text()
     table = runpy.run_path(str(DOCS / "tables.py"))["faults"]("")
     rows = {line.split("`")[1]: line for line in table.splitlines()[2:]}
-    assert rows.keys() == {one.name for one in FAULTS}
+    assert rows.keys() == {fault.name for fault in FAULTS}
     assert rows["gear_softens"] == (
         "| `gear_softens` | joint | the gear's stiffness falls | 0.5, from 0 to 0.999 | "
         "`gear.stiffness`: `x * (1.0 - m)` |"

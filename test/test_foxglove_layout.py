@@ -69,7 +69,7 @@ def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_pat
             assert found is not None, text
             topic, field, index = found.groups()
             kind = known[topic.removeprefix(f"{namespace}/")]
-            have = {one.split()[1]: one.split()[0] for one in fields(definition_of(kind))}
+            have = {field.split()[1]: field.split()[0] for field in fields(definition_of(kind))}
             assert field in have, (text, have)
             assert ("[" in have[field]) == (index is not None), text
         elif text.startswith("/") and "/" in text:
@@ -78,9 +78,9 @@ def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_pat
     assert topics >= 4
     plots = [one for name, one in panels.items() if name[:5] == "Plot!" and len(one["paths"]) > 1]
     assert len(plots) >= 6
-    for one in plots:
-        assert [path["label"] for path in one["paths"]] == list(joints)
-        places = [re.findall(r"\[(\d+)\]$", path["value"]) for path in one["paths"]]
+    for plot in plots:
+        assert [path["label"] for path in plot["paths"]] == list(joints)
+        places = [re.findall(r"\[(\d+)\]$", path["value"]) for path in plot["paths"]]
         assert places == [[str(k)] for k in range(len(joints))]
     with pytest.raises(Refusal, match="be new"):
         foxglove(scene, file)

@@ -116,11 +116,13 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
     lines = [f"#define {name} our_{name}" for name in called]
     lines += [
         '#include "rcl_calls.h"',
-        f"enum {{ {', '.join(f'OUR_{one} = {one}' for one in constants)} }};",
+        f"enum {{ {', '.join(f'OUR_{constant} = {constant}' for constant in constants)} }};",
     ]
     lines += [f"#undef {name}" for name in called]
-    lines += [f"#include <rcl/{one}.h>" for one in HEADERS]
-    lines += [f'_Static_assert(OUR_{one} == {one}, "{one}");' for one in constants]
+    lines += [f"#include <rcl/{header}.h>" for header in HEADERS]
+    lines += [
+        f'_Static_assert(OUR_{constant} == {constant}, "{constant}");' for constant in constants
+    ]
     lines += [
         '_Static_assert(sizeof(rcl_bytes) == sizeof(rcl_serialized_message_t), "bytes");',
         '_Static_assert(sizeof(rcl_message_info) == sizeof(rmw_message_info_t), "info");',
@@ -138,8 +140,8 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
           "reception_sequence_number", "publisher_gid", "from_intra_process")),
     ):  # fmt: skip
         lines += [
-            f'_Static_assert(offsetof({ours}, {one}) == offsetof({theirs}, {one}), "{one}");'
-            for one in fields
+            f'_Static_assert(offsetof({ours}, {field}) == offsetof({theirs}, {field}), "{field}");'
+            for field in fields
         ]
     # The same arguments, by their number and size.
     lines += [
@@ -154,6 +156,6 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
     source = tmp_path / "check.c"
     source.write_text("\n".join(lines) + "\n")
     headers = Path(get_package_prefix("rcl")) / "include"
-    folders = [FOLDER, *(one for one in headers.iterdir() if one.is_dir())]
+    folders = [FOLDER, *(file for file in headers.iterdir() if file.is_dir())]
     command = ["cc", "-std=c11", "-Werror", "-fsyntax-only", str(source)]
-    subprocess.run([*command, *(f"-I{one}" for one in folders)], check=True)
+    subprocess.run([*command, *(f"-I{folder}" for folder in folders)], check=True)

@@ -79,7 +79,7 @@ def parts_of(joints: list[dict[str, Any]]) -> set[type[Part]]:
 
 
 # A part without a line above comes in a drive that is drawn for it, commanded as mixtures are.
-NAMED = set().union(*(parts_of([joint for joint, _ in one]) for one in JOINTS.values()))
+NAMED = set().union(*(parts_of([joint for joint, _ in value]) for value in JOINTS.values()))
 OTHERS = [part for part in PARTS if part not in NAMED]
 JOINTS = {
     "-".join(part.__name__ for part in three): [(drawn_alone(part, 0), None) for part in three]

@@ -47,9 +47,9 @@ def test_rates_are_reported_drawn_and_refused(
         code = latency(rates=(100.0, 900.0), seconds=0.1, alone=True, picture=picture)
     rates = json.loads(capsys.readouterr().out)["rates"]
     assert [*rates] == ["100", "900"]
-    for one in rates.values():
-        assert one["held"] == (one["lost"] < 1e-3 * one["periods"])
-    assert code == (not all(one["held"] for one in rates.values()))
+    for value in rates.values():
+        assert value["held"] == (value["lost"] < 1e-3 * value["periods"])
+    assert code == (not all(value["held"] for value in rates.values()))
     assert picture.read_bytes().startswith(b"\x89PNG")
     rule = "--rates must be a number from 1 to 20000 Hz, got 0.0"
     with pytest.raises(Refusal, match=rule):

@@ -146,7 +146,7 @@ def test_in_motion_every_entry_is_that_of_the_equations(scene: Scene) -> None:
         assert np.array_equal(machine.locked, linear.sticks)
         stuck, slid = stuck + linear.sticks.sum(), slid + (~linear.sticks).sum()
         compare(machine, scene, linear)
-    assert slid > 0 and (stuck > 0 or all(one.friction.coulomb == 0.0 for one in scene.joints))
+    assert slid > 0 and (stuck > 0 or all(joint.friction.coulomb == 0.0 for joint in scene.joints))
 
 
 def inertia(scene: Scene, joint: int) -> float:

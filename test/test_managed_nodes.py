@@ -129,7 +129,7 @@ def test_every_transition_by_label_and_by_number_and_no_other(tmp_path: Path) ->
         emulator = clients[-1]
         states = emulator.call(GetAvailableStates, "get_available_states").available_states
         assert {State.PRIMARY_STATE_UNCONFIGURED, State.PRIMARY_STATE_ACTIVE} <= {
-            one.id for one in states
+            state.id for state in states
         }
         state, by_number = "unconfigured", itertools.cycle((False, True))
         for way in ("configure", "activate", "deactivate", "cleanup", "configure", "activate",

@@ -134,7 +134,9 @@ def drive(plant: Plant, ticks: range) -> tuple[np.ndarray, list[tuple[bytes, ...
         q.append(plant.state.q)
         measured = [getattr(plant.measured, name) for name in KNOWN]
         fields = [one for one in measured if np.shape(one)[:1] == row.shape]
-        rows.append(tuple(b"".join(one[j].tobytes() for one in fields) for j in range(len(row))))
+        rows.append(
+            tuple(b"".join(field[j].tobytes() for field in fields) for j in range(len(row)))
+        )
     return np.array(q), rows
 
 
@@ -144,7 +146,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def test_every_kind_of_motor_is_tried() -> None:
-    assert {motor.get("kind", "dc") for motor in KINDS.values()} == {one.kind for one in MOTORS}
+    assert {motor.get("kind", "dc") for motor in KINDS.values()} == {motor.kind for motor in MOTORS}
 
 
 def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_path: Path) -> None:
@@ -152,11 +154,11 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
     drive(plant, range(BEGIN))
     saved, warm = plant.save(), plant.winding_temperatures
     sound_q, sound = drive(plant, range(BEGIN, END))
-    listed = {one.name: one for one in scene.faults}
+    listed = {fault.name: fault for fault in scene.faults}
     of_motors = {
-        one.name
-        for one in FAULTS
-        if one.of == "joints" and any("motor" in at for at in one.sections)
+        fault.name
+        for fault in FAULTS
+        if fault.of == "joints" and any("motor" in at for at in fault.sections)
     }
     for j, joint in enumerate(scene.joint_names):
         for kind in FAULTS:

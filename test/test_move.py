@@ -48,7 +48,7 @@ def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(
         facts = json.loads(out)
         assert code == 0 and facts["target"]["state"] == "reached", out
         assert abs(facts["joints"]["waist"] - 0.2) < 2e-3, "the joint is where it was sent"
-        assert {one["level"] for one in facts["nodes"].values()} == {"ok"}
+        assert {value["level"] for value in facts["nodes"].values()} == {"ok"}
         assert not facts["target"]["before_reset"]
         assert user.call("emulator/reset").success
         target = json.loads(run("status", "--json", "--timeout", "60")[1])["target"]

@@ -82,7 +82,7 @@ def in_python(text: str, with_words: bool) -> set[str]:
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and "machine.parts" in (node.module or ""):
-            found |= {one.name for one in node.names} & CLASSES
+            found |= {name.name for name in node.names} & CLASSES
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_words:
             if id(node) not in prose and re.fullmatch(r"[\w.*{}]+", node.value):
                 found |= set(node.value.split(".")) & WORDS

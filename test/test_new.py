@@ -204,7 +204,7 @@ def test_a_new_arm_does_not_run_into_itself(
     corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, -0.1)]
     faces = [[corners[k] for k in range(4) if k != left] for left in range(4)]
     rows = ["".join("vertex {} {} {}\n".format(*one) for one in face) for face in faces]
-    loops = [f"facet normal 0 0 0\nouter loop\n{one}endloop\nendfacet\n" for one in rows]
+    loops = [f"facet normal 0 0 0\nouter loop\n{row}endloop\nendfacet\n" for row in rows]
     (tmp_path / "bodies" / "x.stl").write_text("solid x\n" + "".join(loops) + "endsolid x\n")
     file = tmp_path / "arm.urdf"
     file.write_bytes(ET.tostring(with_shapes(shapes)))

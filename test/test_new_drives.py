@@ -152,7 +152,7 @@ def test_a_makers_torque_is_kept_and_a_placeholder_is_found_joint_by_joint(
     assert 10.0 < written.drives[2].peak_torque < 30.0, "a wrist that holds a tool of 7 kg"
     strong, how = made(tmp_path / "strong", arm([400.0, 100.0, None]))
     assert how == ["URDF", "URDF", "guess"]
-    weak, able = ([one.acceleration for one in arm.drives] for arm in (written, strong))
+    weak, able = ([drive.acceleration for drive in arm.drives] for arm in (written, strong))
     assert weak[0] < 0.5 * able[0], "less torque, less acceleration"
     assert weak[1:] == pytest.approx(able[1:]), "of the joint that lacks it alone"
     scene = load_scene(written.file)
@@ -219,7 +219,7 @@ def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
     file.write_bytes(ET.tostring(robot))
     written = write_new(file, tmp_path / "endless")
     scene = load_scene(written.file)
-    assert [one.stops is None for one in scene.joints].count(True) == 1
+    assert [joint.stops is None for joint in scene.joints].count(True) == 1
     assert scene.joints[scene.joint_names.index(joint.get("name", ""))].stops is None
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     assert kinematics.reach < 100.0, "m: the slide counts nothing"
@@ -265,10 +265,10 @@ def test_a_figure_of_all_joints_that_one_cannot_have_is_a_placeholder(
     written, how = made(tmp_path / "same", arm([10.0, 10.0, last], "0 0 1"))
     if last == 10.0:
         assert how == ["guess"] * 3
-        assert [one.peak_torque for one in written.drives] == [
-            one.peak_torque for one in free.drives
+        assert [drive.peak_torque for drive in written.drives] == [
+            drive.peak_torque for drive in free.drives
         ]
-        notes = [one.notes["torque"] for one in written.drives]
+        notes = [drive.notes["torque"] for drive in written.drives]
         assert "that of all joints, which j2 cannot have" in notes[0]
         assert "does not hold its own links" in notes[1]
     else:

@@ -270,14 +270,14 @@ def test_short_and_long_numbers_of_numpy_are_taken_as_they_are(kind: type[np.num
 
 
 def test_commands_and_measurements_are_refused_in_rows_alike() -> None:
-    rows = [one for one in vars(bound).values() if isinstance(one, Number)]
+    rows = [value for value in vars(bound).values() if isinstance(value, Number)]
     assert len(rows) > 10
-    for one in rows:
-        for bad in (math.nan, math.inf, -math.inf, 2.0 * one.most, -2.0 * one.most):
-            if abs(bad) < math.inf or one.at_most != math.inf:
-                with pytest.raises(Refusal, match=rf"^here: {one.name} must be (finite )?numbers"):
-                    one.row("here", [0.0, bad, 0.0], 3)
+    for row in rows:
+        for bad in (math.nan, math.inf, -math.inf, 2.0 * row.most, -2.0 * row.most):
+            if abs(bad) < math.inf or row.at_most != math.inf:
+                with pytest.raises(Refusal, match=rf"^here: {row.name} must be (finite )?numbers"):
+                    row.row("here", [0.0, bad, 0.0], 3)
         no_rows: tuple[Any, ...] = "abc", None, [None], ["1"] * 3, [1j] * 3, {}, [[1.0], [2.0, 3.0]]
         for no_row in (*no_rows, [True, 1.0, 2.0]):
-            with pytest.raises(Refusal, match=rf"^here: {one.name} must be (finite )?numbers"):
-                one.row("here", no_row, 3)
+            with pytest.raises(Refusal, match=rf"^here: {row.name} must be (finite )?numbers"):
+                row.row("here", no_row, 3)

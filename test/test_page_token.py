@@ -15,7 +15,7 @@ def test_every_run_has_a_token_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.delenv(VARIABLE, raising=False)
     tokens = {page_token() for _ in range(100)}
     assert len(tokens) == 100
-    assert all(re.fullmatch("[A-Za-z0-9_-]{22}", one) for one in tokens), "128 bits, for a path"
+    assert all(re.fullmatch("[A-Za-z0-9_-]{22}", token) for token in tokens), "128 bits, for a path"
 
 
 def test_the_token_of_a_launcher_serves_one_page(monkeypatch: pytest.MonkeyPatch) -> None:

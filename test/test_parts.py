@@ -204,7 +204,7 @@ def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]
         part.put_limits(section, None)
     part.read(section)
     rows = keys_of(part)
-    declared = {*part.numbers(), *(one.name for one in part.keys)}
+    declared = {*part.numbers(), *(key.name for key in part.keys)}
     assert declared <= rows.keys() and all(rows[key][3] for key in declared), "what each is"
     of_others = {kind.section.partition(".")[2] for kind in PARTS}
     known = {key.partition(".")[0] for key in declared}

@@ -355,13 +355,13 @@ def test_public_classes_go_with_abstract_bases_and_protocols(kind: type) -> None
 
 def test_the_keywords_of_a_part_are_its_signature() -> None:
     for kind in PARTS:
-        fields = {one.name: one for one in dataclasses.fields(kind)}
+        fields = {field.name: field for field in dataclasses.fields(kind)}
         signature = inspect.signature(kind)
         assert signature.parameters.keys() == fields.keys(), kind
         for name, one in signature.parameters.items():
             assert one.kind is one.KEYWORD_ONLY
             required = fields[name].default is fields[name].default_factory is dataclasses.MISSING
             assert (one.default is one.empty) == required, name
-    needed = {one.name for one in inspect.signature(DcMotor).parameters.values()
-              if one.default is one.empty}  # fmt: skip
+    needed = {value.name for value in inspect.signature(DcMotor).parameters.values()
+              if value.default is value.empty}  # fmt: skip
     assert needed == {"resistance", "torque_constant", "back_emf_constant", "rotor_inertia"}

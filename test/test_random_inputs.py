@@ -160,7 +160,7 @@ def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path
     with network(tmp_path, start="first_answer", forked=False) as (user, nodes):
         user.wait("the run", lambda: user.tick > 100)
         strangers = Strangers(user, rng)
-        services = [one for one in strangers.services if not one.endswith(LASTING)]
+        services = [service for service in strangers.services if not service.endswith(LASTING)]
         assert len(services) > 30 and len(strangers.topics) > 9, strangers.topics
         for number, _ in enumerate(COUNT):
             if rng.random() < 0.5:
@@ -193,7 +193,7 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
     with network(tmp_path, scene="ur5", start="first_answer", forked=False) as (user, nodes):
         user.wait("the run", lambda: user.tick > 100)
         strangers = Strangers(user, rng)
-        topics = [one for one in strangers.topics if one.strip("/") not in PUSHES]
+        topics = [topic for topic in strangers.topics if topic.strip("/") not in PUSHES]
         user.wait("true states", lambda: user.truth is not None)
         strangers.publish("/joint_trajectory", swing(rng, names))
         user.wait("a listener", lambda: strangers.listeners("/joint_trajectory") > 0)
@@ -204,7 +204,7 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
             # Orders of strangers replace each other: after COUNT messages they send states alone,
             # until the arm has moved.
             if number == len(COUNT):
-                topics = [one for one in topics if one.strip("/") in SOLE_PUBLISHER]
+                topics = [topic for topic in topics if topic.strip("/") in SOLE_PUBLISHER]
             if number >= len(COUNT) and (fastest > 0.05 or time.monotonic() > until):
                 break
             topic = rng.choice(topics)
@@ -239,15 +239,17 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
         for _ in range(FREE_WAY_DRAWS):
             heard, goal = len(reports), swing(rng, names)
             # The reset is answered before the reports of orders that it gave up are heard.
-            last = max((one.number for one in reports if one.kind == kind), default=0)
+            last = max((report.number for report in reports if report.kind == kind), default=0)
             own.publish(goal)
             end = user.wait(
                 "its end",
                 lambda heard=heard, last=last: next(
                     (
-                        one
-                        for one in reports[heard:]
-                        if one.kind == kind and one.number > last and one.state not in moving
+                        report
+                        for report in reports[heard:]
+                        if report.kind == kind
+                        and report.number > last
+                        and report.state not in moving
                     ),
                     None,
                 ),

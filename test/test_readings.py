@@ -55,7 +55,7 @@ def rows() -> dict[str, np.ndarray]:
             command = rng.uniform(-30.0, 30.0, 3)
         truths = {of: getattr(plant.state, of) for of in ("q", "v", "omega_m")}
         truths["temperature"] = plant.winding_temperatures
-        shown = {one.reading: getattr(plant.measured, one.reading) for one in KINDS.values()}
+        shown = {value.reading: getattr(plant.measured, value.reading) for value in KINDS.values()}
         for name, row in (truths | shown).items():
             found.setdefault(name, []).append(np.array(row))
         plant.exchange(command)

@@ -88,7 +88,7 @@ def test_a_moment_is_explained(bag: Path, explain: Explain) -> None:
     assert now["applied"] == now["commanded"] == dict(zip(names, applied, strict=True))
     links = now["torques_on_links"]
     for name in names:
-        assert abs(sum(one[name] for one in links.values() if one[name] is not None)) < 1e-12
+        assert abs(sum(value[name] for value in links.values() if value[name] is not None)) < 1e-12
     dark = explain("0.035")[1]
     assert "the drives have no power" in dark["active"]
     assert not any(dark["applied"].values())

@@ -405,7 +405,9 @@ def test_a_table_of_a_run_is_not_taken_for_a_bag(scene: Scene, tmp_path: Path) -
         Bag(file)
 
 
-@pytest.mark.parametrize("name", [one for one in servers() if one != "ethercat"])  # needs root
+@pytest.mark.parametrize(
+    "name", [server for server in servers() if server != "ethercat"]
+)  # needs root
 def test_servers_record_until_ctrl_c(tmp_path: Path, name: str) -> None:
     file = tmp_path / "run.csv"
     free = [] if name == "modbus" else ["--listen", "0"]

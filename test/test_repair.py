@@ -103,7 +103,7 @@ def assert_whole(bag: Path, words: list[str]) -> None:
         assert other.message_count == len(words), "messages that rosbags counts"
         assert [m for _, _, m in other.messages()] == read, "what rosbags reads"
     assert Bag(bag).complete, "our own reader finds it cut off"
-    assert sorted(one.name for one in bag.iterdir()) == [file.name, "metadata.yaml"]
+    assert sorted(file.name for file in bag.iterdir()) == [file.name, "metadata.yaml"]
 
 
 def test_every_whole_chunk_of_a_bag_that_was_cut_anywhere_is_kept(tmp_path: Path) -> None:

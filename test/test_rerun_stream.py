@@ -188,7 +188,7 @@ def test_events_are_texts_at_their_times(tmp_path):
     assert stream.close()
     at, texts = read(file, "/events", "TextLog:text")
     assert at.tolist() == [19 * MS, 30 * MS]
-    assert [str(one) for one in texts] == ["power off", "refused: too much"]
+    assert [str(text) for text in texts] == ["power off", "refused: too much"]
     assert [str(one) for one in read(file, "/events", "TextLog:level")[1]] == ["INFO", "WARN"]
     closed = RerunStream(URDF, NAMES)
     closed.offer_text(0, "nobody looks")

@@ -35,7 +35,7 @@ def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
     assert control.findtext("hardware/param") == str(tmp_path / name)
     of_robot = {one.get("name") for one in was.findall("joint")}
     joints = control.findall("joint")
-    assert tuple(one.get("name") for one in joints) == scene.joint_names
+    assert tuple(joint.get("name") for joint in joints) == scene.joint_names
     assert of_robot.issuperset(scene.joint_names)
     for element, joint in zip(joints, scene.joints, strict=True):
         commands = tuple(one.get("name") for one in element.findall("command_interface"))
@@ -52,7 +52,9 @@ def test_varied_numbers_are_commands_with_the_scene_s_values(tmp_path: Path) -> 
     scene = load_scene("three_axis", changed)
     robot = ET.fromstring(description(scene, f"{tmp_path}/three_axis"))
     commands = robot.findall("ros2_control/gpio[@name='three_axis_varied']/command_interface")
-    values = {one.get("name"): float(one.findtext("param") or "nan") for one in commands}
+    values = {
+        command.get("name"): float(command.findtext("param") or "nan") for command in commands
+    }
     assert values == {one.name: one.value for one in scene.varied}
     assert values["faults.elbow.gear_breaks"] == 0.0 and len(values) == 3
 

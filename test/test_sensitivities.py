@@ -146,9 +146,9 @@ def test_derivatives_by_the_start() -> None:
     names = inner(scene)
     of = sensitivities(scene, rows, [*names, "start.*"], q=q, v=v)
     assert of.names[-6:] == tuple(
-        f"start.{which}.{one}" for which in "qv" for one in scene.joint_names
+        f"start.{which}.{name}" for which in "qv" for name in scene.joint_names
     )
-    h, plant = 1e-3, Plant(differentiable(scene, tuple(numbers_of(scene)[one] for one in names)))
+    h, plant = 1e-3, Plant(differentiable(scene, tuple(numbers_of(scene)[name] for name in names)))
     for k in range(6):
         ends = []
         for point in POINTS:

@@ -152,7 +152,7 @@ def test_readings_of_a_unit_are_lost_independently_of_each_other(scene: Scene) -
     """Each of the six channels keeps its reading in half of the ticks."""
     plant = Plant(scene)
     names = ("accelerometer", "gyroscope")
-    set_all(plant, {f"imus.at_hand.{one}.held": 0.5 for one in names})
+    set_all(plant, {f"imus.at_hand.{name}.held": 0.5 for name in names})
     reported = motion(plant, np.random.default_rng(6), 600)
     channels = (rows(reported, name)[:, 0] for name in ("specific_force", "angular_rate"))
     held = np.diff(np.hstack([*channels]), axis=0) == 0.0

@@ -108,7 +108,9 @@ def stopped_with(node: subprocess.Popen[str]) -> list[str]:
     node.send_signal(signal.SIGSTOP)
     while psutil.Process(node.pid).status() != psutil.STATUS_STOPPED:
         time.sleep(0.001)
-    return [os.readlink(one) for one in Path(f"/proc/{node.pid}/fd").iterdir() if one.is_symlink()]
+    return [
+        os.readlink(file) for file in Path(f"/proc/{node.pid}/fd").iterdir() if file.is_symlink()
+    ]
 
 
 def kill_between_two_messages(node: subprocess.Popen[str]) -> bool:

@@ -96,9 +96,9 @@ def strangers(rng: random.Random, user: User) -> dict[str, Any]:
         "clock": Clock(clock=stamp(time_ns)),
         "robot_description": String(data=user.description.replace("shoulder", "other")),
     }
-    for one in messages.values():
-        if hasattr(one, "header"):
-            one.header.stamp = stamp(rng.choice((0, time_ns)))
+    for value in messages.values():
+        if hasattr(value, "header"):
+            value.header.stamp = stamp(rng.choice((0, time_ns)))
     return messages
 
 

@@ -102,7 +102,7 @@ class Stopped:
 
     def tool(self) -> np.ndarray:
         """The true tool at every tick (K, 3) [m]."""
-        return np.array([self.kinematics.forward(one[: len(one) // 2])[1] for one in self.links])
+        return np.array([self.kinematics.forward(link[: len(link) // 2])[1] for link in self.links])
 
     def fastest(self, since: int) -> float:
         """The largest true speed over its limit from a tick on, while the joints could move."""
@@ -127,7 +127,7 @@ def draw(seed: int) -> tuple[Stopped, np.random.Generator, int, int]:
     rng = np.random.default_rng(seed)
     name = ("three_axis", "ur5", "panda")[seed % 3 if seed > 1 else 0]
     names = load_scene(name).joint_names
-    braked = [one for one in names if rng.random() < 0.7] or [names[-1]]
+    braked = [name for name in names if rng.random() < 0.7] or [names[-1]]
     brakes: dict[str, object] = {
         f"joints.{one}.brake": {
             "torque": 300.0,

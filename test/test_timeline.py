@@ -66,7 +66,7 @@ def path(run: OfflineRun) -> None:
     """Two lines with a corner."""
     R_WT, p_WT = run.controller.kinematics.forward(run.session.state.q)
     places = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, -0.01], [0.02, 0.02, 0.0]])
-    run.instructor.add_path(run.controller, [Pose(p_WT + one, R_WT) for one in places])
+    run.instructor.add_path(run.controller, [Pose(p_WT + place, R_WT) for place in places])
 
 
 def trajectory(run: OfflineRun) -> None:
@@ -78,7 +78,8 @@ def trajectory(run: OfflineRun) -> None:
 def retune(run: OfflineRun) -> None:
     config = run.drives.servo.config
     joints = tuple(
-        dataclasses.replace(one, position_gain=0.5 * one.position_gain) for one in config.joints
+        dataclasses.replace(joint, position_gain=0.5 * joint.position_gain)
+        for joint in config.joints
     )
     run.drives.retune(dataclasses.replace(config, joints=joints))
 
@@ -121,8 +122,8 @@ def test_any_tick_of_the_past_equals_the_straight_run(scene: str) -> None:
         line.advance(ticks)
         line.change(name, act)
     line.advance(200)
-    assert [one.name for one in line.changes] == [name for _, name, _ in STORY]
-    ticks = [one.tick for one in line.changes]
+    assert [change.name for change in line.changes] == [name for _, name, _ in STORY]
+    ticks = [change.tick for change in line.changes]
     for (begin, name, _), end in zip(line.changes, [*ticks[1:], line.newest], strict=True):
         if name in ("target", "path", "trajectory", "jog"):
             assert seen[begin][4] != seen[end][4], f"joint targets during: {name}"

@@ -111,8 +111,8 @@ def test_flat_corners_are_rounded_and_passed_near_by() -> None:
     path = ToolPath(points, LIMITS)
     assert len(path.stops) == 2, "it stops nowhere between"
     way = path.curve.poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
-    for one in points:
-        assert np.linalg.norm(way - one.p_WT, axis=1).min() < 1.1 * 5e-5
+    for point in points:
+        assert np.linalg.norm(way - point.p_WT, axis=1).min() < 1.1 * 5e-5
 
 
 # Paths of an arm

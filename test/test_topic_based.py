@@ -116,7 +116,7 @@ def test_a_trajectory_is_followed_and_then_held(
 def test_a_threshold_above_the_error_at_rest_leads_to_a_cut(nodes: InProcess) -> None:
     """The component is silent then, as a dead controller is."""
     scene = load_scene("three_axis")
-    goal = {one.name: one.start + AWAY for one in scene.joints}
+    goal = {joint.name: joint.start + AWAY for joint in scene.joints}
     system = TopicSystem(list(goal), ("position",), 0.1)
     nodes.listen_alone("joint_states", JointState, system.read)
     states = list[WatchdogState]()

@@ -80,6 +80,7 @@ def test_a_joint_that_holds_keeps_the_angle_at_which_it_began() -> None:
         drives.measure(round(tick * config.period * 1e9), counts, still, still)
         drives.command(True)
         began = [
-            500.5 * 2.0 * math.pi / one.counts_per_turn * one.gear_ratio for one in config.joints
+            500.5 * 2.0 * math.pi / joint.counts_per_turn * joint.gear_ratio
+            for joint in config.joints
         ]
         np.testing.assert_allclose(drives.servo.state["q_hold"], began, rtol=1e-12)

@@ -31,7 +31,7 @@ def test_limits_hold_where_the_third_derivative_of_their_curve_steps(case: int) 
     planned = TimedPath(curve, limits, along=along)
     rows = [planned.at(t) for t in np.linspace(0.0, planned.duration, 4000)]
     for key, limit in (("v", speed), ("a", acceleration), ("jerk", limits.jerk)):
-        assert (np.abs([getattr(one, key) for one in rows]) / limit).max() <= 1.0 + 1e-2
+        assert (np.abs([getattr(row, key) for row in rows]) / limit).max() <= 1.0 + 1e-2
     if along is not None:
         places = np.array([planned.place(t) for t in np.linspace(0.0, planned.duration, 4000)])
         rate = np.gradient(places, planned.duration / 3999)

@@ -190,9 +190,9 @@ class ModeLoops:
         for j in range(self._N):
             for mode in modes:
                 bad = [
-                    one
-                    for one in self.figures
-                    if one.joint == j and one.loop in mode.loops and not one.holds
+                    figure
+                    for figure in self.figures
+                    if figure.joint == j and figure.loop in mode.loops and not figure.holds
                 ]
                 if bad:
                     worst = max(bad, key=lambda one: one.beyond)

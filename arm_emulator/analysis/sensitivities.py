@@ -78,10 +78,10 @@ class SensitiveMachine:
         every = {one: one for one in (*possible, *starts)}
         self.names = choose(by, every, WHERE, "by", rule)
         self._scene = scene
-        self._varied = tuple(possible[one] for one in self.names if one in possible)
+        self._varied = tuple(possible[name] for name in self.names if name in possible)
         self._core = sensitivity_library_of(differentiable(scene, self._varied))
         seeded = [*(one.name for one in self._varied), *starts]
-        self._places = [seeded.index(one) for one in self.names]
+        self._places = [seeded.index(name) for name in self.names]
 
     def run(
         self,
@@ -198,13 +198,14 @@ def sensitivities(
 def numbers_of(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
     here = {
-        one.name: one for one in variable_numbers(_without_sensors(scene).joints, scene.chain, ())
+        number.name: number
+        for number in variable_numbers(_without_sensors(scene).joints, scene.chain, ())
     }
     return here | {one.name: one for one in scene.varied if one.name == MASS}
 
 
 def _without_sensors(scene: Scene) -> Scene:
-    joints = tuple(dataclasses.replace(one, sensors=JointSensors()) for one in scene.joints)
+    joints = tuple(dataclasses.replace(joint, sensors=JointSensors()) for joint in scene.joints)
     return dataclasses.replace(scene, joints=joints, imus=(), faults=())
 
 

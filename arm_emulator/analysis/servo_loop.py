@@ -84,7 +84,9 @@ def sampled_plant(
 def late(scene: Scene) -> int:
     """Return by how many servo periods the latest sensor comes of those that our servos use."""
     sensors = [joint.sensors for joint in scene.joints]
-    used = [part for one in sensors for part in (one.encoder, one.current) if part is not None]
+    used = [
+        part for sensor in sensors for part in (sensor.encoder, sensor.current) if part is not None
+    ]
     return max((part.delay for part in used), default=0)
 
 

@@ -157,10 +157,10 @@ def _limits(
             yield f"{name}: the brake is closed"
         if faults is not None and faults[j]:
             yield f"{name}: the drive reports faults, bits 0x{int(faults[j]):x}"
-    for one in scene.faults:
-        value = plant.parameters[one.varied.name]
+    for fault in scene.faults:
+        value = plant.parameters[fault.varied.name]
         if value != 0.0:
-            yield f"fault {one.varied.name.removeprefix('faults.')}: {value:g}"
+            yield f"fault {fault.varied.name.removeprefix('faults.')}: {value:g}"
 
 
 def _modes(scene: Scene, state: PlantState, terms: TermsNow) -> Iterator[str]:

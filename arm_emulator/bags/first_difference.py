@@ -37,10 +37,10 @@ class FirstDifference(NamedTuple):
     @property
     def ulps(self) -> int | None:
         """Representable numbers between two numbers; None: other values differ."""
-        if not all(isinstance(one, float) and not math.isnan(one) for one in self.values):
+        if not all(isinstance(value, float) and not math.isnan(value) for value in self.values):
             return None
         bits = np.array(self.values).view(np.int64).tolist()
-        places = [one if one >= 0 else -(one & 0x7FFFFFFFFFFFFFFF) for one in bits]
+        places = [bit if bit >= 0 else -(bit & 0x7FFFFFFFFFFFFFFF) for bit in bits]
         return abs(int(places[0] - places[1]))
 
 

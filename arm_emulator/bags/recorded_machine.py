@@ -89,9 +89,9 @@ class RecordedMachine:
         """
         check_count(self._where, "ticks", ticks, 0, self.last - self.tick)
         session = self.session
-        for one in self.ticks[self.tick + 1 : self.tick + 1 + ticks]:
-            session.powered = one.powered
-            session.advance_under(one.applied, came=True)
+        for tick in self.ticks[self.tick + 1 : self.tick + 1 + ticks]:
+            session.powered = tick.powered
+            session.advance_under(tick.applied, came=True)
             if session.fault is not None:
                 raise session.fault
             self._change()
@@ -112,24 +112,24 @@ class RecordedMachine:
     def _read(self) -> None:
         """Read ticks and changes of the run."""
         count, names = 0, ("applied", *rows_of(self.scene)[FURTHER])
-        for one in recorded_ticks(self.topics, self.scene.joint_names, names):
-            count = one.run
-            if self._run not in (-1, one.run):
+        for tick in recorded_ticks(self.topics, self.scene.joint_names, names):
+            count = tick.run
+            if self._run not in (-1, tick.run):
                 continue
-            if one.tick == 0:
+            if tick.tick == 0:
                 self.ticks, self.changes = [], {}
-            if one.tick != len(self.ticks):
-                rule, got = f"report tick {len(self.ticks)}", f"tick {one.tick} next"
+            if tick.tick != len(self.ticks):
+                rule, got = f"report tick {len(self.ticks)}", f"tick {tick.tick} next"
                 raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
-            at, period = one.stamp * 1e-9, self.scene.servo_period
-            if abs(at - one.tick * period) > 0.5 * period:
+            at, period = tick.stamp * 1e-9, self.scene.servo_period
+            if abs(at - tick.tick * period) > 0.5 * period:
                 rule = f"be {period:g} s apart, the scene's servo period"
-                raise Refusal(self._where, "motor_states", rule, f"tick {one.tick} at {at:g} s")
-            powered = bool(one.values["powered"][0])
-            applied = np.array([one.values[name] for name in names if name in one.values])
-            self.ticks.append(Tick(applied, powered, one.published))
-            if made := [*one.before, *one.changes]:
-                self.changes[one.tick] = made
+                raise Refusal(self._where, "motor_states", rule, f"tick {tick.tick} at {at:g} s")
+            powered = bool(tick.values["powered"][0])
+            applied = np.array([tick.values[name] for name in names if name in tick.values])
+            self.ticks.append(Tick(applied, powered, tick.published))
+            if made := [*tick.before, *tick.changes]:
+                self.changes[tick.tick] = made
         if not count:
             rule = "hold a run from tick 0 on"
             raise Refusal(self._where, "the bag", rule, "none", "record, then call emulator/reset")

@@ -49,7 +49,9 @@ def changed_on_the_way(session: Session) -> bool:
     """Return whether a fault acts now that changes commands before the motors get them."""
     now = session.plant.parameters
     return any(
-        now[one.varied.name] != 0.0 for one in session.scene.faults if one.kind.changes_commands
+        now[fault.varied.name] != 0.0
+        for fault in session.scene.faults
+        if fault.kind.changes_commands
     )
 
 
@@ -312,7 +314,7 @@ class Repetition:
         # answer a tick that is past. Power may be switched while nothing moves.
         if commands and self._lockstep and led:
             self.tally.commands += 1
-            fits = (self._could_be(applied, one) for one in commands)
+            fits = (self._could_be(applied, command) for command in commands)
             if not any(fits) and not changed_on_the_way(session):
                 row, joint = np.argwhere(applied != commands[-1])[0].tolist()
                 raise Difference(

@@ -40,8 +40,10 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
     """
     if line.first != 0:
         raise Refusal("write_timeline", "the timeline", "begin at tick 0", f"tick {line.first}")
-    about = {CHANGES: ", ".join(f"{one.name} at tick {one.tick}" for one in line.changes)}
-    orders = [(one.tick, one.made) for one in line.changes if isinstance(one.made, Order)]
+    about = {CHANGES: ", ".join(f"{change.name} at tick {change.tick}" for change in line.changes)}
+    orders = [
+        (change.tick, change.made) for change in line.changes if isinstance(change.made, Order)
+    ]
     if len(orders) == len(line.changes):
         about[ORDERS] = json.dumps([{"tick": tick, **as_data(one)} for tick, one in orders])
     if isinstance(line.run, TargetedRun):

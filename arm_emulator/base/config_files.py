@@ -39,7 +39,7 @@ def check_own(where: str, file: Path) -> None:
     real = Path(os.path.realpath(file))
     folders = [config_folder(), *map(Path, (get_path("purelib"), get_path("platlib")))]
     folders += _installed()
-    if real.exists() and any(real.is_relative_to(os.path.realpath(one)) for one in folders):
+    if real.exists() and any(real.is_relative_to(os.path.realpath(folder)) for folder in folders):
         raise Refusal(
             where,
             f"file {file}",

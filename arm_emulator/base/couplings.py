@@ -134,7 +134,7 @@ class Coupling:
 
 def own_shafts(joints: Sequence[str], followers: Mapping[str, Follows]) -> list[str]:
     """Return the joints that name shafts: those that follow none, or that others follow."""
-    followed = {shaft for one in followers.values() for shaft in one.shares}
+    followed = {shaft for value in followers.values() for shaft in value.shares}
     return [name for name in joints if name not in followers or name in followed]
 
 

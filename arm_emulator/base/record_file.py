@@ -71,7 +71,7 @@ class CsvFile:
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         self._file, self._columns, self._stream = file, columns, UnbufferedFile(file)
-        self._stream.write(",".join(_cell(one.heading) for one in columns).encode() + b"\n")
+        self._stream.write(",".join(_cell(column.heading) for column in columns).encode() + b"\n")
         # End of the last whole line.
         self._whole = self._stream.tell()
 
@@ -106,8 +106,8 @@ class McapFile:
         self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
         self._mcap.start("", "arm_emulator")
         self._count = 0
-        truth = [one for one in columns if one.path[0] != MEASURED]
-        measured = [one for one in columns if one.path[0] == MEASURED]
+        truth = [column for column in columns if column.path[0] != MEASURED]
+        measured = [column for column in columns if column.path[0] == MEASURED]
         clock = [one for one in truth if one.name in CLOCK]
         self._topics = [self._topic("truth", truth), self._topic(MEASURED, clock + measured)]
 
@@ -222,7 +222,7 @@ class NpzFile(_WholeAtTheEnd):
         """Write all rows."""
         rows = np.concatenate(self._waiting)
         with self._part.open("wb") as stream:
-            np.savez(stream, **{one.name: one.of(rows) for one in self._columns})  # type: ignore[arg-type]
+            np.savez(stream, **{column.name: column.of(rows) for column in self._columns})  # type: ignore[arg-type]
         self._publish()
 
 
@@ -235,7 +235,7 @@ def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
     """Return rows as an Arrow table, with units in the metadata of its fields."""
     import pyarrow as pa
 
-    arrays = [pa.array(np.ascontiguousarray(one.of(rows))) for one in columns]
+    arrays = [pa.array(np.ascontiguousarray(column.of(rows))) for column in columns]
     fields = [
         pa.field(one.name, array.type, metadata={"unit": one.unit} if one.unit else None)
         for one, array in zip(columns, arrays, strict=True)
@@ -246,8 +246,8 @@ def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
 def _texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list[str]]:
     """Return columns as texts that give the same bits; `none` for values that are not finite."""
     texts = []
-    for one in columns:
-        values = one.of(rows)
+    for column in columns:
+        values = column.of(rows)
         written = list(map(repr, values.tolist()))
         for k in np.flatnonzero(~np.isfinite(values)):
             written[k] = none
@@ -265,11 +265,11 @@ _NUMBER = "\0"  # stands for a number in a template; no name has it
 
 def _tree(columns: Sequence[Column]) -> Tree:
     tree: Tree = {}
-    for one in columns:
-        at, path = tree, one.path[1:] if one.path[0] == MEASURED else one.path
+    for column in columns:
+        at, path = tree, column.path[1:] if column.path[0] == MEASURED else column.path
         for part in path[:-1]:
             at = at.setdefault(part, {})
-        at[path[-1]] = one
+        at[path[-1]] = column
     return tree
 
 

@@ -69,8 +69,8 @@ def _after_fork() -> None:
 def _in_child() -> None:
     machines = list(_held)
     _after_fork()
-    for one in machines:
-        one.renew_threads()
+    for machine in machines:
+        machine.renew_threads()
 
 
 os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_in_child)

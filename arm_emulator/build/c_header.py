@@ -193,8 +193,8 @@ def _dtype_of(ffi: FFI, kind: Any) -> np.dtype[Any]:
         fields = dict(kind.fields)
         return np.dtype({
             "names": list(fields),
-            "formats": [_dtype(ffi, one.type) for one in fields.values()],
-            "offsets": [one.offset for one in fields.values()],
+            "formats": [_dtype(ffi, value.type) for value in fields.values()],
+            "offsets": [value.offset for value in fields.values()],
             "itemsize": ffi.sizeof(kind),
         })  # fmt: skip
     size = ffi.sizeof(kind)
@@ -308,7 +308,7 @@ def _parsed(text: _Text) -> dict[str, Any]:
         if one.arg and one.arg != "_includes"
     }
     names = parts.get("_globals", ())[::2]  # an opcode, of which the last byte is the kind
-    parts["functions"] = tuple(one[4:].decode() for one in names if one[3] == OP_DLOPEN_FUNC)
+    parts["functions"] = tuple(name[4:].decode() for name in names if name[3] == OP_DLOPEN_FUNC)
     return parts
 
 

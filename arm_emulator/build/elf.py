@@ -65,7 +65,11 @@ def written_memory(content: bytes) -> list[tuple[int, int]]:
     if any(kind == THREADS for kind, *_ in segments):
         return []
     # Memory that the loader has relocated is read only afterwards, in whole pages.
-    fixed = [(one[3], (one[3] + one[6]) // PAGE * PAGE) for one in segments if one[0] == READ_ONLY]
+    fixed = [
+        (segment[3], (segment[3] + segment[6]) // PAGE * PAGE)
+        for segment in segments
+        if segment[0] == READ_ONLY
+    ]
     found = []
     for kind, flags, _, begin, _, _, size, _ in segments:
         if kind == LOADED and flags & WRITABLE:

@@ -82,8 +82,8 @@ def _app(commands: Iterable[Command]) -> App:
         help_formatter=DefaultFormatter(panel_spec=PanelSpec(box=FRAMELESS, padding=(0, 0))),
         default_parameter=DEFAULTS,
     )
-    for one in commands:
-        app.command(_with_json(one.function), name=one.name)
+    for command in commands:
+        app.command(_with_json(command.function), name=command.name)
     return app
 
 

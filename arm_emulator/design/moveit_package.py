@@ -203,8 +203,8 @@ def _package_xml(package: str, scene: str) -> str:
     ET.SubElement(root, "maintainer", email="arm_emulator@example.org").text = "its user"
     ET.SubElement(root, "license").text = "Apache-2.0"
     ET.SubElement(root, "buildtool_depend").text = "ament_cmake"
-    for one in RUNS:
-        ET.SubElement(root, "exec_depend").text = one
+    for run in RUNS:
+        ET.SubElement(root, "exec_depend").text = run
     ET.SubElement(ET.SubElement(root, "export"), "build_type").text = "ament_cmake"
     ET.indent(root)
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"

@@ -196,11 +196,11 @@ def _by_joint(section: str, joints: Mapping[str, JointServo | DriveParameters]) 
     for name, joint in joints.items():
         if not dotted:
             lines.append(f"      {_text(name)}:")
-        for one in fields(joint):
-            value = getattr(joint, one.name)
-            if one.name != "name" and value != one.default:
-                path = _text(f"{section}.{name}.{one.name}")
-                key = f"    {path}" if dotted else f"        {one.name}"
+        for field in fields(joint):
+            value = getattr(joint, field.name)
+            if field.name != "name" and value != field.default:
+                path = _text(f"{section}.{name}.{field.name}")
+                key = f"    {path}" if dotted else f"        {field.name}"
                 lines.append(f"{key}: {value!r}")
     return lines
 

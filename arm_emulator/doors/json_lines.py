@@ -91,7 +91,7 @@ class JsonLinesServer:
     def greeting(self) -> bytes:
         """Return the line with which a client is met: what the scene has, in its units."""
         scene = self._session.scene
-        units = {one.name: units_of(scene, one) for one in self._outputs}
+        units = {output.name: units_of(scene, output) for output in self._outputs}
         return _line({
             "scene": scene.name, "joints": scene.joint_names, "period": scene.servo_period,
             "command": [joint.unit for joint in scene.joints], "inputs": self._inputs,
@@ -159,7 +159,7 @@ class JsonLinesServer:
         session = self._session
         with session.turn:
             measured = session.measured
-            rows = {one.name: measured.place(one).tolist() for one in self._outputs}
+            rows = {output.name: measured.place(output).tolist() for output in self._outputs}
             state = {"tick": session.tick, "power": session.powered}
             return _line({**state, "stopped": session.fault is not None, **rows})
 

@@ -53,8 +53,12 @@ class Datagrams:
         self.inputs = further_inputs(scene)
         N, M = len(scene.joints), len(scene.imus)
         rows = [
-            (one.name, "<f8" if one.kind == "number" else "<i8", (M, AXES) if one.per_unit else N)
-            for one in self.outputs
+            (
+                output.name,
+                "<f8" if output.kind == "number" else "<i8",
+                (M, AXES) if output.per_unit else N,
+            )
+            for output in self.outputs
         ]
         head = [("layout", "<u8"), ("tick", "<i8")]
         self.command = np.dtype(
@@ -205,8 +209,8 @@ class UdpServer:
             record["tick"] = session.tick
             record["status"] = POWERED * session.powered | STOPPED * (session.fault is not None)
             measured: Measured = session.measured
-            for one in self.datagrams.outputs:
-                record[one.name] = measured.place(one)
+            for output in self.datagrams.outputs:
+                record[output.name] = measured.place(output)
             return record.tobytes()
 
     def _report_ticks(self) -> None:

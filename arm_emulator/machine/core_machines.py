@@ -325,11 +325,11 @@ class FleetArguments:
         given = by_joint(command, self._scene, where)
         if given is not command:
             columns = [bound.numbers(where, one) for one in given]  # type: ignore[attr-defined]
-            if any(one.shape not in ((), (self._count,)) for one in columns):
-                shapes = [one.shape for one in columns]
+            if any(column.shape not in ((), (self._count,)) for column in columns):
+                shapes = [column.shape for column in columns]
                 rule = f"have shape () or ({self._count},) for each joint"
                 raise Refusal(where, bound.name, rule, shapes)
-            given = np.column_stack([np.broadcast_to(one, self._count) for one in columns])
+            given = np.column_stack([np.broadcast_to(column, self._count) for column in columns])
         return self.rows(given, None, where, bound)
 
     def rows(self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number) -> Array:

@@ -91,5 +91,5 @@ def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
     for place, one in enumerate(scene.chain.links):
         if isinstance(link, str) and link in one.links:
             return place, one.links[link]
-    known = [name for one in scene.chain.links for name in one.links]
+    known = [name for link in scene.chain.links for name in link.links]
     raise Refusal(where, "link", "be one that moves", link, ", ".join(known))

@@ -66,7 +66,7 @@ class FirmwareLoop:
 
     def save(self) -> tuple[Any, ...]:
         """Return targets and commands as they are now, for `restore` of this loop."""
-        commands = tuple(bytes(one) for one in self._commands())
+        commands = tuple(bytes(command) for command in self._commands())
         return self._row_tick, self._rows, int(self.pointer.row), commands
 
     def restore(self, saved: tuple[Any, ...]) -> None:

@@ -16,13 +16,13 @@ from arm_emulator.machine.scene import Scene
 
 def further_inputs(scene: Scene) -> tuple[str, ...]:
     """Return the names of motors' further inputs, a row each in arm.h."""
-    found = (one.name for joint in scene.joints for one in joint.inputs[1:])
+    found = (input.name for joint in scene.joints for input in joint.inputs[1:])
     return tuple(dict.fromkeys(found))
 
 
 def input_at(joint: Joint, name: str) -> Input | None:
     """Return a further input of a joint's motor; None: it has none of that name."""
-    return next((one for one in joint.inputs[1:] if one.name == name), None)
+    return next((input for input in joint.inputs[1:] if input.name == name), None)
 
 
 def input_units(scene: Scene, name: str) -> tuple[str, ...]:

@@ -95,13 +95,13 @@ class LinkDynamics:
         # The control code of one arm hands over rows, each period: those are taken at once.
         usual: list[Array] = []
         numbers: list[float] = []
-        for one in given.values():
-            if not isinstance(one, np.ndarray) or one.dtype is not _FLOAT:
+        for value in given.values():
+            if not isinstance(value, np.ndarray) or value.dtype is not _FLOAT:
                 break
-            if one.shape != self._row or one.strides != _CLOSE:
+            if value.shape != self._row or value.strides != _CLOSE:
                 break
-            usual.append(one)
-            numbers += one.tolist()
+            usual.append(value)
+            numbers += value.tolist()
         else:
             if math.hypot(*numbers) <= POSITION.most:  # the narrowest bound
                 return usual

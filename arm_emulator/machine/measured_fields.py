@@ -34,7 +34,7 @@ class MeasuredFields:
 
     def __init__(self, scene: Scene, types: Mapping[str, str]) -> None:
         self.in_all = tuple(one.name for one in ALWAYS if one.name in types)
-        further = [one for one in reported_by_parts(scene) if one.name not in self.in_all]
+        further = [part for part in reported_by_parts(scene) if part.name not in self.in_all]
         self.own: tuple[Output, ...] = tuple(one for one in further if one.name in types)
         self.listed = tuple(one.name for one in further if one.name not in types)
         self._names = (*self.in_all, *(one.name for one in self.own))

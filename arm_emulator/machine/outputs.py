@@ -83,11 +83,13 @@ def outputs_of(scene: Scene) -> tuple[Output, ...]:
             rule = "be declared by its class, with a place in arm.h as its symbol"
             got, valid = repr(one.symbol), ", ".join(sorted(SYMBOLS))
             raise Refusal(scene.where, f"output {one.name}", rule, got, valid)
-    return tuple(one for one in KNOWN.values() if one in there)
+    return tuple(value for value in KNOWN.values() if value in there)
 
 
 def _reported(scene: Scene) -> set[Output]:
-    parts = (part for one in scene.joints for part in (*one.parts, *one.sensors.parts.values()))
+    parts = (
+        part for joint in scene.joints for part in (*joint.parts, *joint.sensors.parts.values())
+    )
     of_units = (output for unit in scene.imus for output in unit.outputs)
     return {*of_units, *(output for part in parts for output in part.reports)}
 

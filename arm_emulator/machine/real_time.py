@@ -106,7 +106,7 @@ class RealTimeLoop(Clock, Synchronized):
         figures = REAL_TIME.new("arm_real_time_figures")
         self._calls.arm_real_time_get_figures(self.handle, figures)
         return RealTimeFigures(
-            **{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)}
+            **{field.name: getattr(figures, field.name) for field in fields(RealTimeFigures)}
         )
 
     def begin(self) -> None:

@@ -101,8 +101,8 @@ class Scene(ArrayEquality, SharedObject):
     @property
     def sensed(self) -> bool:
         """Whether it has sensors with errors."""
-        sensors = {one.section for one in SENSOR_PARTS}
-        spoiled = any(not sensors.isdisjoint(one.kind.sections) for one in self.faults)
+        sensors = {part.section for part in SENSOR_PARTS}
+        spoiled = any(not sensors.isdisjoint(fault.kind.sections) for fault in self.faults)
         return bool(self.imus) or spoiled or not all(joint.sensors.plain for joint in self.joints)
 
     @property
@@ -143,7 +143,7 @@ class Scene(ArrayEquality, SharedObject):
     def warnings(self) -> list[str]:
         """Warnings about this scene, one line each."""
         now = self.integrator
-        sticking = [one.name for one in self.joints if any(part.sticks for part in one.parts)]
+        sticking = [joint.name for joint in self.joints if any(part.sticks for part in joint.parts)]
         if not sticking or now.events == "located" or now.scheme not in LOCATING_SCHEMES:
             return []
         names = ", ".join(sticking)
@@ -221,7 +221,7 @@ def _build(root: Section, file: Path) -> Scene:
         possible = fault_catalogue(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
-    varied += tuple(one.varied for one in faults)
+    varied += tuple(fault.varied for fault in faults)
     scene = Scene(
         name=name,
         where=where,
@@ -282,7 +282,7 @@ def _varied_load(
     Raises:
         Refusal: they change the link that carries it, too.
     """
-    changed = {change.number: one.name for one in faults for change in one.changes}
+    changed = {change.number: fault.name for fault in faults for change in fault.changes}
     changed |= {one.name: one.name for one in varied}
     load = links.load() if MASS_NAME in changed else None
     if load is None:

@@ -182,8 +182,8 @@ def _readings(scene: Scene) -> str:
     if not rows:
         return "  static constexpr int readings = 0;\n"
     lines = ",\n".join(
-        f"      {{{', '.join(map(c_string, (one.name, one.unit, one.unit_at('prismatic'))))}}}"
-        for one in rows
+        f"      {{{', '.join(map(c_string, (row.name, row.unit, row.unit_at('prismatic'))))}}}"
+        for row in rows
     )
     return f"""\
   static constexpr int readings = {len(rows)};

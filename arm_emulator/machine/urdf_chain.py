@@ -115,7 +115,7 @@ def _all_of(faults: list[Refusal], where: str) -> Refusal:
     if len(faults) == 1:
         one = faults[0]
         return Refusal(where, one.quantity, one.rule, one.got, way_out)
-    causes = "; ".join(f"{one.quantity} {one.got}" for one in faults)
+    causes = "; ".join(f"{fault.quantity} {fault.got}" for fault in faults)
     rule = "have mass and inertia"
     return Refusal(where, f"bodies of {len(faults)} joints", rule, causes, f"{way_out}: {causes}")
 

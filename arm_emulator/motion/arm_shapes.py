@@ -67,7 +67,7 @@ class CollisionShapes(SharedObject):
         self.moved_by = [frozenset(numbers) & {*way} for way in self.model.supports]
         """The joints commanded that move each of the model's joints."""
         shapes = self.hulls.geometryObjects
-        leads = [[self._lead(one, shape) for one in numbers] for shape in shapes]
+        leads = [[self._lead(number, shape) for number in numbers] for shape in shapes]
         self.leads = np.reshape(np.array(leads, dtype=float), (len(shapes), len(numbers)))
         """Largest travel of each shape per joint (shapes, joints) [m/rad, m/m]."""
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])

@@ -163,7 +163,7 @@ def path_goal(
     kinematics = _known(controller, "tool_path")
     turning = kinematics.turns_tool
     # A free orientation must not take time.
-    level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
+    level = [pose if turning else Pose(pose.p_WT, np.eye(3)) for pose in poses]
     limits, arcs, blend = tool_limits(config), config.path_arcs, config.path_blend
     return PathGoal(ToolPath(level, limits, stamp_ns, times_ns, arcs, blend))
 

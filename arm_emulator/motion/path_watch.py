@@ -30,7 +30,7 @@ class PathMonitor:
 
     def __init__(self, kinematics: Kinematics, poses: Sequence[Pose], tolerance: float) -> None:
         self._kinematics, self._tolerance = kinematics, tolerance
-        self._poses = np.array([one.p_WT for one in poses])
+        self._poses = np.array([pose.p_WT for pose in poses])
         self._way: deque[Array] = deque(maxlen=_LATE)
         self._before: Array | None = None
         self._passed = np.full(len(poses), np.inf)  # by the reference

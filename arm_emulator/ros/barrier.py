@@ -128,8 +128,8 @@ def set_singly(callback: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def set_each(request: SetParameters.Request, response: SetParameters.Response) -> Any:
-        for one in request.parameters:
-            only = SetParameters.Request(parameters=[one])
+        for parameter in request.parameters:
+            only = SetParameters.Request(parameters=[parameter])
             response.results.extend(callback(only, SetParameters.Response()).results)
         return response
 

@@ -104,7 +104,7 @@ class CausalReplay:
     def __init__(self, bag: Bag, name: str, node: NetworkClient) -> None:
         self._bag, self._name, self._node, self._topics = bag, name, node, NODES[name]
         self._where = str(bag.path)
-        ends = [one for one in bag.topics if one.endswith("/joint_targets")]
+        ends = [topic for topic in bag.topics if topic.endswith("/joint_targets")]
         if len(ends) != 1:
             got = ", ".join(ends or sorted(bag.topics)) or "no topics"
             valid = "bags of `record`, and of `up --record` of this version"

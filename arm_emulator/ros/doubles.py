@@ -148,7 +148,7 @@ class DuplicateNodes:
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
         full = self._node.resolve_topic_name(sign)
-        own = sum(one.topic_name == full for one in self._node.publishers)
+        own = sum(publisher.topic_name == full for publisher in self._node.publishers)
 
         def waits() -> bool:
             listened = time.monotonic() - self._made_at
@@ -228,7 +228,7 @@ class DuplicateNodes:
 
     def _report(self) -> None:
         self._diagnostics.doubles = (
-            {f"another {self._kind}": "; ".join(one.words for one in self._known.values())}
+            {f"another {self._kind}": "; ".join(value.words for value in self._known.values())}
             if self._known and self._works
             else {}
         )

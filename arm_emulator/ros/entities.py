@@ -32,7 +32,9 @@ class Entities:
         self.subscriptions: list[Any] = [*node.subscriptions]
         self.timers: list[Any] = [*node.timers]
         self.services: list[Any] = [
-            one for one in node.services if not inspect.iscoroutinefunction(one.callback)
+            service
+            for service in node.services
+            if not inspect.iscoroutinefunction(service.callback)
         ]
         self._of: Context = node.context
         self.context: Any = node.context.handle

@@ -129,7 +129,9 @@ class LeanExecutor:
     def _serve_beside(self, arrivals: Arrivals, entities: Entities, until: float) -> None:
         """Wait for everything else while messages are taken in C."""
         generation = self._generation
-        others = [one for one in entities.subscriptions if one not in arrivals]
+        others = [
+            subscription for subscription in entities.subscriptions if subscription not in arrivals
+        ]
         beside = getattr(self._hot, "beside", ())
         while time.monotonic() < until and generation == self._generation:
             open_ = arrivals.open()

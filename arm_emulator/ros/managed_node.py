@@ -66,8 +66,8 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         # rclpy's own callback fails at a transition that the state does not have.
         self._service_change_state.callback = self._on_change_state
-        for one in self.services:  # of rclpy, made without `create_service`
-            one.callback = guard(self, one.srv_name, one.callback, refuse_request)
+        for service in self.services:  # of rclpy, made without `create_service`
+            service.callback = guard(self, service.srv_name, service.callback, refuse_request)
         self.settable: set[str] = set()
         self.cleanup = ExitStack()
         self._before: list[Any] = []  # entities of the constructor

@@ -152,7 +152,7 @@ class NetworkUnderTest:
         """
         if not (math.isfinite(seconds) and seconds > 0.0):
             raise Refusal("testing.network", "seconds", "be > 0 and finite", seconds)
-        point = JointTrajectoryPoint(positions=[float(one) for one in angles.values()])
+        point = JointTrajectoryPoint(positions=[float(value) for value in angles.values()])
         whole = round(seconds * NANOSECONDS)
         point.time_from_start.sec, point.time_from_start.nanosec = divmod(whole, NANOSECONDS)
         message = JointTrajectory(joint_names=list(angles), points=[point])

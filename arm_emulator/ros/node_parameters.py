@@ -90,7 +90,11 @@ def accept_changes(
     """
 
     def changes(parameters: list[RosParameter]) -> dict[str, Any]:
-        own = (one for one in parameters if one.name.split(".")[0] not in ROS_PARAMETERS)
+        own = (
+            parameter
+            for parameter in parameters
+            if parameter.name.split(".")[0] not in ROS_PARAMETERS
+        )
         return {one.name: one.value for one in own}
 
     def check(parameters: list[RosParameter]) -> SetParametersResult:

@@ -196,7 +196,9 @@ class _Recorder(Node):
             publishers = [
                 one for one in self.get_publishers_info_by_topic(name) if one.topic_type == types[0]
             ]
-            others = [one for one in publishers if one.node_name != self.get_name()]
+            others = [
+                publisher for publisher in publishers if publisher.node_name != self.get_name()
+            ]
             if others:
                 self._known.add(name)
                 self._take_up(name, types[0], others)
@@ -207,7 +209,7 @@ class _Recorder(Node):
         except Refusal as reason:
             print(f"{name} is not recorded: {reason}", flush=True)
             return
-        offered = tuple(one.qos_profile for one in publishers)
+        offered = tuple(publisher.qos_profile for publisher in publishers)
         number = self._bag.add_topic(
             Topic(name, kind, definition_of(kind), offered, str(publishers[0].topic_type_hash))
         )

@@ -109,7 +109,9 @@ class Recorders:
 
     def room(self) -> int:
         """Return how many ticks behind tick 0 may be left before `behind` names a recorder."""
-        waited_for = [one.written for one in self._known.values() if one.written and not one.let_go]
+        waited_for = [
+            value.written for value in self._known.values() if value.written and not value.let_go
+        ]
         return max(0, min(waited_for) + AHEAD - self.published + 1) if waited_for else FAR
 
     def without_room(self, depth: int) -> str:

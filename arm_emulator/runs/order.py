@@ -115,8 +115,8 @@ class ScaleGains(Order):
             raise Refusal("order", "factor of gains", "be finite and above 0", self.factor)
         config = run.drives.servo.config
         joints = tuple(
-            dataclasses.replace(one, position_gain=self.factor * one.position_gain)
-            for one in config.joints
+            dataclasses.replace(joint, position_gain=self.factor * joint.position_gain)
+            for joint in config.joints
         )
         run.drives.retune(dataclasses.replace(config, joints=joints))
 
@@ -185,7 +185,7 @@ def of_data(where: str, data: Any, further: Sequence[type[Order]] = ()) -> Order
     if kind is None:
         raise Refusal(where, "order", "be of a known kind", data, ", ".join(known))
     given = {name: value for name, value in data.items() if name != "kind"}
-    fields = {one.name: str(one.type) for one in dataclasses.fields(kind)}
+    fields = {field.name: str(field.type) for field in dataclasses.fields(kind)}
     if given.keys() != fields.keys():
         raise Refusal(where, f"order {kind.kind}", f"have {', '.join(fields)}", ", ".join(given))
     taken = {name: _value(where, name, fields[name], value) for name, value in given.items()}

@@ -135,7 +135,7 @@ class Recording(NonCopyable):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all quantities as columns (K,): ``q.elbow``, ``measured.current.elbow``."""
-        return {one.name: one.of(self._rows) for one in self._columns}
+        return {column.name: column.of(self._rows) for column in self._columns}
 
     def table(self) -> Any:
         """Return the columns as a table of Arrow, with units (pyarrow must be installed)."""

@@ -151,7 +151,7 @@ class ServoFleet(FleetControl):
         self._rows = tuple(rows)
         self.struct.since = NULL
         of_arms = rows[0].ndim == 3
-        places = [NULL if one is None else pointer(one) for one in rows]
+        places = [NULL if row is None else pointer(row) for row in rows]
         SERVOS.fill(
             self.struct,
             rows=len(rows[0]),

@@ -197,7 +197,7 @@ class Timeline(NonCopyable, Generic[R]):
         other: Timeline[R] = Timeline.__new__(Timeline)
         other.run, other.every, other.parent = self.run, self.every, self
         other.begins = other.tick = other.newest = self.tick
-        other.changes = [one for one in self.changes if one.tick <= self.tick]
+        other.changes = [change for change in self.changes if change.tick <= self.tick]
         other._checkpoints = [one for one in self._checkpoints if one.tick <= self.tick]
         other._place = self._place
         return other

@@ -12,7 +12,7 @@ from arm_emulator.machine.urdf_file import example_robot_data
 def view_of(scene: Scene) -> dict[str, Any]:
     """Return what `RerunStream` gets of a scene."""
     robots = example_robot_data()
-    shown = [one for one in reported_by_parts(scene) if not one.per_unit]
+    shown = [part for part in reported_by_parts(scene) if not part.per_unit]
     return {
         "urdf_xml": scene.urdf,
         "joint_names": scene.joint_names,

@@ -74,7 +74,7 @@ class RerunBatches:
         self._shafts = shafts
         self._further = further
         self._quantities = (*QUANTITIES, *further)
-        self._links = [tree.root_link().name, *(one.child_link for one in tree.joints())]
+        self._links = [tree.root_link().name, *(joint.child_link for joint in tree.joints())]
         if tool not in (None, *self._links):
             valid = ", ".join(sorted(self._links))
             raise Refusal("URDF", "tool", "be a link of it", tool, valid)

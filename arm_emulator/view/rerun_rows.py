@@ -38,12 +38,14 @@ class RerunRows:
         self._stream = RerunStream(**view, **place, targets=False)
         self._angle_per_count = angle_per_count
         self._columns: dict[str, list[Column]] = {}
-        for one in columns:
-            self._columns.setdefault(".".join(one.path[:-1]), []).append(one)
+        for column in columns:
+            self._columns.setdefault(".".join(column.path[:-1]), []).append(column)
         self._further = list(view["further"])
 
     def _of(self, rows: Rows, group: str) -> NDArray[np.float64]:
-        return np.column_stack([one.of(rows) for one in self._columns[group]]).astype(np.float64)
+        return np.column_stack([column.of(rows) for column in self._columns[group]]).astype(
+            np.float64
+        )
 
     def show(self, rows: Rows) -> None:
         """Show rows (K,)."""

@@ -27,5 +27,5 @@ def real_time_ticks_unit() -> Unit:
 
 def _unit(name: str, header: Header, about: str) -> Unit:
     parts = ("messages", "message_reader", "motor_commands", "tick", "answers", name)
-    source = "".join(f'#include "{one}.c"\n' for one in parts)
+    source = "".join(f'#include "{part}.c"\n' for part in parts)
     return Unit(name, source, C_FLAGS, FOLDERS, (header,), "emulator", about, f"{name}.c")

@@ -19,7 +19,7 @@ from arm_emulator import Plant, Refusal, load_scene
 
 KEPT = Path(__file__).with_suffix(".json")
 LINES = ("command_late", "command_lost")
-SCENE = load_scene("three_axis", overrides={"faults": [f"elbow.{one}" for one in LINES]})
+SCENE = load_scene("three_axis", overrides={"faults": [f"elbow.{line}" for line in LINES]})
 JOINTS = list(SCENE.joint_names)
 ELBOW = JOINTS.index("elbow")
 VOLT = SCENE.supply_voltage / 4.0

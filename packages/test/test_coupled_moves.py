@@ -157,7 +157,7 @@ def test_position_limits_of_drives_keep_the_joints_within_theirs(machine: Machin
     """The software limits of CiA 402."""
     scene, C = machine.scene, machine.truth.C
     drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
-    per_count = 2.0 * np.pi * scene.gear_ratios / [one.counts_per_turn for one in scene.joints]
+    per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
     N = len(scene.joints)
     ends = np.array([[drives.read(j, 0x607D, sub) for j in range(N)] for sub in (1, 2)])
     shafts = ends * per_count
@@ -187,7 +187,7 @@ def test_targets_of_drives_are_those_of_shafts(machine: Machine) -> None:
     """
     scene = machine.scene
     drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
-    per_count = 2.0 * np.pi * scene.gear_ratios / [one.counts_per_turn for one in scene.joints]
+    per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
     joints = range(len(scene.joints))
     enable(drives, CSP)
     drives.period(500)
@@ -218,7 +218,7 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
     segment.boot()
     canopen_master.enable(segment, CSP)
     N = len(scene.joints)
-    per_count = 2.0 * np.pi * scene.gear_ratios / [one.counts_per_turn for one in scene.joints]
+    per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
     begun = np.array([drives.read(j, 0x6064) for j in range(N)])
     ends = np.sort([[drives.read(j, 0x607D, sub) for j in range(N)] for sub in (1, 2)], axis=0)
     way = np.clip(begun + rng.choice([-0.06, 0.06], N) / per_count, *ends) - begun

@@ -275,7 +275,7 @@ def test_registers_have_them_behind_the_commands(scene: Scene) -> None:
 
 def test_units_of_fmus_have_them(scene: Scene) -> None:
     """`test_fmu.py` sets them and compares the motion bit by bit."""
-    by_name = {one.name: one for one in variables(scene)}
+    by_name = {variable.name: variable for variable in variables(scene)}
     command, further = by_name[("command",)], by_name[("command_d",)]
     assert command.units == ("V", "A", "N m") and further.units == ("V", "V", "V")
     assert further.role == "input" and "along each rotor's flux" in further.description

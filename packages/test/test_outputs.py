@@ -54,7 +54,7 @@ PMSM = {
 }  # fmt: skip
 
 # A joint has one motor: outputs of other kinds stand where this machine has one, too.
-OTHERS = {one for kind in MOTORS if kind.kind != PMSM["kind"] for one in kind.outputs}
+OTHERS = {output for kind in MOTORS if kind.kind != PMSM["kind"] for output in kind.outputs}
 HERE = {name: one for name, one in KNOWN.items() if one not in OTHERS}
 
 
@@ -100,7 +100,7 @@ def plant(scene: Scene) -> Plant:
 
 def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> None:
     assert {one.name for one in outputs_of(scene)} == set(HERE)
-    assert {one.symbol for one in OTHERS} <= {one.symbol for one in HERE.values()}
+    assert {one.symbol for one in OTHERS} <= {value.symbol for value in HERE.values()}
 
 
 # Units at joints that turn and that slide, written down apart from the declarations. "" of counts,
@@ -141,7 +141,9 @@ INPUTS = {
 def test_outputs_and_inputs_have_the_units_of_the_table() -> None:
     kinds = ("revolute", "prismatic")
     assert {name: tuple(map(one.unit_at, kinds)) for name, one in KNOWN.items()} == UNITS
-    assert {(kind.kind, one.name): one.unit for kind in MOTORS for one in kind.inputs} == INPUTS
+    assert {
+        (kind.kind, input.name): input.unit for kind in MOTORS for input in kind.inputs
+    } == INPUTS
 
 
 def test_symbols_are_those_of_the_header() -> None:
@@ -201,7 +203,7 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
 
 
 def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
-    shown = {one.name[0] for one in variables(scene) if one.role == "output"}
+    shown = {variable.name[0] for variable in variables(scene) if variable.role == "output"}
     assert set(HERE) | {"powered", "truth"} == shown
 
 
@@ -209,7 +211,9 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
     types = MotorState.get_fields_and_field_types()
     fields, measured = MeasuredFields(scene, types), plant.measured
     own = [one.name for one in fields.own]
-    assert {*fields.in_all, *own, *fields.listed} >= {one.name for one in reported_by_parts(scene)}
+    assert {*fields.in_all, *own, *fields.listed} >= {
+        part.name for part in reported_by_parts(scene)
+    }
     assert not fields.absent
     empty = MotorState()
     fields.begin(empty, Plant(scene).measured)
@@ -241,7 +245,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
         for one in dict.fromkeys((*ALWAYS, *HERE.values()))
         for unit in (range(units) if one.per_unit else (...,))
     ]
-    assert len(rows) == len(names), [one.name for one in rows]
+    assert len(rows) == len(names), [row.name for row in rows]
     at = 1003
     for (name, unit), block in zip(names, rows, strict=True):
         assert block.address == at, name
@@ -302,8 +306,8 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
     plant = Plant(scene)
     plant.reset([2.0 * np.pi - 1e-3, 2.001])  # before a turn of the link, and 2 m
     drives = Drives(plant, servo, CANOPEN)
-    entries = {(one.index, one.sub): one for one in drives.entries}
-    assert len({index_of(one) for one in KNOWN.values()}) == len(KNOWN), "an object each"
+    entries = {(entry.index, entry.sub): entry for entry in drives.entries}
+    assert len({index_of(value) for value in KNOWN.values()}) == len(KNOWN), "an object each"
     changed = dict.fromkeys(HERE, 0)
     further = [joint.inputs[1:] for joint in scene.joints]
     for tick in range(160):
@@ -351,11 +355,11 @@ def test_drives_refuse_values_that_no_object_can_carry(scene: Scene) -> None:
         places(scene, 1)
     file = find_scene("three_axis")
     drives = Drives(Plant(load_scene(file)), load_gains(file).servo, CANOPEN)
-    for one in scene.joints[0].inputs[1:]:
-        drives.give(0, index_of(one), 0.0)
+    for input in scene.joints[0].inputs[1:]:
+        drives.give(0, index_of(input), 0.0)
         for value in (1.0, np.nan, np.inf):
             with pytest.raises(Aborted, match="06090030"):
-                drives.give(0, index_of(one), value)
+                drives.give(0, index_of(input), value)
 
 
 def test_tables_of_the_site_have_all_of_them() -> None:
@@ -363,11 +367,11 @@ def test_tables_of_the_site_have_all_of_them() -> None:
     rows = tables.outputs("")
     assert all(f"| `{name}` |" in rows for name in KNOWN)
     rows = tables.inputs("")
-    assert all(f"| `{one.name}` |" in rows for kind in MOTORS for one in kind.inputs)
+    assert all(f"| `{input.name}` |" in rows for kind in MOTORS for input in kind.inputs)
     rows = tables.sensors("")
-    for one in SENSOR_PARTS:
-        assert "| `imus` |" in rows if one.owners == "imus" else one.section in rows, one.section
+    for part in SENSOR_PARTS:
+        assert "| `imus` |" in rows if part.owners == "imus" else part.section in rows, part.section
     rows = tables.parts("../reference/scene.md")
     for page in re.findall(r"\]\((\S+)\)", rows):
         assert (DOCS / "concepts" / page).is_file(), page
-    assert all(f"`{one.section}`" in rows for one in PARTS if one not in MOTORS)
+    assert all(f"`{part.section}`" in rows for part in PARTS if part not in MOTORS)

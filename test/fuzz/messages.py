@@ -80,7 +80,7 @@ def send(
         )
         for topic in TOPICS
     }
-    heard = [one.get_subscription_count for one in publishers.values()]
+    heard = [value.get_subscription_count for value in publishers.values()]
     user.wait("receivers of every topic", lambda: all(count() for count in heard))
     silence = Silence(user, nodes)
     topics = itertools.cycle(TOPICS)

@@ -479,8 +479,8 @@ class Managed:
         return result.result()
 
     def close(self) -> None:
-        for one in self._clients:
-            one.destroy()
+        for client in self._clients:
+            client.destroy()
         self.process.terminate()
         assert self.process.wait(60.0) == 0
 

@@ -176,10 +176,10 @@ def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
     figures = ModeLoops(scene, servo).figures
     for alike in (True, False):
         of_rows: dict[tuple[int, str], list[LoopFigure]] = {}
-        for one in figures:
-            if one.alike is alike:
-                key = -1 if alike else one.joint, one.loop.value
-                of_rows.setdefault(key, []).append(one)
+        for figure in figures:
+            if figure.alike is alike:
+                key = -1 if alike else figure.joint, figure.loop.value
+                of_rows.setdefault(key, []).append(figure)
         for (j, loop), pair in sorted(of_rows.items(), key=lambda item: item[0][0]):
             name = "all" if alike else scene.joint_names[j]
             rows.append((name, loop, *_cells(pair)))
@@ -190,17 +190,17 @@ def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
     """Return the same for programs, a row for each loop with brakes open or closed."""
     return [
         {
-            "joint": "all" if one.alike else scene.joint_names[one.joint],
-            "loop": one.loop.value,
-            "braked": one.braked,
-            "radius": one.radius,
-            "swing": one.swing,
-            "frequency": one.frequency,
-            "growth": one.beyond,
-            "gain": one.gain,
-            "holds": one.holds,
+            "joint": "all" if figure.alike else scene.joint_names[figure.joint],
+            "loop": figure.loop.value,
+            "braked": figure.braked,
+            "radius": figure.radius,
+            "swing": figure.swing,
+            "frequency": figure.frequency,
+            "growth": figure.beyond,
+            "gain": figure.gain,
+            "holds": figure.holds,
         }
-        for one in ModeLoops(scene, servo).figures
+        for figure in ModeLoops(scene, servo).figures
     ]
 
 

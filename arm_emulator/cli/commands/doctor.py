@@ -103,7 +103,7 @@ def findings() -> Iterator[Finding]:
 def imports() -> Iterator[Finding]:
     """Yield what can be imported; a process of its own tries, as a broken package may end it."""
     modules = (*NEEDED, *EXTRAS)
-    there = [one for one in modules if importlib.util.find_spec(one) is not None]
+    there = [module for module in modules if importlib.util.find_spec(module) is not None]
     command = [sys.executable, "-P", "-m", "arm_emulator.base.import_trial", *there]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
@@ -213,7 +213,7 @@ def _network() -> Finding:
     nodes = f"{count} other node{'' if count == 1 else 's'} in the domain"
     if not faults:
         return Finding("network", "ok", nodes)
-    texts = [one.text for one in faults[:MOST_FAULTS]]
+    texts = [fault.text for fault in faults[:MOST_FAULTS]]
     if len(faults) > len(texts):
         texts.append(f"{len(faults) - len(texts)} more")
     level = "problem" if faults[0].grave else "note"

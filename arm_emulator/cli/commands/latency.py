@@ -102,7 +102,7 @@ def latency(
         _draw(found, picture)
         output.line(str(picture))
     output.facts({"rates": facts})
-    return int(not all(one["held"] for one in facts.values()))
+    return int(not all(value["held"] for value in facts.values()))
 
 
 def _facts(one: WakeUps) -> dict[str, Any]:
@@ -295,5 +295,5 @@ def _absolute(scene: Path, urdf: str) -> str:
 
 
 def _last_line(log: Path) -> str:
-    lines = [line for one in log.glob("*.log") for line in one.read_text().splitlines() if line]
+    lines = [line for file in log.glob("*.log") for line in file.read_text().splitlines() if line]
     return lines[-1] if lines else "no reason"

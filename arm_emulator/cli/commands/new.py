@@ -59,10 +59,10 @@ def new(
             controllers into the same folder.
     """
     given = dict[str, str]()
-    for one in arguments:
-        name, sign, value = one.partition(":=")
+    for argument in arguments:
+        name, sign, value = argument.partition(":=")
         if not sign or not name:
-            raise Refusal("new", "argument", "be NAME:=VALUE", one)
+            raise Refusal("new", "argument", "be NAME:=VALUE", argument)
         given[name] = value
     written = write_new(
         robot, out, tool, joints, given, payload=payload, density=density, motor=motor, tree=tree,

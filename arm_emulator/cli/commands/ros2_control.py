@@ -45,7 +45,7 @@ def compile_drives(scene: str, machine: Scene, into: Path) -> list[Path]:
     libraries += compile_units([servo_data_unit(scene)], "native", into)
     ours = re.compile(re.escape(stem_of(machine.name)) + r"(-servo)?-[0-9a-f]+\.so")
     for file in into.iterdir():
-        if ours.fullmatch(file.name) and file.name not in {one.name for one in libraries}:
+        if ours.fullmatch(file.name) and file.name not in {library.name for library in libraries}:
             file.unlink()
     return libraries
 

@@ -174,7 +174,7 @@ def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
 
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
     period = scene.servo_period
-    span = max(6.0 / one.position_gain for tuned in pair.values() for one in tuned.loops.joints)
+    span = max(6.0 / joint.position_gain for tuned in pair.values() for joint in tuned.loops.joints)
     every = max(1, round(span / period / ROWS))
     for label, line in (("present", "--"), ("computed", "-")):
         tuned = pair[label]

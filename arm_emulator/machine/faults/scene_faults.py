@@ -78,10 +78,10 @@ def put_faults(faults: Iterable[SceneFault], places: dict[str, str]) -> None:
         faults: that the scene lists.
         places: where the values of varied numbers stand, by their name.
     """
-    for one in faults:
-        magnitude = places.get(one.varied.name)
+    for fault in faults:
+        magnitude = places.get(fault.varied.name)
         if magnitude is None:
             continue  # of a scene whose varied numbers were replaced
-        for change in one.changes:
+        for change in fault.changes:
             value = places.get(change.number) or cxx_literals.number(change.value)
             places[change.number] = f"({change.expression.format(x=value, m=magnitude)})"

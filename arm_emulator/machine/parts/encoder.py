@@ -86,7 +86,7 @@ class Encoder(Part):
         ),
         Key(
             "index",
-            range=", ".join(f"`{one}`" for one in INDICES),
+            range=", ".join(f"`{index}`" for index in INDICES),
             absent=f"`{INDICES[0]}`",
             text="what an index pulse does; of an incremental encoder",
         ),

@@ -21,7 +21,7 @@ KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 MOTORS = tuple(sorted(kinds_of(Motor), key=lambda one: not one.is_default))
 
 # Those that our servo drives, so that an arm can be sized with them.
-SIZED_MOTORS = tuple(one for one in MOTORS if one.rules)
+SIZED_MOTORS = tuple(motor for motor in MOTORS if motor.rules)
 
 
 def _by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
@@ -76,10 +76,10 @@ def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
 
 def read_gear(section: Section) -> Gear:
     """Return the gear that a section describes."""
-    kind = next(one for one in GEARS if all(map(section.has, one.named_by)))
+    kind = next(gear for gear in GEARS if all(map(section.has, gear.named_by)))
     gear = kind.read(section)
     if gear.stiffness is None:
-        for key in {key: None for one in GEARS for key in one.numbers()}:
+        for key in {key: None for gear in GEARS for key in gear.numbers()}:
             if key not in kind.numbers() and section.has(key):
                 rule = "come with a stiffness (a rigid gear has none)"
                 raise section.refusal(key, rule, "alone")
@@ -88,7 +88,7 @@ def read_gear(section: Section) -> Gear:
 
 def gear_of(**numbers: float) -> Gear:
     """Return the gear that has these numbers."""
-    return next(one for one in GEARS if set(one.named_by) <= set(numbers))(**numbers)
+    return next(gear for gear in GEARS if set(gear.named_by) <= set(numbers))(**numbers)
 
 
 def link_friction_of(**numbers: float) -> LinkFriction:

@@ -12,6 +12,6 @@ def _rank(scheme: type[Scheme]) -> tuple[bool, int, int, str]:
 
 
 # By name; the first is the default.
-KNOWN = {one.name: one for one in sorted(SCHEME_KINDS.kinds().values(), key=_rank)}
+KNOWN = {value.name: value for value in sorted(SCHEME_KINDS.kinds().values(), key=_rank)}
 SCHEMES = tuple(KNOWN)
 LOCATING_SCHEMES = tuple(name for name, one in KNOWN.items() if one.locates)

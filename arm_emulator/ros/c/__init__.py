@@ -16,7 +16,7 @@ ARRIVALS = Header(FOLDER / "arrivals.h")
 def middleware_unit() -> Unit:
     """Return middleware.h and what is beside it, to be compiled. It is loaded where librcl is."""
     parts = ("middleware.c", "arrivals.c", "bytes.c", "messages.c", "message_reader.c")
-    source = "".join(f'#include "{one}"\n' for one in parts)
+    source = "".join(f'#include "{part}"\n' for part in parts)
     about, part = "messages in C", "middleware.c"
     headers = (MESSAGES, MESSAGE_READER, MIDDLEWARE, ARRIVALS)
     return Unit("middleware", source, C_FLAGS, (FOLDER,), headers, "node", about, part)

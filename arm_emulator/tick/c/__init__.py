@@ -18,7 +18,7 @@ REAL_TIME = Header(FOLDER / "real_time.h", FOLDERS)
 def tick_unit() -> Unit:
     """Return periods, their loop and control code as what is compiled."""
     parts = ("tick.c", "answers.c", "firmware_controller.c")
-    source = "".join(f'#include "{one}"\n' for one in parts)
+    source = "".join(f'#include "{part}"\n' for part in parts)
     headers, about = (TICK, ANSWERS, FIRMWARE_CONTROLLER), "servo periods"
     return Unit("tick", source, C_FLAGS, FOLDERS, headers, "tick", about, "tick.c")
 

@@ -121,7 +121,7 @@ class Campaign:
     @property
     def draws_sections(self) -> bool:
         """Whether numbers of the file itself, or of the controller, vary."""
-        return any(one.name.split(".")[0] in DRAWN for one in self.variation.numbers)
+        return any(number.name.split(".")[0] in DRAWN for number in self.variation.numbers)
 
     @cached_property
     def nominal(self) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
@@ -165,12 +165,12 @@ class Campaign:
     def _places(self) -> dict[str, tuple[str, list[str]]]:
         """Fault and path in it of each number of faults that varies."""
         found = {}
-        for one in self.variation.numbers:
-            section, _, rest = one.name.partition(".")
+        for number in self.variation.numbers:
+            section, _, rest = number.name.partition(".")
             of = [name for name in self.nominal[1] if rest.startswith(f"{name}.")]
             if section == "faults" and of:
                 fault = max(of, key=len)
-                found[one.name] = fault, rest[len(fault) + 1 :].split(".")
+                found[number.name] = fault, rest[len(fault) + 1 :].split(".")
         return found
 
     def _with_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
@@ -216,7 +216,7 @@ def load_campaign(file: Path) -> Campaign:
     used |= _named_files(data, file.parent)
     sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
     numbers = varying_numbers(root, patterns, scene, servo, data)
-    pairs = correlated(root, [one.name for one in numbers])
+    pairs = correlated(root, [number.name for number in numbers])
     correlation = correlation_of(pairs, numbers, file.name)
     levels = Variation(numbers, "random", bytes(32), 1).levels
     count = count or (levels if levels > 1 else ALL)
@@ -274,7 +274,7 @@ def _check_keys(data: Mapping[str, Any], where: str) -> None:
 def _check_times(campaign: Campaign) -> None:
     """Refuse faults of the file that begin when no run lasts so long."""
     scenario, faults, _ = campaign.nominal
-    drawn = {one.name for one in campaign.variation.numbers}
+    drawn = {number.name for number in campaign.variation.numbers}
     for name, one in faults.items():
         if {f"faults.{name}.at", "scenario.seconds"} & drawn or one.at < scenario.seconds:
             continue
@@ -440,13 +440,15 @@ def with_gain(servo: ServoConfig, name: str, value: object, where: str) -> Servo
     of_joint = next((one for one in servo.joints if one.name == joint), None)
     numbers = {} if of_joint is None else numbers_of(type(of_joint))
     if path[:2] != ["controller", "joints"] or of_joint is None:
-        valid = ", ".join(f"controller.joints.{one}" for one in servo.joint_names)
+        valid = ", ".join(f"controller.joints.{name}" for name in servo.joint_names)
         raise Refusal(where, name, "be a number of the servo", name, valid)
     if key not in numbers:
         raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
     changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
     check_rates(changed, servo.period, f"{where}: controller")
-    return replace(servo, joints=tuple(changed if one is of_joint else one for one in servo.joints))
+    return replace(
+        servo, joints=tuple(changed if joint is of_joint else joint for joint in servo.joints)
+    )
 
 
 def with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:

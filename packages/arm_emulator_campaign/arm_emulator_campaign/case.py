@@ -49,7 +49,7 @@ def case_at(variation: Variation, index: int, z: Sequence[float] | NDArray[np.fl
 
 def case_with(variation: Variation, index: int, values: Mapping[str, float]) -> Case:
     """Return the run with some values; its noise follows from these, too."""
-    row = np.array([values[one.name] for one in variation.numbers], np.float64)
+    row = np.array([values[number.name] for number in variation.numbers], np.float64)
     digest = hashlib.sha256(variation.key + row.tobytes()).digest()
     share = int.from_bytes(digest[:8], "little") / 2.0**64
     return Case(index, dict(values), float(math.floor(share * LARGEST_SEED)))

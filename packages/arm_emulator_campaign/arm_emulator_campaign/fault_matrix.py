@@ -63,12 +63,15 @@ def fault_matrix(scene_name: str) -> list[Row]:
     run = OfflineRun(scene, gains.servo, gains.motion)
     fresh = run.session.plant.save()
     sound = _run(run, fresh, None, math.inf)
-    return [_row(run, one, sound, _run(run, fresh, one, 4.0 * sound.apart)) for one in scene.faults]
+    return [
+        _row(run, fault, sound, _run(run, fresh, fault, 4.0 * sound.apart))
+        for fault in scene.faults
+    ]
 
 
 def _with_all(file: str) -> Scene:
     """Return the scene with all faults that it can have together."""
-    names = [one.name for one in load_scene(file, {"faults": []}).possible_faults]
+    names = [fault.name for fault in load_scene(file, {"faults": []}).possible_faults]
     try:
         return load_scene(file, {"faults": names})
     except Refusal:  # the payload and a number of the link that carries it
@@ -145,7 +148,7 @@ def worst_by_kind(rows: Iterable[Row]) -> list[Row]:
 def write_csv(rows: Sequence[Row], file: Path) -> None:
     """Write all rows."""
     with file.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.DictWriter(out, [one.name for one in fields(Row)])
+        writer = csv.DictWriter(out, [field.name for field in fields(Row)])
         writer.writeheader()
         writer.writerows(map(asdict, rows))
 

@@ -83,7 +83,7 @@ class Checked:
 
     def __init__(self, section: Section, known: list[str], folder: Path) -> None:
         file, _, name = section.text("python").partition(":")
-        wanted = [str(one) for one in section.entries("signals")]
+        wanted = [str(entry) for entry in section.entries("signals")]
         self.names: list[str] = []
         import fnmatch
 
@@ -193,7 +193,7 @@ class Evaluators:
         self._of_formulas = [names.index(name) for name in formulas]
         self._of_checked = [names.index(name) for name in self._checked]
         longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, scene.servo_period))
-        if any(one.name == "scenario.seconds" for one in campaign.variation.numbers):
+        if any(number.name == "scenario.seconds" for number in campaign.variation.numbers):
             longest = 2**40
         period = scene.servo_period
         requirements = [
@@ -205,7 +205,7 @@ class Evaluators:
             ]
             for _ in range(runs)
         ]
-        kept = [rows.of(Signal(name)) for one in self._checked.values() for name in one.names]
+        kept = [rows.of(Signal(name)) for value in self._checked.values() for name in value.names]
         reduced = [(one.kind, rows.of(each)) for one in self._measures for each in one.of]
         self._program = Program(rows, requirements, reduced, kept, room)
         self._traces: list[list[Array]] = [[] for _ in range(runs)]  # for functions of Python

@@ -57,7 +57,7 @@ class BatchSimulator:
         self._judges = Evaluators(campaign, ROOM, WIDTH)  # first: its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
-        self._names = [one.name for one in campaign.variation.numbers]
+        self._names = [number.name for number in campaign.variation.numbers]
         self._numbers = {one.name: (k, one.number) for k, one in enumerate(scene.varied)}
         self._seed = self._numbers["seed"][0] if scene.sensed else None
         self._own = np.array([one.value for one in scene.varied], np.float64)
@@ -124,7 +124,7 @@ class BatchSimulator:
     def _run(self, cases: Sequence[Case], runs: Sequence[_Run]) -> Outcomes:
         self._begin(runs)
         judges, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
-        count, last = len(runs), np.array([one.bound.last for one in runs])
+        count, last = len(runs), np.array([run.bound.last for run in runs])
         judges.begin()
         sampler.begin()
         taken = np.zeros(count, np.int64)
@@ -156,9 +156,9 @@ class BatchSimulator:
         """Set arms and servos to the starts of runs; further arms begin as the last one."""
         fleet, servos = self._fleet, self._servos
         rows = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
-        every = [one.bound for one in rows]
+        every = [row.bound for row in rows]
         fleet.powered = True
-        fleet.set_parameters(np.array([one.numbers for one in rows]))
+        fleet.set_parameters(np.array([row.numbers for row in rows]))
         fleet.reset(q=np.array([one.scenario.start for one in every]))
         for arm, one in enumerate(every):
             if one.servo is not self._tuned[arm]:
@@ -175,7 +175,7 @@ class BatchSimulator:
             return
         period = self._scene.servo_period
         tables = [one.table for one in every]
-        self._targets = Targets.of([(one.ticks(period), one.q) for one in tables])
+        self._targets = Targets.of([(table.ticks(period), table.q) for table in tables])
         self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
         self._aimed = every
 

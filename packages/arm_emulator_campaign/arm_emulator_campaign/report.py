@@ -67,7 +67,7 @@ def write_report(
         summary: of these.
         findings: of a search.
     """
-    varying = [one.name for one in campaign.variation.numbers]
+    varying = [number.name for number in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     ranks = _ranks(columns, list(names))
     drawn: dict[str, bytes] = {}
@@ -238,7 +238,7 @@ def _bar(one: FailureRate, scale: float) -> str:
 def _worst(
     campaign: Campaign, columns: pictures.Columns, ranks: NDArray[np.int64]
 ) -> Iterable[str]:
-    varying = [one.name for one in campaign.variation.numbers]
+    varying = [number.name for number in campaign.variation.numbers]
     margins = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     shown = _by_influence(columns, varying, list(margins))[:5]
     units = column_units(campaign)

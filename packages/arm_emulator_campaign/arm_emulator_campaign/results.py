@@ -52,7 +52,7 @@ def column_units(campaign: Campaign) -> dict[str, str]:
     """Return the columns of results with their units, in their order."""
     if campaign.key not in _units:
         units = {INDEX: "", FAILED: "", DIVERGED: "s"}
-        units |= {one.name: one.unit for one in campaign.variation.numbers}
+        units |= {number.name: number.unit for number in campaign.variation.numbers}
         robustness, measures = judged_units(campaign)
         units |= {f"{ROBUSTNESS}{name}": unit for name, unit in robustness.items()}
         _units[campaign.key] = units | {f"{MEASURE}{name}": u for name, u in measures.items()}

@@ -147,7 +147,8 @@ def _points(section: Section, way: str) -> Array:
         return np.array([section.vector(bound)])
     points = section.entries(way)
     fits = 1 <= len(points) <= MOST_POINTS and all(
-        isinstance(one, list) and len(one) == 3 and all(map(bound.holds, one)) for one in points
+        isinstance(point, list) and len(point) == 3 and all(map(bound.holds, point))
+        for point in points
     )
     if not fits:
         rule = f"be 1 to {MOST_POINTS} points of 3 {bound.range}"

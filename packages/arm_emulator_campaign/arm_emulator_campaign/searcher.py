@@ -48,7 +48,7 @@ class Searcher:
         self._crew = crew
         self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
         self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
-        self._varying = [one.name for one in campaign.variation.numbers]
+        self._varying = [number.name for number in campaign.variation.numbers]
         self._next = 0
         columns = self._read()
         failures = failures_in(campaign, columns, 2**62)

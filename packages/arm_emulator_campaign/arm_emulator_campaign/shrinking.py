@@ -103,7 +103,7 @@ class _Tries:
     def __init__(self, campaign: Campaign, case: Case) -> None:
         self._campaign, self._case = campaign, case
         self._simulator = Simulator(campaign)
-        self._nominal = {one.name: one.nominal for one in campaign.variation.numbers}
+        self._nominal = {number.name: number.nominal for number in campaign.variation.numbers}
         self._faults = [*campaign.nominal[1]]
         self._found: dict[str, dict[str, float]] = {}
         self.runs = 0

@@ -78,7 +78,7 @@ class Samples:
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
         own = {one.name: one for one in columns_of(scene)}
         self._columns = {place: own[name] for place, name in enumerate(wanted) if name not in TOOL}
-        kinds = {one.path[0] for one in self._columns.values()}
+        kinds = {value.path[0] for value in self._columns.values()}
         self.measures, self.truth = "measured" in kinds, kinds - {"measured"}
         self._samples = np.zeros((arms, max(1, len(wanted)), room))
         self._taken = np.zeros(arms, np.int64)
@@ -181,7 +181,7 @@ class FleetSampler(Samples):
         place = MeasuredPlace(scene, count)
         shapes = {name: (count, N) for name in self.truth} | dict.fromkeys(("energy",), (count,))
         truth = {name: np.zeros(shapes[name]) for name in self.truth}
-        arrays = {one.field for one in self._columns.values() if one.path[0] == "measured"}
+        arrays = {value.field for value in self._columns.values() if value.path[0] == "measured"}
         self._measurement = FLEET.new(
             "arm_fleet_measurement", **{name: place.arrays[name] for name in arrays}
         )

@@ -101,7 +101,7 @@ class Splitter:
         of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
 
         def missing(_: int) -> list[int]:
-            return [one for one in numbers if not self._is_done(one)]
+            return [number for number in numbers if not self._is_done(number)]
 
         def work(pool: Pool, left: Sequence[int], _: int) -> None:
             for one in cf.as_completed([pool.submit(split, *of_all, k) for k in left]):
@@ -125,7 +125,7 @@ def failed_forks(results: Results) -> list[Origin]:
 
 
 def _failures(repetitions: Iterable[Repetition]) -> list[Origin]:
-    return [one for repetition in repetitions for one in repetition.failures]
+    return [failure for repetition in repetitions for failure in repetition.failures]
 
 
 def split(file: str, key: bytes, folder: str, number: int) -> Done:

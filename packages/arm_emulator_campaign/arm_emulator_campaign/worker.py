@@ -97,8 +97,8 @@ def simulate(
             if _asked["end"]:
                 break
             some = range(start, min(start + simulator.width, end))
-            for one in simulator.runs([_case(campaign, k, first, points) for k in some]):
-                outcomes.append(one)  # those before a run that is refused, too
+            for run in simulator.runs([_case(campaign, k, first, points) for k in some]):
+                outcomes.append(run)  # those before a run that is refused, too
     finally:
         done = Outcomes.joined(outcomes) if outcomes else None
         if done is not None:

@@ -182,11 +182,11 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
     data = changed(changed(data, "faults", None), "set", {"integrator.scheme": "paper"})
     simulator = Simulator(load_campaign(written(tmp_path, data)))
     runs = [simulator.run(index) for index in range(12)]
-    for one in runs:
-        stiff = one.values["joints.elbow.gear.stiffness"] > 1e5
-        assert math.isfinite(one.diverged) == stiff, one
-        assert (one.robustness["near"] == -math.inf) == stiff and one.failed
-    assert {math.isfinite(one.diverged) for one in runs} == {True, False}
+    for run in runs:
+        stiff = run.values["joints.elbow.gear.stiffness"] > 1e5
+        assert math.isfinite(run.diverged) == stiff, run
+        assert (run.robustness["near"] == -math.inf) == stiff and run.failed
+    assert {math.isfinite(run.diverged) for run in runs} == {True, False}
 
 
 # --------------------------------------------------------------------------------------- refusals

@@ -155,8 +155,8 @@ def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
     found: list[Outcomes] = []
     reason = r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"
     with pytest.raises(Refusal, match=reason) as no:
-        for one in runs_of(campaign).runs(cases_of(campaign, range(200))):
-            found.append(one)
+        for run in runs_of(campaign).runs(cases_of(campaign, range(200))):
+            found.append(run)
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])
     assert [*Outcomes.joined(found).indices] == list(range(refused)) and refused > 0
 

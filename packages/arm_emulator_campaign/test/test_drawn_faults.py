@@ -52,7 +52,7 @@ def written(values: dict[str, float]) -> dict[str, Any]:
     """The section with these numbers in it."""
     faults = copy.deepcopy(FAULTS)
     for name, value in values.items():
-        fault = max((one for one in faults if name.startswith(f"faults.{one}.")), key=len)
+        fault = max((fault for fault in faults if name.startswith(f"faults.{fault}.")), key=len)
         key, *place = name.removeprefix(f"faults.{fault}.").split(".")
         if place:
             faults[fault][key][int(place[0])] = value
@@ -62,7 +62,7 @@ def written(values: dict[str, float]) -> dict[str, Any]:
 
 
 def test_every_kind_is_drawn_here() -> None:
-    assert {one["kind"] for one in FAULTS.values()} == set(known_faults())
+    assert {value["kind"] for value in FAULTS.values()} == set(known_faults())
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -70,7 +70,7 @@ def test_drawn_faults_are_those_of_a_file_with_their_numbers(
     campaign: Campaign, tmp_path: Path, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    names = [one.name for one in campaign.variation.numbers]
+    names = [number.name for number in campaign.variation.numbers]
     some = rng.permutation(names)[: 1 + seed * len(names) // 7].tolist()
     values = {name: float(rng.uniform(0.02, 0.9)) for name in some}
     assert campaign._with_numbers(values) is not None, "no section is read"
@@ -99,7 +99,9 @@ def test_a_draw_is_refused_as_a_file_is(
 
 
 def test_numbers_of_faults_have_units(campaign: Campaign) -> None:
-    units = {one.name.removeprefix("faults."): one.unit for one in campaign.variation.numbers}
+    units = {
+        number.name.removeprefix("faults."): number.unit for number in campaign.variation.numbers
+    }
     expected = {"push.force.2": "N", "push.moment.0": "N m", "push.point.1": "m", "push.at": "s",
                 "push.again.impulse.0": "N s", "drop.mass": "kg", "slip.magnitude": ""}  # fmt: skip
     assert {name: units[name] for name in expected} == expected

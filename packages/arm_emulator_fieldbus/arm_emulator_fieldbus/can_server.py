@@ -85,7 +85,7 @@ class CanServer:
     def _settling(self) -> list[float]:
         """Return how long new clients must still wait for frames [s]."""
         now = time.monotonic()
-        return [max(one.settled - now, 0.0) for one in self._members.values() if one.held]
+        return [max(value.settled - now, 0.0) for value in self._members.values() if value.held]
 
     def _attend(self, timeout: float) -> None:
         for key, events in self._selector.select(timeout):

@@ -195,7 +195,7 @@ class Converter:
             raise Refusal(scene.where, "faults", f"be at most {largest}", len(scene.faults))
         self._outputs = measured_outputs(scene)
         self.session = session
-        self._faults = [one.varied for one in scene.faults]
+        self._faults = [fault.varied for fault in scene.faults]
         self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
         self._N = N
@@ -204,8 +204,8 @@ class Converter:
             JOINTS: [word for joint in range(N) for word in self._description(joint)],
             FAULT_NAMES: [
                 word
-                for one in self._faults
-                for word in _words(f">{2 * PER_FAULT}s", one.name.encode()[: 2 * PER_FAULT])
+                for fault in self._faults
+                for word in _words(f">{2 * PER_FAULT}s", fault.name.encode()[: 2 * PER_FAULT])
             ],
         }
         starts = (MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS, FAULT_NAMES)
@@ -262,7 +262,7 @@ class Converter:
             words = [self._watchdog]
         elif base == FAULTS:
             present = self.session.plant.parameters
-            magnitudes = (_words(">d", present[one.name]) for one in self._faults)
+            magnitudes = (_words(">d", present[fault.name]) for fault in self._faults)
             words = [len(self._faults), *itertools.chain.from_iterable(magnitudes)]
         else:
             words = self._fixed[base]

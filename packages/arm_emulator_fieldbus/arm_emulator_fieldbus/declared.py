@@ -29,7 +29,7 @@ _IN_C = {"readings": "readings[at.in_rows()]", "further": "further[at.in_rows()]
 
 
 def _numbered() -> dict[str, int]:
-    names = [one.name for one in KNOWN.values() if not one.cia]
+    names = [value.name for value in KNOWN.values() if not value.cia]
     names += dict.fromkeys(one.name for kind in PARTS for one in _further(kind))
     found: dict[str, int] = {}
     for name in names:

@@ -83,7 +83,7 @@ class Drives:
         names = [_text(name) for name in (*scene.joint_names, scene.name)]
         self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
         places, inputs = declared.places(scene, UNITS), declared.input_rows(scene)
-        faults = [_text(one.varied.name) for one in scene.faults]
+        faults = [_text(fault.varied.name) for fault in scene.faults]
         fault = DRIVES.ffi.new("char *[]", faults)
         self._kept = names, places, inputs, faults, fault  # they must outlive the drives
         self._machine = DRIVES.new(

@@ -47,7 +47,7 @@ def esi(drives: Drives) -> str:
     _guards(device, drives)
     for first, tag, assignment in ((0x1600, "RxPdo", 0x1C12), (0x1A00, "TxPdo", 0x1C13)):
         assigned = [drives.read(0, assignment, k + 1) for k in range(drives.read(0, assignment))]
-        for index in sorted(one for one in objects if first <= one < first + 0x200):
+        for index in sorted(object for object in objects if first <= object < first + 0x200):
             _pdo(device, drives, objects, tag, index, assigned)
     coe = {"SdoInfo": "true", "PdoAssign": "true", "PdoConfig": "true", "CompleteAccess": "true"}
     _add(_add(device, "Mailbox", DataLinkLayer="true"), "CoE", **coe)

@@ -95,7 +95,7 @@ def sent(frames: Sequence[Frame], id_: int) -> list[bytes]:
 
 def dumped(segment: Segment, number: int) -> list[bytes]:
     node = next(node for node in segment.nodes if node.number == number)
-    return [node.upload(one.index, one.sub) for one in ENTRIES]
+    return [node.upload(entry.index, entry.sub) for entry in ENTRIES]
 
 
 def enable(segment: Segment, mode: int) -> None:

@@ -147,7 +147,7 @@ class Master:
 
     def exchange(self, outputs: list[bytes]) -> list[bytes]:
         """Process data of all slaves by one LRW."""
-        data = b"".join(one + bytes(self.into) for one in outputs)
+        data = b"".join(output + bytes(self.into) for output in outputs)
         back, count = self.one(LRW, 0x10000, data)
         self.count = count
         each = self.out + self.into

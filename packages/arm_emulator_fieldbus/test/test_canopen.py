@@ -319,7 +319,7 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
         look = k % 50 == 0 and frame.id not in (0, 0x80)
         before = whole(segment) if look else None
         frames = segment.receive(frame)
-        assert all(0 <= one.id < 0x800 and len(one.data) <= 8 for one in frames)
+        assert all(0 <= frame.id < 0x800 and len(frame.data) <= 8 for frame in frames)
         if not look:
             continue
         aborted = frames and frames[0].id & 0x780 == 0x580 and frames[0].data[0] == 0x80

@@ -94,7 +94,7 @@ def test_block_uploads_bring_every_entry_whatever_is_lost(scene: Scene, seed: in
     def ask(request: bytes) -> list[bytes]:
         return sent(segment.receive(Frame(0x601, request)), 0x581)
 
-    for one in [one for one in ENTRIES if not one.bits] + draw.sample(ENTRIES, 40):
+    for one in [entry for entry in ENTRIES if not entry.bits] + draw.sample(ENTRIES, 40):
         size = draw.randint(1, 127)
         (reply,) = ask(struct.pack("<BHBBB2x", 0xA4, one.index, one.sub, size, 0))
         expected = segment.nodes[0].upload(one.index, one.sub)
@@ -192,15 +192,15 @@ def test_data_sheet_reports_every_entry(scene: Scene) -> None:
         for key, value in sheet[part].items()
         if key != "SupportedObjects"
     ]
-    assert sorted(listed) == sorted({one.index for one in ENTRIES})
-    for one in ENTRIES:
-        name = f"{one.index:04X}" + ("" if one.code == 7 else f"sub{one.sub:X}")
+    assert sorted(listed) == sorted({entry.index for entry in ENTRIES})
+    for entry in ENTRIES:
+        name = f"{entry.index:04X}" + ("" if entry.code == 7 else f"sub{entry.sub:X}")
         section = sheet[name]
-        assert section["AccessType"] == one.access and section["ObjectType"] == "0x7"
-        assert section["PDOMapping"] == str(int(one.rx or one.tx))
-        if not one.bits:
+        assert section["AccessType"] == entry.access and section["ObjectType"] == "0x7"
+        assert section["PDOMapping"] == str(int(entry.rx or entry.tx))
+        if not entry.bits:
             continue
-        if one.type in REALS:
+        if entry.type in REALS:
             assert float(section.get("DefaultValue", "0")) == 0.0 and "LowLimit" not in section
             continue
         span = _RANGES[int(section["DataType"], 0)]
@@ -208,12 +208,12 @@ def test_data_sheet_reports_every_entry(scene: Scene) -> None:
             int(section.get(key, str(bound)), 0)
             for key, bound in zip(("LowLimit", "HighLimit"), span, strict=True)
         )
-        assert (low, high) == (one.least, one.most), f"limits of {name}"
+        assert (low, high) == (entry.least, entry.most), f"limits of {name}"
         assert span[0] <= low <= high <= span[1], f"limits of {name} within its type"
         if "DefaultValue" in section:
             text = section["DefaultValue"].replace("$NODEID", "7")
             value = sum(int(part, 0) for part in text.split("+"))
-            raw = node.upload(one.index, one.sub)
+            raw = node.upload(entry.index, entry.sub)
             assert value == int.from_bytes(raw, "little", signed=value < 0), name
             assert low <= value <= high, f"default of {name}"
 

@@ -193,7 +193,7 @@ def test_the_speed_of_cyclic_positions_is_even_at_a_slow_sync0(master: Master) -
         word = (6, 7, 15)[min(n, 2)]
         if n > 5:
             targets[0] += speed * cycle
-        data = [struct.pack("<HiihbB", word, one, 0, 0, CSP, 0) for one in targets]
+        data = [struct.pack("<HiihbB", word, target, 0, 0, CSP, 0) for target in targets]
         master.exchange([one[: master.out] for one in data])
         if n > 150:
             demand = drives.read(0, 0x606B)
@@ -296,7 +296,7 @@ def test_process_data_with_a_mode_that_is_not_supported_change_nothing(master: M
     targets = [drives.read(k, ACTUAL) for k in range(master.slaves)]
     for word in (6, 7, 15, 15):
         cyclic_position(master, [word] * master.slaves, targets)
-    master.exchange([struct.pack("<HiihbB", 15, one, 0, 0, 7, 0) for one in targets])
+    master.exchange([struct.pack("<HiihbB", 15, target, 0, 0, 7, 0) for target in targets])
     cyclic_position(master, [15] * master.slaves, targets)
     for k in range(master.slaves):
         assert drives.read(k, 0x6061) == CSP and drives.read(k, STATUS) & 0x6F == 0x27
@@ -471,7 +471,7 @@ def test_windows_and_decelerations_scale_with_the_encoder(bits: int) -> None:
 def encoder(bits: int) -> Drives:
     counts = 2**bits
     scene = load_scene("three_axis", overrides={"joints.*.encoder.counts_per_turn": counts})
-    joints = tuple(replace(one, counts_per_turn=counts) for one in SERVO.joints)
+    joints = tuple(replace(joint, counts_per_turn=counts) for joint in SERVO.joints)
     return Drives(Plant(scene), replace(SERVO, joints=joints), ETHERCAT)
 
 

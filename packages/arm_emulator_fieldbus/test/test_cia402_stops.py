@@ -390,7 +390,7 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
     rng = random.Random(seed)
     drives = make(RICH if seed % 2 else PLAIN)
     entries = [one for one in dictionary() if one.index >= 0x2000 and one.access == "rw"]
-    lively = [one for one in entries if one.rx and one.index != CONTROL]
+    lively = [entry for entry in entries if entry.rx and entry.index != CONTROL]
     likely = [
         SHUTDOWN,
         SWITCH_ON,

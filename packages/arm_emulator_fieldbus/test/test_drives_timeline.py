@@ -65,9 +65,9 @@ def whole(drives: Drives) -> tuple[bytes, list[bytes]]:
     """The machine, and every entry of every dictionary."""
     found = []
     for j in range(N):
-        for one in drives.entries:
+        for entry in drives.entries:
             try:
-                found.append(drives.upload(j, one.index, one.sub))
+                found.append(drives.upload(j, entry.index, entry.sub))
             except Aborted as no:
                 found.append(no.code.to_bytes(4, "little"))
     return drives.plant.save(), found

@@ -167,7 +167,7 @@ def test_the_eeprom_reports_what_a_slave_is(master: Master) -> None:
     assert all(texts[1:]), "no empty texts"
     assert [texts[found[60][k + 0x12]] for k in (0, 24)] == [b"FreeRun", b"DC SYNC0"], "clocks"
     pdo = [found[51][k : k + 8] for k in range(8, 8 + 8 * found[51][2], 8)]
-    names = {(one.index, one.sub): one.name for one in drives.entries}
+    names = {(entry.index, entry.sub): entry.name for entry in drives.entries}
     for entry in pdo:
         index, sub, name = struct.unpack_from("<HBB", entry)
         assert texts[name].decode() == names.get((index, sub), ""), f"the name of {index:#x}"

@@ -94,7 +94,7 @@ def test_a_configuration_of_ethercat_driver_ros2_moves_the_arm(master: Master) -
 
     def exchange(word: int, targets: list[int]) -> list[tuple[int, ...]]:
         """Process data of all drives: controlword, targets, offsets, mode."""
-        data = [struct.pack(layout("rpdo"), word, one, 0, 0, 0, 0, 0, CSP) for one in targets]
+        data = [struct.pack(layout("rpdo"), word, target, 0, 0, 0, 0, 0, CSP) for target in targets]
         return [struct.unpack(layout("tpdo"), one) for one in master.exchange(data)]
 
     start = [one[1] for one in exchange(0, [0] * master.slaves)]

@@ -26,9 +26,9 @@ __all__ = ["master"]  # a fixture
 def test_complete_access_reads_all_of_an_object(master: Master) -> None:
     master.preop(0)
     drives = master.segment.drives
-    objects = sorted({one.index for one in drives.entries if one.buses & ETHERCAT})
+    objects = sorted({entry.index for entry in drives.entries if entry.buses & ETHERCAT})
     for index in objects:
-        subs = [one for one in drives.entries if one.index == index]
+        subs = [entry for entry in drives.entries if entry.index == index]
         if len(subs) == 1:
             continue
         count = min(drives.read(0, index), len(subs) - 1)
@@ -42,7 +42,7 @@ def test_complete_access_reads_all_of_an_object(master: Master) -> None:
 def test_the_dictionary_describes_itself(master: Master) -> None:
     master.preop(0)
     drives = master.segment.drives
-    objects = sorted({one.index for one in drives.entries if one.buses & ETHERCAT})
+    objects = sorted({entry.index for entry in drives.entries if entry.buses & ETHERCAT})
     lists = {
         kind: list(struct.unpack(f"<{len(raw) // 2}H", raw))[1:]
         for kind in range(6)
@@ -51,35 +51,37 @@ def test_the_dictionary_describes_itself(master: Master) -> None:
     assert lists[1] == objects, "all objects"
     assert lists[0] == [len(lists[kind]) for kind in range(1, 6)], "how many there are"
     for kind, flag in ((2, "rx"), (3, "tx")):
-        mapped = sorted({one.index for one in drives.entries if getattr(one, flag)})
+        mapped = sorted({entry.index for entry in drives.entries if getattr(entry, flag)})
         assert lists[kind] == mapped, f"those to map, {flag}"
-    for one in drives.entries:
-        if not one.buses & ETHERCAT:
+    for entry in drives.entries:
+        if not entry.buses & ETHERCAT:
             continue
-        if one.sub == 0:
-            reported = master.information(0, 3, struct.pack("<H", one.index))
-            assert reported[4] == one.last_sub and reported[5] == one.code, (
-                f"{one.index:#x}: subs, code"
+        if entry.sub == 0:
+            reported = master.information(0, 3, struct.pack("<H", entry.index))
+            assert reported[4] == entry.last_sub and reported[5] == entry.code, (
+                f"{entry.index:#x}: subs, code"
             )
-            assert reported[6:].decode() == one.object, "its name"
-        reported = master.information(0, 5, struct.pack("<HBB", one.index, one.sub, 0x70))
+            assert reported[6:].decode() == entry.object, "its name"
+        reported = master.information(0, 5, struct.pack("<HBB", entry.index, entry.sub, 0x70))
         at_, sub, _, kind, bits, rights = struct.unpack_from("<HBBHHH", reported)
-        assert (at_, sub) == (one.index, one.sub), "the entry that was asked for"
-        assert bool(rights & 0x08) == (one.access in ("rw", "wo")), f"{one.index:#x}: writable"
-        assert bool(rights & 0x40) == one.rx and bool(rights & 0x80) == one.tx, "mappable"
-        if one.bits:
-            assert bits == one.bits, "its size"
+        assert (at_, sub) == (entry.index, entry.sub), "the entry that was asked for"
+        assert bool(rights & 0x08) == (entry.access in ("rw", "wo")), f"{entry.index:#x}: writable"
+        assert bool(rights & 0x40) == entry.rx and bool(rights & 0x80) == entry.tx, "mappable"
+        if entry.bits:
+            assert bits == entry.bits, "its size"
             size = bits // 8
-            signed = one.least < 0
+            signed = entry.least < 0
             values = [
                 int.from_bytes(
                     reported[10 + k * size : 10 + (k + 1) * size], "little", signed=signed
                 )
                 for k in range(3)
             ]
-            assert values == [one.standard, one.least, one.most], f"{one.index:#x}: default, range"
-            unit = f" [{one.unit}]" if one.unit else ""
-            assert reported[10 + 3 * size :].decode() == one.name + unit, "name and unit"
+            assert values == [entry.standard, entry.least, entry.most], (
+                f"{entry.index:#x}: default, range"
+            )
+            unit = f" [{entry.unit}]" if entry.unit else ""
+            assert reported[10 + 3 * size :].decode() == entry.name + unit, "name and unit"
 
 
 @pytest.mark.parametrize("mailbox", [34, 35, 40, 41, 64, 256])
@@ -95,7 +97,7 @@ def test_mailboxes_of_any_size_report_the_same(mailbox: int) -> None:
     assert master.upload(0, 0x1600, 0, complete=True) == data, "a mapping in segments"
     for index in (0x1008, 0x1009, 0x100A):
         assert master.upload(0, index) == drives.upload(0, index), "texts"
-    objects = sorted({one.index for one in drives.entries if one.buses & ETHERCAT})
+    objects = sorted({entry.index for entry in drives.entries if entry.buses & ETHERCAT})
     raw = master.information(0, 1, struct.pack("<H", 1))
     assert list(struct.unpack(f"<{len(raw) // 2}H", raw))[1:] == objects, "a list in fragments"
 

@@ -89,7 +89,7 @@ def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
     twin, drives = segment().drives, master.segment.drives
     master.slaves = 1
     master.preop(0)
-    there = [one for one in drives.entries if one.buses & ETHERCAT and one.bits]
+    there = [entry for entry in drives.entries if entry.buses & ETHERCAT and entry.bits]
     ways = []
     for assignment, first, entries in (
         (0x1C12, 0x1600, [one for one in there if one.rx]),

@@ -166,7 +166,7 @@ def test_an_sdo_that_cannot_be_changes_nothing(
     bus: Bus, what: str, requests: list[str], code: int
 ) -> None:
     entries = [one for one in dictionary() if one.buses & bus.kind]
-    before = [bus.drives.upload(1, one.index, one.sub) for one in entries]
+    before = [bus.drives.upload(1, entry.index, entry.sub) for entry in entries]
     for text in requests:
         request = bytes.fromhex(text)
         reply = bus.sdo(request)
@@ -174,7 +174,7 @@ def test_an_sdo_that_cannot_be_changes_nothing(
     if "nothing" not in what:  # else it is any object
         named = bytes.fromhex(requests[0])[1:4] if what != "which ends the transfer" else b""
         assert reply[1:4] == named.ljust(3, b"\0"), "the object of the transfer"
-    assert [bus.drives.upload(1, one.index, one.sub) for one in entries] == before
+    assert [bus.drives.upload(1, entry.index, entry.sub) for entry in entries] == before
     assert bus.upload(0x1008, 0) == SCENE.name.encode(), "the server goes on"
 
 

@@ -41,7 +41,7 @@ def shipped(name: str) -> tuple[Scene, ServoConfig]:
 def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
     """ur5 as if its drives closed no current loop: K^2/R is large against the period."""
     servo = load_gains(find_scene("ur5")).servo
-    joints = tuple(dataclasses.replace(one, current_bandwidth=0.0) for one in servo.joints)
+    joints = tuple(dataclasses.replace(joint, current_bandwidth=0.0) for joint in servo.joints)
     loop = {"joints.*.motor.current_loop": None, "joints.*.motor.current_limit": None}
     varied = {"varied": ["joints.*.friction.coulomb"]}  # share a library
     scene = load_scene("ur5", {**loop, **varied, **(more or {})})
@@ -52,7 +52,9 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
 def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
     assert withheld_modes(scene, servo, modes()) == []
-    seen = {(one.joint, one.loop, one.braked) for one in ModeLoops(scene, servo).figures}
+    seen = {
+        (figure.joint, figure.loop, figure.braked) for figure in ModeLoops(scene, servo).figures
+    }
     for j, joint in enumerate(scene.joints):
         for loop in set(Loop) - {Loop.POSITION}:
             assert (j, loop, False) in seen
@@ -114,7 +116,9 @@ def test_it_swings_as_its_eigenvalues_state() -> None:
     # Dry friction would hold small swings, which eigenvalues do not know.
     scene, servo = by_voltage({"joints.*.friction.coulomb": 0.0})
     loops = ModeLoops(scene, servo)
-    torque = [one for one in loops.figures if one.loop is Loop.TORQUE and one.joint == 0]
+    torque = [
+        figure for figure in loops.figures if figure.loop is Loop.TORQUE and figure.joint == 0
+    ]
     (one,) = [one for one in torque if not one.braked and not one.alike]
     assert not one.holds and one.swing > 1.01
     # Its own drives, asked for the mode behind the dictionary's back.
@@ -189,7 +193,9 @@ def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
         scene, servo = made
         figures = ModeLoops(scene, servo).figures
         for loop, mode in ((Loop.TORQUE, CYCLIC_TORQUE), (Loop.SPEED, 9), (Loop.POSITION, 8)):
-            own = [one.beyond for one in figures if one.loop is loop and one.gain == 1.0]
+            own = [
+                figure.beyond for figure in figures if figure.loop is loop and figure.gain == 1.0
+            ]
             growth = max(own, default=0.0)
             if 0.1 < growth < 20.0:
                 continue  # it grows, but not to be seen in a fraction of a second

@@ -64,7 +64,7 @@ KINDS: dict[str, dict[str, Any]] = {
 KINDS |= {
     kind.kind: {"kind": kind.kind, **ROTOR, **kind.drawn(np.random.default_rng(1))}
     for kind in SIZED_MOTORS
-    if kind.kind not in {one.get("kind", "dc") for one in KINDS.values()}
+    if kind.kind not in {value.get("kind", "dc") for value in KINDS.values()}
 }
 CASES = some(
     ["torque", "pmsm with current loops", "current at once", *KINDS], 3
@@ -83,10 +83,10 @@ def machine(kind: str) -> Scene:
 def servo_of(scene: Scene) -> ServoConfig:
     """Gains that are computed for it, from the data sheet in its scene."""
     servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
-    known = {one.name: one for one in servo.joints}
+    known = {joint.name: joint for joint in servo.joints}
     joints = tuple(
-        dataclasses.replace(known[one.name], **data_sheet(one, scene.supply_voltage))
-        for one in scene.joints
+        dataclasses.replace(known[joint.name], **data_sheet(joint, scene.supply_voltage))
+        for joint in scene.joints
     )
     return compute(scene, dataclasses.replace(servo, joints=joints), link_inertias([scene]))
 
@@ -223,7 +223,7 @@ def test_a_servo_for_another_command_is_refused(
 ) -> None:
     scene = machine(kind)
     servo = servo_of(scene)
-    joints = tuple(dataclasses.replace(one, **change) for one in servo.joints)
+    joints = tuple(dataclasses.replace(joint, **change) for joint in servo.joints)
     with pytest.raises(Refusal, match=words):
         check_joints(scene, dataclasses.replace(servo, joints=joints))
 
@@ -232,7 +232,7 @@ def test_a_drive_without_limits_is_refused_on_a_field_bus() -> None:
     unlimited = {"joints.*.motor": {"kind": "torque", **ROTOR}}
     scene = load_scene("three_axis", unlimited)
     servo = servo_of(scene)
-    joints = tuple(dataclasses.replace(one, current_limit=math.inf) for one in servo.joints)
+    joints = tuple(dataclasses.replace(joint, current_limit=math.inf) for joint in servo.joints)
     with pytest.raises(Refusal, match=r"current_limit must be given: the rated torque of its"):
         FieldBus(Plant(scene), dataclasses.replace(servo, joints=joints), ETHERCAT)
 

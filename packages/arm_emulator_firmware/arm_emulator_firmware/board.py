@@ -377,7 +377,7 @@ def board_struct(
         Refusal: a bridge makes no command of the kind that a joint takes.
     """
     rows = dict(board.rows)
-    rows["pwm"] = tuple({"full_scale": _full_scale(one, scene), **one} for one in rows["pwm"])
+    rows["pwm"] = tuple({"full_scale": _full_scale(row, scene), **row} for row in rows["pwm"])
     rows["uart"] = tuple(
         {**one, **dict(zip(("out", "in"), uarts.get(name, (-1, -1)), strict=True))}
         for name, one in zip(board.uarts, rows["uart"], strict=True)

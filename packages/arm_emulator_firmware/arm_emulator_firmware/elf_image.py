@@ -41,11 +41,11 @@ class ElfImage:
         try:
             elf = ELFFile(io.BytesIO(content))
             self._check_counts(elf.num_segments(), elf.num_sections())
-            segments = [one for one in elf.iter_segments("PT_LOAD") if one["p_filesz"]]
-            size = sum(int(one["p_filesz"]) for one in segments)
+            segments = [segment for segment in elf.iter_segments("PT_LOAD") if segment["p_filesz"]]
+            size = sum(int(segment["p_filesz"]) for segment in segments)
             if size > LARGEST:
                 raise Refusal(self.name, "file", f"load at most {LARGEST >> 20} MiB", size)
-            self.pieces = [(int(one["p_paddr"]), bytes(one.data())) for one in segments]
+            self.pieces = [(int(segment["p_paddr"]), bytes(segment.data())) for segment in segments]
             table = elf.get_section_by_name(".symtab")
             symbols = table if isinstance(table, SymbolTableSection) else None
             if symbols is not None and symbols.num_symbols() > MOST_SYMBOLS:

@@ -126,7 +126,7 @@ def changed(path: tuple[str, ...], value: object) -> dict[str, Any]:
 
 def test_the_example_and_a_board_with_every_key_are_read(tmp_path: Path) -> None:
     board = load_board(EXAMPLE, JOINTS)
-    joints = [one["joint"] for one in board.rows["encoder"]]
+    joints = [row["joint"] for row in board.rows["encoder"]]
     assert joints == list(range(len(JOINTS))), "joints with an encoder"
     fields = [board.fields[name] for name in ("clock", "interrupts", "vectors")]
     assert fields == [168e6, 82, 0x08000000]

@@ -36,7 +36,7 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         variables: of it, in the order of their value references.
         token: that the binary expects.
     """
-    naming = convention(one.name for one in variables)
+    naming = convention(variable.name for variable in variables)
     root = ET.Element("fmiModelDescription", fmiVersion="3.0", instantiationToken=token)
     ET.SubElement(
         root,
@@ -75,7 +75,7 @@ def model_description_2(scene: Scene, variables: Sequence[Variable], token: str)
         variables: of it, single numbers, in the order of their value references.
         token: that the binary expects.
     """
-    naming = convention(one.name for one in variables)
+    naming = convention(variable.name for variable in variables)
     root = ET.Element("fmiModelDescription", fmiVersion="2.0", guid=token)
     ET.SubElement(
         root,
@@ -112,7 +112,7 @@ def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> No
         modelName=xml_text(scene.name) or "arm",
         description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
         generationTool=TOOL,
-        variableNamingConvention=convention(one.name for one in variables),
+        variableNamingConvention=convention(variable.name for variable in variables),
     )
     root.append(_units(variables))
     categories = ET.SubElement(root, "LogCategories")
@@ -181,7 +181,7 @@ def _as_bytes(root: ET.Element) -> bytes:
 
 def _units(variables: Sequence[Variable]) -> ET.Element:
     root = ET.Element("UnitDefinitions")
-    for name in dict.fromkeys(one.unit for one in variables if one.unit):
+    for name in dict.fromkeys(variable.unit for variable in variables if variable.unit):
         element = ET.SubElement(root, "Unit", name=name)
         powers = powers_of(name)
         if powers is not None:

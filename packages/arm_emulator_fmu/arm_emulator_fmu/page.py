@@ -18,10 +18,12 @@ def page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
         variables: of it.
         command: that compiles the sources.
     """
-    naming = convention(one.name for one in variables)
+    naming = convention(variable.name for variable in variables)
     rows = "\n".join(
-        "<tr>" + "".join(f"<td>{html_text(text)}</td>" for text in _cells(one, naming)) + "</tr>"
-        for one in variables
+        "<tr>"
+        + "".join(f"<td>{html_text(text)}</td>" for text in _cells(variable, naming))
+        + "</tr>"
+        for variable in variables
     )
     name = html_text(scene.name)
     joints = html_text(", ".join(scene.joint_names))

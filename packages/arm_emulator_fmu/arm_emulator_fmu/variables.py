@@ -194,7 +194,7 @@ def _parameters(scene: Scene) -> list[Variable]:
 
 def _measured(scene: Scene) -> list[Variable]:
     outputs = outputs_of(scene)
-    found = [_output(scene, one) for one in outputs if not one.per_unit]
+    found = [_output(scene, output) for output in outputs if not output.per_unit]
     what = "whether the drives have power"
     found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
     for m, imu in enumerate(scene.imus):

@@ -130,7 +130,15 @@ class _Abuser:
 
     def _rest(self) -> tuple[str, int]:
         rng = self._rng
-        name = str(rng.choice([one for one in _ARGUMENTS if "Status" in one or one[0] in "SCTR"]))
+        name = str(
+            rng.choice(
+                [
+                    argument
+                    for argument in _ARGUMENTS
+                    if "Status" in argument or argument[0] in "SCTR"
+                ]
+            )
+        )
         arguments = [
             None if kind is POINTER else 0.0 if kind is DOUBLE else int(rng.integers(0, 4))
             for kind in _ARGUMENTS[name][1:]

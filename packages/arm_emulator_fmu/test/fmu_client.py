@@ -82,7 +82,7 @@ class Fmu:
 
     def size(self, name: str) -> int:
         """Number of a variable's values."""
-        return math.prod(int(one.attrib["start"]) for one in self.variables[name])
+        return math.prod(int(variable.attrib["start"]) for variable in self.variables[name])
 
 
 class Instance:

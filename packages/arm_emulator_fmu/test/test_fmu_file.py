@@ -28,7 +28,7 @@ __all__ = ["fmu", "scene"]  # fixtures
 
 
 # Of joints: in URDFs, whose XML has no other control characters than those.
-ODD = [one for one in ODD_NAMES if one and not set(one) & set("\0\x1b\r\n\t")]
+ODD = [name for name in ODD_NAMES if name and not set(name) & set("\0\x1b\r\n\t")]
 
 
 ODDER = [one for one in ODD if not one.isascii() or set(one) & set("'\"\\<>&")]

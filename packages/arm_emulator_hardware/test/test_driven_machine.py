@@ -103,7 +103,7 @@ def test_refusals_are_one_line(folder: Path) -> None:
     assert "update_rate must give a multiple of the servo period 1000000 ns, got 1500000" in period
     (absent,) = run(folder, 1_000_000, "nothing")
     assert "nothing: scene must be FOLDER/NAME after" in absent and "got no nothing-*.so" in absent
-    (twin,) = (one for one in folder.glob("three_axis-servo-*.so"))
+    (twin,) = (file for file in folder.glob("three_axis-servo-*.so"))
     (folder / "three_axis-servo-0123456789.so").write_bytes(twin.read_bytes())
     (twice,) = run(folder, 1_000_000)
     (folder / "three_axis-servo-0123456789.so").unlink()

@@ -217,7 +217,9 @@ def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Arra
 
 def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     """Return the scene with these numbers as data of each machine."""
-    possible = {one.name: one for one in variable_numbers(scene.joints, scene.chain, scene.imus)}
+    possible = {
+        number.name: number for number in variable_numbers(scene.joints, scene.chain, scene.imus)
+    }
     possible |= {one.name: one for one in scene.varied}
     for name in numbers:
         if name not in possible:
@@ -234,6 +236,6 @@ def _run(scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[st
     for k, row in enumerate(rows):
         fleet.exchange(row)
         measured, state = fleet.measured, fleet.state
-        of = (getattr(measured if one in KNOWN else state, one) for one in names)
+        of = (getattr(measured if name in KNOWN else state, name) for name in names)
         found[:, k] = np.concatenate([*of], axis=1)
     return found

@@ -174,7 +174,7 @@ class TorqueModel:
     def bodies(self, unknowns: Array) -> Array:
         """Return the ten numbers of each link (L, 10), without the payload."""
         links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
-        return np.array([inertia.exponential(one) for one in links])
+        return np.array([inertia.exponential(link) for link in links])
 
 
 def _check_stated(scene: Scene) -> None:

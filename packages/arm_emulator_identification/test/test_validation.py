@@ -35,7 +35,7 @@ def figures(scene: Scene, path: Path) -> Iterator[Figure]:
 
 
 def failures(scene: Scene, path: Path) -> list[str]:
-    return [line for one in figures(scene, path) for line in one.failures]
+    return [line for figure in figures(scene, path) for line in figure.failures]
 
 
 def wrong(kind: str) -> Scene:
@@ -89,7 +89,7 @@ def test_a_wrong_machine_is_rejected_on_every_run(kind: str, word: str, path: Pa
 def test_free_runs_are_nearer_than_null_models(path: Path) -> None:
     found = compare(path)
     assert found.good, found.failures
-    judged = [one for one in found.figures if not one.yardstick]
+    judged = [figure for figure in found.figures if not figure.yardstick]
     assert {one.title.strip().split(",")[0] for one in judged} >= {
         "free run of 0.6 s", "free run of 2 s",
     }  # fmt: skip

@@ -54,7 +54,9 @@ class ArmScene:
             self.missing = "the robot description has none"
         self._places = pin.GeometryData(self._shapes)
         self._tool = self._model.getFrameId(scene.tool)
-        joints = [self._model.joints[self._model.getJointId(one)] for one in self._shafts.joints]
+        joints = [
+            self._model.joints[self._model.getJointId(joint)] for joint in self._shafts.joints
+        ]
         self._turns = [(joint.idx_q, joint.nq == 2) for joint in joints]
         self._handles = [self._added(k, one) for k, one in enumerate(self._shapes.geometryObjects)]
         self._frame = server.scene.add_frame(f"{name}/tool", axes_length=0.1, axes_radius=0.003)

@@ -18,7 +18,7 @@ def number_table(names: Sequence[str], columns: dict[str, Any]) -> str:
     """Return columns (N,) by their headings as a table, a line per joint."""
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for j, name in enumerate(names):
-        cells = (_cell(np.asarray(one)[j]) for one in columns.values())
+        cells = (_cell(np.asarray(value)[j]) for value in columns.values())
         lines.append(f"| {markdown_text(name)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -146,7 +146,7 @@ class RunPage:
         groups = tuple(here.groups)
         if self._over is not None:
             there = self._over.history
-            groups = tuple(one for one in groups if here.paths(one) == there.paths(one))
+            groups = tuple(group for group in groups if here.paths(group) == there.paths(group))
         self.put(self._group, groups, now if now in groups else None)
         plots = (THIS,) if self._over is None else (THIS, OTHER, DIFFERENCE)
         self.put(self._of, plots, self._of.value if self._of.value in plots else None)

@@ -20,9 +20,9 @@ SCALES: dict[str, Any] = {"x": {"time": False}}  # of seconds, which are no date
 def grouped(columns: Sequence[Column]) -> dict[str, list[Column]]:
     """Return the columns of each quantity, such as "measured.current"."""
     groups: dict[str, list[Column]] = {}
-    for one in columns:
-        if len(one.path) > 1:
-            groups.setdefault(".".join(one.path[:-1]), []).append(one)
+    for column in columns:
+        if len(column.path) > 1:
+            groups.setdefault(".".join(column.path[:-1]), []).append(column)
     return groups
 
 
@@ -64,7 +64,7 @@ class SignalPlot:
         """Plot the chosen quantity of rows (K,)."""
         group = chosen(self._choice, self._groups)
         columns = self._groups[group]
-        values = [one.of(rows).astype(np.float64) for one in columns]
+        values = [column.of(rows).astype(np.float64) for column in columns]
         data = (rows["t"].astype(np.float64), *values)
         if group == self._drawn:
             self._chart.data = data

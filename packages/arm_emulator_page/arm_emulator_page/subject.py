@@ -38,7 +38,11 @@ class RunView:
         line.go_to(line.first)
         history = SignalHistory(line, last)
         line.go_to(at)
-        made = tuple((one.tick, one.name) for one in line.changes) if events is None else events
+        made = (
+            tuple((change.tick, change.name) for change in line.changes)
+            if events is None
+            else events
+        )
         return cls(line, last, history, made)
 
 

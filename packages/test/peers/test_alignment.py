@@ -64,7 +64,7 @@ def test_no_cast_asks_for_more_alignment_than_the_type_states(tmp_path: Path) ->
         for file in files:
             file.write_text(texts[file.name])
         flags = [flag for flag in unit.flags if not flag.startswith(("-shared", "-Wl"))]
-        folders = [f"-I{one}" for one in unit.folders]
+        folders = [f"-I{folder}" for folder in unit.folders]
         command = ["g++", *flags, *level, *CASTS, *folders, *map(str, files)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{unit.name}: {done.stderr[:2000]}"

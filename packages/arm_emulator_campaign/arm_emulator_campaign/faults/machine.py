@@ -31,7 +31,7 @@ class Machine(Fault):
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse what the scene does not list, or a magnitude out of its range."""
-        listed = {one.name: one.varied.number for one in scene.faults}
+        listed = {fault.name: fault.varied.number for fault in scene.faults}
         if self.fault not in listed:
             known = ", ".join(listed) or f"none, set: {{faults: [{self.fault}]}} lists it"
             raise Refusal(where, "fault", "be listed by the scene", self.fault, known)

@@ -73,16 +73,16 @@ def test_scan_and_upload_of_the_whole_dictionary(tmp_path: Path) -> None:
         for node, joint in zip(segment.nodes, segment.scene.joint_names, strict=True):
             sheet = tmp_path / f"three_axis_{joint}.eds"
             remote = network.add_node(node.number, str(sheet))
-            assert len(remote.object_dictionary) >= len({one.index for one in ENTRIES})
-            for one in ENTRIES:
-                reported = remote.sdo.upload(one.index, one.sub)
-                assert reported == node.upload(one.index, one.sub), one
-                variable = remote.sdo[one.index]
-                if one.code != 7:
-                    variable = variable[one.sub]
-                assert variable.od.name == one.name or one.sub == 0
-                if one.access == "const":
-                    assert variable.raw == variable.od.default, one
+            assert len(remote.object_dictionary) >= len({entry.index for entry in ENTRIES})
+            for entry in ENTRIES:
+                reported = remote.sdo.upload(entry.index, entry.sub)
+                assert reported == node.upload(entry.index, entry.sub), entry
+                variable = remote.sdo[entry.index]
+                if entry.code != 7:
+                    variable = variable[entry.sub]
+                assert variable.od.name == entry.name or entry.sub == 0
+                if entry.access == "const":
+                    assert variable.raw == variable.od.default, entry
             with remote.sdo[0x1008].open("rb", block_transfer=True) as blocks:
                 assert blocks.read() == b"three_axis"
             with remote.sdo[0x607A].open("wb", size=4, block_transfer=True) as blocks:
@@ -205,7 +205,7 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
             node.tpdo.save()
             nodes.append(node)
         network.nmt.state = "OPERATIONAL"
-        wait_until(lambda: all(int(one.state) == 5 for one in segment.nodes), "operational")
+        wait_until(lambda: all(int(node.state) == 5 for node in segment.nodes), "operational")
         reported: list[tuple[int, ...]] = []
         got: list[tuple[int, ...]] = []
         for k, node in enumerate(nodes):

@@ -158,21 +158,23 @@ def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
     name: str, cable: Cable, tmp_path: Path
 ) -> None:
     drives = ur5().drives
-    entries = [one for one in drives.entries if one.buses & ETHERCAT and one.access != "wo"]
+    entries = [entry for entry in drives.entries if entry.buses & ETHERCAT and entry.access != "wo"]
     (tmp_path / "entries").write_text(
-        "".join(f"{one.index} {one.sub} {one.bits // 8}\n" for one in entries)
+        "".join(f"{entry.index} {entry.sub} {entry.bits // 8}\n" for entry in entries)
     )
     with emulator(cable):
         reported = MASTERS[name](cable, "scan", str(tmp_path / "entries"))
     assert [one[0] for one in reported["slaves"]] == ["arm_emulator drive"] * DRIVES, (
         "slaves by name"
     )
-    objects = sorted({one.index for one in entries})
+    objects = sorted({entry.index for entry in entries})
     assert {int(one) for one in reported["objects"]} == listed(name, objects), "objects"
     read = {key: bytes.fromhex(value) for key, value in reported["values"].items()}
-    for one in entries:
-        value = drives.upload(0, one.index, one.sub)
-        assert read[f"{one.index}:{one.sub}"] == value, f"{one.index:#06x}:{one.sub} {one.name}"
+    for entry in entries:
+        value = drives.upload(0, entry.index, entry.sub)
+        assert read[f"{entry.index}:{entry.sub}"] == value, (
+            f"{entry.index:#06x}:{entry.sub} {entry.name}"
+        )
 
 
 # ------------------------------------------------------------------------------------------ motion

@@ -82,9 +82,9 @@ def table_of(title: str, names: Sequence[str], figures: Sequence[Figure]) -> Tab
     table.add_column("")
     for name in (*names, "mean", "must be"):
         table.add_column(name, justify="right")
-    for one in figures:
-        shown = [format(v, one.form) if np.isfinite(v) else "" for v in one.values]
-        mean = format(one.mean, one.form) if np.isfinite(one.mean) else ""
-        style = "red" if any(one.failures) else "dim" if one.yardstick else None
-        table.add_row(one.title, *shown, mean, one.limits, style=style)
+    for figure in figures:
+        shown = [format(v, figure.form) if np.isfinite(v) else "" for v in figure.values]
+        mean = format(figure.mean, figure.form) if np.isfinite(figure.mean) else ""
+        style = "red" if any(figure.failures) else "dim" if figure.yardstick else None
+        table.add_row(figure.title, *shown, mean, figure.limits, style=style)
     return table

@@ -60,7 +60,7 @@ class Comparison:
     @property
     def failures(self) -> list[str]:
         """Limits that are not kept, a line each."""
-        return [line for one in self.figures for line in one.failures]
+        return [line for figure in self.figures for line in figure.failures]
 
     @property
     def good(self) -> bool:
