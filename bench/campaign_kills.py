@@ -27,9 +27,9 @@ import numpy as np
 import yaml
 
 from arm_emulator.base.process import below, runs
+from arm_emulator_campaign.batch_simulator import runs_of
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
-from arm_emulator_campaign.lanes import runs_of
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.results import Results, digest_of, write_part
 

@@ -31,9 +31,9 @@ import sys
 from pathlib import Path
 import numpy as np
 from arm_emulator import Plant
-from arm_emulator.base.kept import NOTHING, RunOutputs
+from arm_emulator.base.run_outputs import NOTHING, RunOutputs
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.page.desk import watched
+from arm_emulator.page.control_server import watched
 from arm_emulator.runs.recorder import Recorder
 child, folder = sys.argv[1:]
 signal.signal(signal.SIGINT, signal.default_int_handler)  # what a script begins with & ignores it

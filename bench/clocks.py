@@ -13,13 +13,13 @@ import numpy as np
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 from bench.measure import progress
 from bench.tables import table
 

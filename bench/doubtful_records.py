@@ -31,7 +31,7 @@ from arm_emulator_identification.found import numbers_found
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
 from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.read_run import read_run
-from arm_emulator_identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
+from arm_emulator_identification.residual_effects import FALLS, RIPPLE, RISES, WARMS, WAY
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import ANGLE_NOISE, LOW_PASS, SECONDS, SIGMAS, model_of

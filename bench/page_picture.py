@@ -25,7 +25,7 @@ from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import RunView
+from arm_emulator_page.run_view import RunView
 
 LOOK: Any = {"width": 1280, "height": 720}
 LIVE: Any = {"width": 1000, "height": 620}

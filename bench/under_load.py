@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from arm_emulator.base.busy import load_processors
+from arm_emulator.base.cpu_load import load_processors
 
 LOGS = Path("log/under_load")
 

@@ -10,7 +10,7 @@ from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
-from emulator_node.breaks import Breakpoints
+from emulator_node.breakpoints import Breakpoints
 from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context

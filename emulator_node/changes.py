@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from arm_emulator.machine.session import Session
-from arm_emulator.page.watched import PageProcess
-from emulator_node.breaks import Breakpoints
+from arm_emulator.page.page_process import PageProcess
+from emulator_node.breakpoints import Breakpoints
 from emulator_node.pacer import Pacer
 from emulator_node.reports import Reports
 

@@ -11,7 +11,7 @@ from arm_emulator.base.bound import COMMAND
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.scene import Scene
-from arm_emulator.ros.doubles import started
+from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator.ros.message_reader import MessageReader, Row
 from arm_emulator_msgs.msg import MotorCommand
 from emulator_node.c import MOTOR_COMMANDS

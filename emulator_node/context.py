@@ -9,7 +9,7 @@ from arm_emulator.machine.pace import Pace
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics
-from emulator_node.outbox import OutgoingMessages
+from emulator_node.outgoing_messages import OutgoingMessages
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.view import View
 

@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before slow imports
     if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
-    from arm_emulator.base.wheel import refuse_missing_modules
+    from arm_emulator.base.required_package import refuse_missing_modules
     from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
@@ -33,8 +33,8 @@ from arm_emulator.machine.pace import LARGEST, Pace
 from arm_emulator.machine.real_time import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, Session
-from arm_emulator.page.watched import PageProcess
-from arm_emulator.ros.doubles import DuplicateNodes
+from arm_emulator.page.page_process import PageProcess
+from arm_emulator.ros.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
     accept_changes,
@@ -43,23 +43,23 @@ from arm_emulator.ros.node_parameters import (
     replaced,
 )
 from arm_emulator.ros.node_shell import Diagnostics, run_node, wall_timer
-from arm_emulator.ros.precedence import raise_priority
+from arm_emulator.ros.priority import raise_priority
 from emulator_node.answered_ticks import AnsweredTicks
-from emulator_node.breaks import Breakpoints
+from emulator_node.breakpoints import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
-from emulator_node.intake import Subscriptions
 from emulator_node.others import subscribe_to_others, take_rest
-from emulator_node.outbox import OutgoingMessages, own_record
+from emulator_node.outgoing_messages import OutgoingMessages, own_record
 from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
 from emulator_node.real_time_ticks import READERS, HeldCommands
 from emulator_node.recorder_gate import RecorderGate
-from emulator_node.repeater import REPEAT_AFTER, Retransmitter
 from emulator_node.reports import Reports
+from emulator_node.retransmitter import REPEAT_AFTER, Retransmitter
 from emulator_node.services import Services
 from emulator_node.simulation_services import SimulationServices, installed
 from emulator_node.stepper import Stepper
+from emulator_node.subscriptions import Subscriptions
 from emulator_node.time_control import TimeControl
 from emulator_node.view import View
 
@@ -209,7 +209,7 @@ class EmulatorNode(ManagedNode):
         if port < 0:
             return PageProcess(session.plant, None)
         # Not imported without a page: it takes messages of other nodes.
-        from emulator_node.page_hands import RosControls
+        from emulator_node.page_controls import RosControls
 
         of_run = session.scene.servo_period, session.lockstep, self._config.real_time_factor
         hands = partial(RosControls, self.get_namespace(), *of_run)

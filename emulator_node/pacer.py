@@ -9,7 +9,7 @@ import rclpy
 
 from arm_emulator.machine.phase import Phase
 from arm_emulator.ros.node_shell import wall_timer
-from emulator_node.breaks import Breakpoints
+from emulator_node.breakpoints import Breakpoints
 from emulator_node.context import Context
 from emulator_node.health import Health
 from emulator_node.real_time_ticks import RealTimeTicks

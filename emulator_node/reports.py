@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.ros.doubles import started
+from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator.ros.middleware import Numbers, Outgoing
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS, set_stamp, stamp
 from arm_emulator_msgs.msg import MachineEvent, MotorState

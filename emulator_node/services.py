@@ -11,7 +11,7 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_msgs.msg import MachineEvent
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetState, SetVaried
-from emulator_node.breaks import Breakpoints
+from emulator_node.breakpoints import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.time_control import TimeControl

@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before slow imports
     if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
-    from arm_emulator.base.wheel import refuse_missing_modules
+    from arm_emulator.base.required_package import refuse_missing_modules
     from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
@@ -39,7 +39,7 @@ from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
 from arm_emulator.motion.motion_report import Kind, State
-from arm_emulator.ros.doubles import DuplicateNodes
+from arm_emulator.ros.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (
     accept_changes,

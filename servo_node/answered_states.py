@@ -9,7 +9,7 @@ from arm_emulator.base.bound import BRAKE_CLOSED, COMMAND, CURRENT, EFFORT, POSI
 from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
 from arm_emulator.ros.middleware import Outgoing, middleware
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_msgs.msg import MotorState
 from servo_node.c import ANSWERED_STATES, answered_states_unit

@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before slow imports
     if not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
-    from arm_emulator.base.wheel import refuse_missing_modules
+    from arm_emulator.base.required_package import refuse_missing_modules
     from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 
 from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.doubles import DuplicateNodes
+from arm_emulator.ros.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import Outgoing
 from arm_emulator.ros.node_parameters import accept_changes, declare_parameters, describe, replaced
@@ -42,9 +42,9 @@ from arm_emulator.ros.node_shell import (
     run_node,
     wall_timer,
 )
-from arm_emulator.ros.precedence import raise_priority
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.ros.priority import raise_priority
 from arm_emulator.servo.servo import Servo
+from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
 from arm_emulator.servo.watchdog import WatchdogState
 from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState

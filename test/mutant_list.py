@@ -458,7 +458,7 @@ MUTANTS = (
         "emulator_node/c/motor_commands.c",
         " || (own->machine && own->machine != own->emulator)",
         "",
-        "test_doubles.py::test_c_reads_commands_for_this_emulator_alone",
+        "test_duplicate_nodes.py::test_c_reads_commands_for_this_emulator_alone",
     ),
     Mutant(
         "servo_node/c/answered_states.c",

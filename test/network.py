@@ -25,7 +25,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.network_guest import NetworkClient
+from arm_emulator.ros.network_client import NetworkClient
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator.runs.offline import OfflineRun

@@ -17,9 +17,9 @@ from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, joint_servo
-from arm_emulator.servo.drives import ServoArm, Target
-from arm_emulator.servo.held_motor import discretise_zoh
 from arm_emulator.servo.servo import ServoConfig
+from arm_emulator.servo.servo_arm import ServoArm, Target
+from arm_emulator.servo.zoh_motor import discretise_zoh
 from oracles.random_chain import random_chain_urdf
 
 

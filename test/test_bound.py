@@ -24,8 +24,8 @@ from arm_emulator.motion.instructor import MotionExecutor
 from arm_emulator.motion.kinematics import moving_joints
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.offline import load_offline_run
-from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo import ServoConfig
+from arm_emulator.servo.servo_arm import ServoArm, Target
 
 # A warning of NumPy's would be printed among what the nodes state.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

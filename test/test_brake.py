@@ -22,7 +22,7 @@ from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 
 CLOSE, RELEASE = 0.0205, 0.0335  # s, no whole servo periods
 BRAKE = {"torque": 0.6, "close_delay": CLOSE, "release_delay": RELEASE}

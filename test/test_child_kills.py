@@ -15,9 +15,9 @@ import pytest
 from draws import some
 
 from arm_emulator import Plant, Refusal
-from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.process import runs
-from arm_emulator.page import watched
+from arm_emulator.base.run_outputs import RunOutputs
+from arm_emulator.page import page_process
 from arm_emulator.runs import recorder, row_process
 from arm_emulator.runs.row_process import RowProcess, dismiss_all
 from bench.child_kills import HOW, Case
@@ -133,7 +133,7 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     noisy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each ends when both are asked to: one after the other, the first would be killed."""
-    for module in (watched, recorder):
+    for module in (page_process, recorder):
         monkeypatch.setattr(module, "PROCESS", noisy)
         monkeypatch.setattr(module, "PATIENCE", 60.0)
     began = row_process._begin
@@ -146,7 +146,7 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     with (
         pytest.raises(Refusal, match="over"),  # what this recorder calls its trouble
         recorder.Recorder(plant, RunOutputs(record=Path("never.csv")), waits=False),
-        watched.PageProcess(plant, 0),
+        page_process.PageProcess(plant, 0),
     ):
         raise KeyboardInterrupt
     assert len(list(tmp_path.glob("met_*"))) == 2

@@ -11,7 +11,7 @@ from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from oracles.convergence import convergence_factor, expected_errors
 
 SCENE = "three_axis"  # at its start the waist alone moves the tool along y

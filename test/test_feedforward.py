@@ -22,7 +22,7 @@ from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.motion.reference import JointSetpoint, Reference
 from arm_emulator.motion.rest_load import RestLoad
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from oracles.followed_line import Known, follow
 
 GRAVITY = (0.0, 0.0, -9.81)

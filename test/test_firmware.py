@@ -41,7 +41,7 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun, load_table_run
 from arm_emulator.runs.target_table import load_target_table
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
 

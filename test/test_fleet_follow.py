@@ -21,7 +21,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_fleet import ServoFleet
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {

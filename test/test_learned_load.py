@@ -12,8 +12,8 @@ from draws import some
 from one_motor import JOINT as COARSE
 from one_motor import PERIOD, Drivetrain
 
-from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo import ServoConfig
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from bench.tool_paths import drive
 from oracles.followed_line import Known, follow
 

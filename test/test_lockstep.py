@@ -27,8 +27,8 @@ from network import (
 from sensor_msgs.msg import JointState
 
 from arm_emulator import OfflineRun, Plant, Pose, Refusal, load_scene, load_servo_config
-from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_config
+from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.cli.commands.run import run as run_command
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.motion_config import load_motion_config

@@ -17,7 +17,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, design
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.runs.gains import check_fit, check_joints
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
 ELASTIC = {"stiffness": 3e3, "damping": 3.0}

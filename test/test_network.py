@@ -36,7 +36,7 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
-from emulator_node.page_hands import RosControls
+from emulator_node.page_controls import RosControls
 
 TICKS = 400
 

@@ -16,7 +16,7 @@ from std_msgs.msg import Int64
 
 from arm_emulator import Refusal, testing
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.ros.network_guest import NetworkClient
+from arm_emulator.ros.network_client import NetworkClient
 from arm_emulator.ros.network_under_test import NetworkUnderTest
 from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
 from arm_emulator.ros.ros_domain import own_domain

@@ -36,7 +36,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.machine.call_arguments import PIECE
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.motion.motion_config import load_motion_config
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 from oracles.predicted_residual import predicted_residual
 
 N = 3

@@ -31,7 +31,7 @@ from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus, ServoState
-from emulator_node.page_hands import RosControls
+from emulator_node.page_controls import RosControls
 
 WORDS = (
     *JOINTS, "world", "tool", "base", "abs(v.elbow) > 1", "q.waist > 0.1", "clock", "period",

@@ -10,7 +10,7 @@ from draws import some
 from in_process import InProcess, in_process
 
 from arm_emulator.base.bound import COMMAND
-from arm_emulator.ros.doubles import started
+from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator_msgs.msg import MotorCommand
 
 JOINTS = ["waist", "shoulder", "elbow"]

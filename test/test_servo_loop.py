@@ -22,10 +22,10 @@ from arm_emulator.design.joint_gains import (
     joint_plant,
     joint_servo,
 )
-from arm_emulator.servo.drives import ServoArm, Target
-from arm_emulator.servo.held_motor import discretise_zoh, zoh_motor
 from arm_emulator.servo.servo import ServoConfig
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import JointServo
+from arm_emulator.servo.zoh_motor import discretise_zoh, zoh_motor
 
 Rng = np.random.Generator
 

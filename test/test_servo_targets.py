@@ -10,8 +10,8 @@ import pytest
 from one_motor import JOINT, PERIOD, Drivetrain
 
 from arm_emulator.base.bound import POSITION, VELOCITY
-from arm_emulator.servo.drives import ServoArm, Target
 from arm_emulator.servo.servo import Servo, ServoConfig
+from arm_emulator.servo.servo_arm import ServoArm, Target
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -14,7 +14,7 @@ from draws import FULL, some
 from machines import GRAVITY, random_chain
 
 from arm_emulator import Diverged, Plant, load_scene
-from arm_emulator.base.busy import load_processors
+from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import SHARED
 from arm_emulator.core import CORE

@@ -10,7 +10,7 @@ from machines import CONFIG
 
 from arm_emulator import load_servo_config
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.watchdog import Watchdog, WatchdogState
 
 

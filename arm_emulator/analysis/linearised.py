@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import Commands
 from arm_emulator.machine.core_machine import Equations

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
-from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.call_arguments import LARGEST_STEPS

@@ -23,8 +23,8 @@ from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
-from arm_emulator.servo.held_motor import discretise_zoh
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
+from arm_emulator.servo.zoh_motor import discretise_zoh
 
 HARMLESS = 0.1  # 1/s: what grows more slowly, e-fold in ten seconds, is drift
 FREE_TURN = math.pi  # rad either way, where a joint has no limits

@@ -10,8 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene

@@ -19,7 +19,7 @@ from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import Order
-from arm_emulator.servo.drives import Target
+from arm_emulator.servo.servo_arm import Target
 
 
 class _NoMotionControl:

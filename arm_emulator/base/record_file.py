@@ -16,9 +16,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.kept import SUFFIXES, check_suffix
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.wheel import require_package
+from arm_emulator.base.required_package import require_package
+from arm_emulator.base.run_outputs import SUFFIXES, check_suffix
 from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk
 
 CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not by size

@@ -12,8 +12,8 @@ from functools import partial
 
 from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.required_package import missing_module
 from arm_emulator.base.standard_files import check_stdout, drop, trouble_of_stdout
-from arm_emulator.base.wheel import missing_module
 from arm_emulator.cli.command import (
     Command,
     command_groups,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from arm_emulator.base.kept import RunOutputs
+from arm_emulator.base.run_outputs import RunOutputs
 
 SceneName = Annotated[str, Parameter(metavar="SCENE", help="scene file or name")]
 Clock = Annotated[

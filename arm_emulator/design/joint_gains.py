@@ -37,8 +37,8 @@ from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.held_motor import discretise_zoh
 from arm_emulator.servo.servo_config import CommandPath, JointServo
+from arm_emulator.servo.zoh_motor import discretise_zoh
 
 SENSITIVITY = 2.0
 OVERSHOOT = 0.1

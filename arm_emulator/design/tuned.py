@@ -19,7 +19,7 @@ from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 Range = tuple[float, float]

@@ -34,19 +34,19 @@ from arm_emulator.base.formula import (
     parse_formula,
 )
 from arm_emulator.base.given import array_of
-from arm_emulator.base.kept import NOTHING as KEEP_NOTHING
-from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.number import LARGEST as LARGEST_NUMBER
 from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.registry import Registry
+from arm_emulator.base.required_package import require_package
+from arm_emulator.base.run_outputs import NOTHING as KEEP_NOTHING
+from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.section import Section
 from arm_emulator.base.shafts import Shafts, shaft_limits
 from arm_emulator.base.table_file import read_table
 from arm_emulator.base.text_file import open_file, read_bytes, read_text
 from arm_emulator.base.warning import given as given_warnings
 from arm_emulator.base.warning import warn
-from arm_emulator.base.wheel import require_package
 from arm_emulator.base.whole_file import atomic_write, hidden_beside
 from arm_emulator.base.yaml_file import MOST_BYTES as LARGEST_YAML_FILE
 from arm_emulator.base.yaml_file import edited as edited_yaml

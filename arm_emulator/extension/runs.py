@@ -12,7 +12,7 @@ from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun, off_target
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
-from arm_emulator.servo.drives import ServoArm as ServoDrives
+from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
 from arm_emulator.servo.servo_config import ServoConfig, check_rates, load_servo_config
 from arm_emulator.servo.servo_law import Rows as ServoRows
 from arm_emulator.servo.servo_numbers import servo_numbers

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import coerce_flag
-from arm_emulator.base.uncopied import NonCopyable
+from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.measured import Measured, MeasuredPlace

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.by_value import ArrayEquality
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import KNOWN, input_of, outputs_of, readings_of

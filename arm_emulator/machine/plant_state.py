@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
-from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.number import Number
 from arm_emulator.machine.scene import Scene
 

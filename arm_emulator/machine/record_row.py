@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.turns import Synchronized, synchronized
+from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.measured import Measured, rows_of

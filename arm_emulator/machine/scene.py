@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
 from arm_emulator.base.number import Number, number, numbers_of

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import TOOL_POSITION
-from arm_emulator.base.by_value import ArrayEquality
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 

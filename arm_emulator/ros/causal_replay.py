@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.network_guest import NetworkClient
+from arm_emulator.ros.network_client import NetworkClient
 from arm_emulator.ros.node_shell import COMMAND_QOS, DESCRIPTION_QOS, nanoseconds_of
 from arm_emulator.ros.node_topics import NODES, STATUS, TYPES
 from arm_emulator_msgs.msg import MotionStatus

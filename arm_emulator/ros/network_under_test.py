@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.network_guest import STATES, NetworkClient
+from arm_emulator.ros.network_client import STATES, NetworkClient
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     EVENT_QOS,

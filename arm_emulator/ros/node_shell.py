@@ -25,8 +25,8 @@ from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.barrier import StartAnew
 from arm_emulator.ros.ctrl_c import CtrlC, ignore_signals, until_shut_down
-from arm_emulator.ros.end_anyway import start_exit_watchdog
 from arm_emulator.ros.end_with_parent import end_with_parent
+from arm_emulator.ros.exit_watchdog import start_exit_watchdog
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.shared_memory import clear_left_over

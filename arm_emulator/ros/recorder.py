@@ -24,7 +24,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.end_anyway import start_exit_watchdog
+from arm_emulator.ros.exit_watchdog import start_exit_watchdog
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.message_types import definition_of, message_class
 from arm_emulator.ros.middleware import middleware

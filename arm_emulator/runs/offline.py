@@ -13,10 +13,10 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects
-from arm_emulator.base.uncopied import NonCopyable
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
@@ -27,7 +27,7 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import JointSetpoint
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
 

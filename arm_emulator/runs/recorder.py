@@ -14,8 +14,8 @@ import sys
 import threading
 from pathlib import Path
 
-from arm_emulator.base.kept import NOTHING, RunOutputs
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.run_outputs import NOTHING, RunOutputs
 from arm_emulator.machine.plant import Plant
 from arm_emulator.runs.row_process import RowProcess
 

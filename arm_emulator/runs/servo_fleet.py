@@ -26,7 +26,7 @@ from arm_emulator.machine.fleet_control import FleetControl
 from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig, check_joints, load_servo_config
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds

@@ -14,7 +14,7 @@ from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.plant import Plant
 from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.tick import c as tick
 
 HERE = Path(__file__).resolve().parent

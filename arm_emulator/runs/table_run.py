@@ -23,7 +23,7 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
 
 _PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed
 

@@ -13,7 +13,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.turns import Synchronized, synchronized
+from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import (
     JointServo,

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.servo.held_motor import Sum, ZohMotor, zoh_motor
 from arm_emulator.servo.servo_config import JointServo
 from arm_emulator.servo.servo_law import SERVO, Rows
+from arm_emulator.servo.zoh_motor import Sum, ZohMotor, zoh_motor
 
 _MOST_KEPT = 0.9  # of a current error over a period
 _HALVINGS = 30  # of a period, in search of one that holds

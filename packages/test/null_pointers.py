@@ -27,7 +27,7 @@ from arm_emulator.machine.formula_rows import (
     formula_library,
 )
 from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
-from arm_emulator.servo.drives import ServoArm as ServoDrives
+from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls
 from arm_emulator_fieldbus.drives_unit import DRIVES

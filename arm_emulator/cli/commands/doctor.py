@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.wheel import package_of
+from arm_emulator.base.required_package import package_of
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.library_cache import largest_size, writable_caches
 from arm_emulator.cli.command import command
@@ -198,7 +198,7 @@ def _domain() -> Finding:
 def _network() -> Finding:
     """Look at the nodes of the domain, of any program."""
     try:
-        from arm_emulator.ros.network_guest import guest
+        from arm_emulator.ros.network_client import guest
 
         with guest("doctor", "") as node:
             count, more = 0, True

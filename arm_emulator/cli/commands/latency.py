@@ -14,9 +14,9 @@ import yaml
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
-from arm_emulator.base.busy import load_processors
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.count import check_count
+from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
@@ -27,7 +27,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.network_guest import guest
+from arm_emulator.ros.network_client import guest
 from arm_emulator.ros.node_shell import STATE_SUB_QOS
 from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus

@@ -24,7 +24,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import left
 from arm_emulator.motion.pose import Pose
-from arm_emulator.ros.network_guest import STATES, NetworkClient, guest
+from arm_emulator.ros.network_client import STATES, NetworkClient, guest
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     DESCRIPTION_QOS,

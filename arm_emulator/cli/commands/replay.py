@@ -25,7 +25,7 @@ from arm_emulator.ros.bag_metadata import NANOSECONDS
 from arm_emulator.ros.causal_replay import CausalReplay
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.network_guest import guest
+from arm_emulator.ros.network_client import guest
 
 DEPTH = (
     1000  # messages kept for a listener that is slow; discovery does not report the recorded depth

@@ -13,9 +13,9 @@ from cyclopts import Parameter
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.kept import NOTHING, RunOutputs
 from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.run_outputs import NOTHING, RunOutputs
 from arm_emulator.base.warning import given, warn
 from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command

@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
-from arm_emulator.ros.network_guest import STATES, NetworkClient, guest
+from arm_emulator.ros.network_client import STATES, NetworkClient, guest
 from arm_emulator.ros.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QOS
 from arm_emulator.ros.sole_publisher import full_name, is_known
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.base.address import host_and_port
-from arm_emulator.base.kept import NOTHING
+from arm_emulator.base.run_outputs import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.served import serve_clients

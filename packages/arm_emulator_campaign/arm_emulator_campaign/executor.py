@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Refusal, require_package
+from arm_emulator_campaign.batch_simulator import WIDTH
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import drawn_case
-from arm_emulator_campaign.crew import Pool, Progress, Work, WorkerPool
-from arm_emulator_campaign.lanes import WIDTH
 from arm_emulator_campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
 from arm_emulator_campaign.worker import Done, end_with, simulate, simulator_of
+from arm_emulator_campaign.worker_pool import Pool, Progress, Work, WorkerPool
 
 ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop

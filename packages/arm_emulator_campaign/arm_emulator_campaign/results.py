@@ -36,7 +36,7 @@ from arm_emulator.extension.base import (
     warn,
 )
 from arm_emulator_campaign.campaign_file import Campaign
-from arm_emulator_campaign.judges import Measure
+from arm_emulator_campaign.evaluators import Measure
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.signals import units_of_signals
 

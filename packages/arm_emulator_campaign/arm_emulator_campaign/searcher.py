@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from arm_emulator.extension.base import Array, Refusal, atomic_write
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import case_at
-from arm_emulator_campaign.crew import Pool, Progress, Work, WorkerPool
 from arm_emulator_campaign.executor import failures_in
 from arm_emulator_campaign.results import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
 from arm_emulator_campaign.search.method import Finding
 from arm_emulator_campaign.worker import Done, simulate
+from arm_emulator_campaign.worker_pool import Pool, Progress, Work, WorkerPool
 
 FOUND = "search.json"
 LEAST = "any requirement"

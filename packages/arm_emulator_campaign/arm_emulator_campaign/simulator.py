@@ -21,8 +21,8 @@ from arm_emulator.extension.runs import (
 from arm_emulator.extension.runs import ServoDrives as Drives
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.evaluators import Evaluators
 from arm_emulator_campaign.fault import changes_of
-from arm_emulator_campaign.judges import Evaluators
 from arm_emulator_campaign.outcome import Outcome, Outcomes
 from arm_emulator_campaign.program import Targets
 from arm_emulator_campaign.scenario import Move, Scenario, ticks_of

@@ -12,13 +12,13 @@ from typing import Any
 
 from arm_emulator.extension.base import atomic_write
 from arm_emulator_campaign.campaign_file import Campaign
-from arm_emulator_campaign.crew import Pool, Progress, Work, WorkerPool
 from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results import Results, checksum_of
 from arm_emulator_campaign.search.method import Finding
 from arm_emulator_campaign.search.splitting import Origin, Repetition, Splitting
 from arm_emulator_campaign.searcher import write_findings
 from arm_emulator_campaign.worker import Done, campaign_of
+from arm_emulator_campaign.worker_pool import Pool, Progress, Work, WorkerPool
 
 FOLDER = "splitting"
 PILOT = 0

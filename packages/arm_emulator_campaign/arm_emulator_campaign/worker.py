@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
+from arm_emulator_campaign.batch_simulator import BatchSimulator, runs_of
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, case_at, drawn_case
-from arm_emulator_campaign.lanes import BatchSimulator, runs_of
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.results import write_part
 from arm_emulator_campaign.simulator import Simulator

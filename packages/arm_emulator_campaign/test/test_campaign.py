@@ -13,8 +13,8 @@ import pytest
 import yaml
 from draws import FULL, some
 
-from arm_emulator.base.kept import RunOutputs
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.section import Section
 from arm_emulator.cli.output import output, plain
 from arm_emulator.machine.external_wrench import ExternalWrench
@@ -23,12 +23,12 @@ from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
-from arm_emulator.servo.drives import ServoArm
+from arm_emulator.servo.servo_arm import ServoArm
+from arm_emulator_campaign.batch_simulator import runs_of
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.commands.campaign import campaign
-from arm_emulator_campaign.judges import Checked
-from arm_emulator_campaign.lanes import runs_of
+from arm_emulator_campaign.evaluators import Checked
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.results import Results, digest_of, schema_of, write_part
 from arm_emulator_campaign.simulator import Simulator
@@ -460,7 +460,7 @@ def test_the_price_is_known_beforehand(tmp_path):
 
 def test_the_page_lists_what_a_file_may_have():
     from arm_emulator_campaign.campaign_file import KEYS
-    from arm_emulator_campaign.judges import REDUCTIONS
+    from arm_emulator_campaign.evaluators import REDUCTIONS
     from arm_emulator_campaign.scenario import WAYS
     from docs.campaign_tables import TABLES
 

@@ -13,9 +13,9 @@ from test_campaign import MOVES, TABLE, changed, written
 from arm_emulator import ExternalWrench, Fleet, Refusal, ServoFleet, load_gains
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.fleet_way import FleetWay
+from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, runs_of
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, drawn_case
-from arm_emulator_campaign.lanes import WIDTH, BatchSimulator, runs_of
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.simulator import Simulator
 

@@ -11,11 +11,10 @@ import yaml
 from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator_campaign.batch_simulator import runs_of
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.commands.campaign import case_of
-from arm_emulator_campaign.crew import WorkerPool
 from arm_emulator_campaign.forking import ForkingRun, forked_case
-from arm_emulator_campaign.lanes import runs_of
 from arm_emulator_campaign.report import write_report
 from arm_emulator_campaign.results import Results
 from arm_emulator_campaign.search.splitting import Origin, Splitting
@@ -23,6 +22,7 @@ from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
 from arm_emulator_campaign.splitter import Splitter, failed_forks
 from arm_emulator_campaign.summary import summary_of
+from arm_emulator_campaign.worker_pool import WorkerPool
 
 DRIFTS = {
     "scene": "three_axis",

@@ -29,7 +29,7 @@ from arm_emulator.machine.parts.known import MOTORS, SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.motion.motion_config import load_motion_config
 from arm_emulator.runs.gains import check_joints
-from arm_emulator.servo.drives import ServoArm, Target
+from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.drives import Drives as FieldBus
 from arm_emulator_fieldbus.drives_unit import ETHERCAT

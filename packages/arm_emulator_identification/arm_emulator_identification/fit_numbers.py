@@ -21,7 +21,7 @@ from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal,
 from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
 from arm_emulator.extension.machine import STATE_ROWS as ROWS
 from arm_emulator.extension.machine import Fleet, Scene, outputs_of, scene_of, variable_numbers
-from arm_emulator_identification.structure import lasting
+from arm_emulator_identification.residual_effects import lasting
 
 WHERE = "fit_numbers"
 STEP = 0.01  # of an unknown's width, for the derivative

@@ -1,7 +1,7 @@
 """Check that a record can be of this machine: motion, consistent speeds, no slips.
 
-Each known slip is tried (slips.py). If the record fits the machine much better with one undone,
-that slip is reported; those that fit nearly as well are named beside it.
+Each known slip is tried (data_mistakes.py). If the record fits the machine much better with one
+undone, that slip is reported; those that fit nearly as well are named beside it.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from scipy.ndimage import median_filter
 
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator.extension.machine import Scene
+from arm_emulator_identification.data_mistakes import DataMistakes, Slip
 from arm_emulator_identification.filtered import Filtered, filtered
 from arm_emulator_identification.measured_run import MeasuredRun
-from arm_emulator_identification.slips import DataMistakes, Slip
 
 # Saving of an undone slip, in squares of deviations and relative to the record's cost. In correct
 # measured records, slips save up to 30 and 7 %.

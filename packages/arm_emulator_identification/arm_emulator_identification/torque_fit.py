@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from arm_emulator.extension.base import Array
 from arm_emulator_identification.filtered import Filtered, Mask
-from arm_emulator_identification.structure import Effect, find_structure, lasting
+from arm_emulator_identification.residual_effects import Effect, find_structure, lasting
 from arm_emulator_identification.torque_model import MotionTorques, TorqueModel, Unknown
 
 TURNS = 5  # of fit, weights and loads in alternation

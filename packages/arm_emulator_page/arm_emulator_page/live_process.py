@@ -1,4 +1,4 @@
-"""The process that serves the page of a running machine, see `arm_emulator.page.watched`.
+"""The process that serves the page of a running machine, see `arm_emulator.page.page_process`.
 
 It ends when its input does: the run is over, however it ended.
 """

@@ -14,8 +14,8 @@ from arm_emulator.extension.page import Condition, TermsNow, Timeline
 from arm_emulator_page.arm_scene import ArmScene
 from arm_emulator_page.number_table import EventList, machine_table, number_table
 from arm_emulator_page.page_server import PageServer
+from arm_emulator_page.run_view import RunView
 from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, chosen, lines_of
-from arm_emulator_page.subject import RunView
 
 FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")

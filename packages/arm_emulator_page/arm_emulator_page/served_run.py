@@ -10,7 +10,7 @@ from arm_emulator.extension.commands import output
 from arm_emulator.extension.page import TermsNow, Timeline, TorqueTerms
 from arm_emulator.extension.runs import OfflineRun
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import RunView
+from arm_emulator_page.run_view import RunView
 from arm_emulator_page.what_if import WhatIf
 
 

@@ -21,7 +21,7 @@ from arm_emulator.extension.page import (
 from arm_emulator.extension.runs import OfflineRun
 from arm_emulator_page.push_tab import PushTab
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import RunView
+from arm_emulator_page.run_view import RunView
 
 Keep = Callable[[Timeline[OfflineRun], Path, Path | None], None]
 NOTHING = "nothing"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from browser import chromium
 
+from arm_emulator_campaign.batch_simulator import runs_of
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
-from arm_emulator_campaign.lanes import runs_of
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.report import write_report
 from arm_emulator_campaign.results import Results, write_part

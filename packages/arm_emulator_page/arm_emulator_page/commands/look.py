@@ -13,7 +13,7 @@ from arm_emulator.extension.bags import RecordedMachine, explain_moment
 from arm_emulator.extension.commands import RunNumber, SceneName, command, output
 from arm_emulator.extension.page import TermsNow, Timeline
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import RunView
+from arm_emulator_page.run_view import RunView
 
 
 @command(until_stopped=True, keys="`url`, `scene`, `ticks`")

@@ -42,7 +42,7 @@ from arm_emulator.runs.order import Push, ScaleGains
 from arm_emulator.runs.timeline import Timeline
 from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import RunView
+from arm_emulator_page.run_view import RunView
 from arm_emulator_page.what_if import WhatIf
 from bench.page_picture import new_target
 

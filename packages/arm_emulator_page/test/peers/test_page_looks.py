@@ -13,7 +13,7 @@ from arm_emulator.analysis.torque_terms import TermsNow
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.timeline import Timeline
 from arm_emulator_page.run_page import RunPage
-from arm_emulator_page.subject import RunView
+from arm_emulator_page.run_view import RunView
 from arm_emulator_page.what_if import WhatIf
 
 __all__ = ["browser"]  # a fixture

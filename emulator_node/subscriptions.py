@@ -13,11 +13,11 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.answers import DuplicateCommand
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.inputs import named_inputs
-from arm_emulator.ros.doubles import started
+from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator.ros.message_reader import no_message
 from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
-from emulator_node.breaks import Breakpoints
+from emulator_node.breakpoints import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.pacer import Pacer

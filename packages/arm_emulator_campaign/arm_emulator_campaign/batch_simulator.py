@@ -17,7 +17,7 @@ from arm_emulator.extension.machine import Fleet, FleetWay
 from arm_emulator.extension.runs import ServoFleet
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case
-from arm_emulator_campaign.judges import Evaluators
+from arm_emulator_campaign.evaluators import Evaluators
 from arm_emulator_campaign.outcome import Outcome, Outcomes
 from arm_emulator_campaign.program import BLOCK, Targets
 from arm_emulator_campaign.scenario import Scenario

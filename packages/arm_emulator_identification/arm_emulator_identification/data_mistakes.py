@@ -23,7 +23,7 @@ from arm_emulator.extension.machine import Scene, ShaftMotion
 from arm_emulator_identification import inertia
 from arm_emulator_identification.filtered import Filtered, Mask
 from arm_emulator_identification.link_regressor import LinkRegressor
-from arm_emulator_identification.structure import lasting
+from arm_emulator_identification.residual_effects import lasting
 
 Order = NDArray[np.signedinteger[Any]]
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Plant, Refusal, Session
-from arm_emulator.page.desk import ControlServer, MachineControls, _PipedControls
+from arm_emulator.page.control_server import ControlServer, MachineControls, _PipedControls
 
 
 @contextmanager
@@ -140,7 +140,7 @@ def test_a_desk_answers_anything_that_a_browser_sends() -> None:
 
 
 def test_an_answer_that_is_late_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("arm_emulator.page.desk.PATIENCE", 0.05)
+    monkeypatch.setattr("arm_emulator.page.control_server.PATIENCE", 0.05)
     near, far = Pipe()
     there = _PipedControls(os.dup(far.fileno()), frozenset())
     with pytest.raises(Refusal, match="answer within"):

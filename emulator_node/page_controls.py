@@ -22,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.page.hands import Controls, News, Vector
+from arm_emulator.page.controls import Controls, News, Vector
 from arm_emulator.ros.barrier import guard
 from arm_emulator.ros.node_parameters import SETTABLE
 from arm_emulator.ros.node_shell import EVENT_QOS, STATE_SUB_QOS

@@ -15,8 +15,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.session import Session
-from arm_emulator.page.hands import Controls, News, Vector
-from arm_emulator.page.watched import PageProcess
+from arm_emulator.page.controls import Controls, News, Vector
+from arm_emulator.page.page_process import PageProcess
 
 PATIENCE = 10.0  # s, wall: for an answer
 PIECE = 1000  # ticks between two looks

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.crew import MOST_BREAKS, Progress, Work, WorkerPool
+from arm_emulator_campaign.batch_simulator import WIDTH
 from arm_emulator_campaign.executor import chunk_of
-from arm_emulator_campaign.lanes import WIDTH
+from arm_emulator_campaign.worker_pool import MOST_BREAKS, Progress, Work, WorkerPool
 
 
 class Killed(Exception):
