@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.count import check_count
-from arm_emulator.base.given import array_of, coerce_kind
-from arm_emulator.base.number import Number
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.validation.coerce import array_of, coerce_kind
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 
-from arm_emulator.base.number import numbers_of
+from arm_emulator.base.validation.number import numbers_of
 from arm_emulator.machine.scene import load_scene
 from arm_emulator_campaign import campaign_file
 from arm_emulator_campaign.distributions import KINDS

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from arm_emulator.base.number import REQUIRED, Number, numbers_of
-from arm_emulator.base.parameters import parameters_of
+from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.validation.parameters import parameters_of
 from arm_emulator.motion.drive_numbers import DriveParameters
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from arm_emulator.base.config_files import BESIDE
 from arm_emulator.base.name_rule import LONGEST_NAME, SCENE_MARKS
-from arm_emulator.base.number import Number, numbers_of
+from arm_emulator.base.validation.number import Number, numbers_of
 from arm_emulator.machine.integrator import EVENTS, EXCHANGES, Integrator
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.payload import COM, INERTIA, MASS

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from arm_emulator.base.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.outputs import ALWAYS, KNOWN

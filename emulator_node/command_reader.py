@@ -7,7 +7,7 @@ from array import array
 import numpy as np
 from rclpy.serialization import serialize_message
 
-from arm_emulator.base.bound import COMMAND
+from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.scene import Scene

@@ -26,8 +26,8 @@ from typing import Any
 from rclpy.publisher import Publisher
 
 from arm_emulator.base.address import LOCAL
-from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.parameters import parameter
 from arm_emulator.machine.build_facts import build_facts
 from arm_emulator.machine.pace import LARGEST, Pace
 from arm_emulator.machine.real_time import real_time_session

@@ -29,10 +29,10 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.joint_order import JointOrder
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.validation.joint_order import JointOrder
+from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.controller import Controller, controller_for
 from arm_emulator.motion.follow_goal import check_points, tolerances_of
 from arm_emulator.motion.instructor import MotionExecutor

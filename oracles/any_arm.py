@@ -28,7 +28,7 @@ from arm_emulator import (
     load_scene,
 )
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.urdf_text import UNLIMITED
+from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.machine.urdf_file import example_robot_data
 from arm_emulator.motion.motion_report import State

@@ -26,7 +26,7 @@ import pinocchio as pin
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, without
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.count import check_count
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.number import Number
 
 _STEPS = Number.within("step_response", "", 1e3)
 SMALL = 0.02  # of the way: errors below count no more

@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 
 from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.drawn import scaled

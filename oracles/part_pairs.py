@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import DriveStage

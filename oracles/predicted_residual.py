@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import LARGEST_COUNT, POSITION
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import LARGEST_COUNT, POSITION
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import POSITION_ROWS

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from sensor_msgs.msg import JointState
 
-from arm_emulator.base.bound import BRAKE_CLOSED, COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.validation.bound import (
+    BRAKE_CLOSED,
+    COMMAND,
+    CURRENT,
+    EFFORT,
+    POSITION,
+    VELOCITY,
+)
 from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
 from arm_emulator.ros.middleware import Outgoing, middleware

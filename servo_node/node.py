@@ -26,8 +26,8 @@ from rcl_interfaces.msg import ParameterDescriptor
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.ros.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.middleware import Outgoing

@@ -480,37 +480,37 @@ MUTANTS = (
     ),
     # Input.
     Mutant(
-        "arm_emulator/base/number.py",
+        "arm_emulator/base/validation/number.py",
         "return LARGEST if self.at_most is None else float(np.min(self.at_most))",
         "return LARGEST if self.at_most is None else float(np.max(self.at_most))",
         "test_number.py test_bound.py",
     ),
     Mutant(
-        "arm_emulator/base/bound.py",
+        "arm_emulator/base/validation/bound.py",
         'FORCE = Number.within("force", "N", 1e6)',
         'FORCE = Number.within("force", "N", 1e9)',
         "test_bound.py test_external_wrench.py",
     ),
     Mutant(
-        "arm_emulator/base/bound.py",
+        "arm_emulator/base/validation/bound.py",
         "np.minimum(LARGEST_COUNT, counts) - 1.0",
         "np.minimum(LARGEST_COUNT, counts)",
         "test_bound.py",
     ),
     Mutant(
-        "arm_emulator/base/joint_order.py",
+        "arm_emulator/base/validation/joint_order.py",
         "array[[self._index[name] for name in names]] = given",
         "array = given[[self._index[name] for name in names]]",
         "test_session.py test_manners.py test_lockstep.py",
     ),
     Mutant(
-        "arm_emulator/base/formula.py",
+        "arm_emulator/base/expression/formula.py",
         'strict = sign in ("<", ">")',
         'strict = sign == "<"',
         "test_condition.py",
     ),
     Mutant(
-        "arm_emulator/base/section.py",
+        "arm_emulator/base/validation/section.py",
         "            below.finish()\n",
         "            pass\n",
         "test_scene.py",

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
 
 NO_NUMBERS: tuple[Any, ...] = (
     None, "much", True, False, [1.0], math.nan, math.inf, -math.inf, 10**400,

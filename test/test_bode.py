@@ -11,7 +11,7 @@ from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from test_command_line import run
 
 from arm_emulator import Plant, load_scene
-from arm_emulator.base.table_file import read_table
+from arm_emulator.base.io.table_file import read_table
 
 RATIO, STIFFNESS, DAMPING = 0.01, 4e4, np.array([5.0, 8.0, 3.0])
 

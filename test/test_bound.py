@@ -14,9 +14,16 @@ import pytest
 from random_messages import huge, number, random_urdf
 
 from arm_emulator import OfflineRun, Pose, Refusal, Servo, Session, load_scene, load_servo_config
-from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.number import Number
+from arm_emulator.base.validation.bound import (
+    COMMAND,
+    CURRENT,
+    EFFORT,
+    POSITION,
+    VELOCITY,
+    encoder_counts,
+)
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.plant_state import bounds_of
 from arm_emulator.motion.coming_orders import MOST_TARGETS
 from arm_emulator.motion.controller import Controller, controller_for

@@ -221,7 +221,7 @@ def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
     """Positions, and speeds; at the corners of the box some joint is at its limit."""
-    from arm_emulator.base.shafts import Shafts
+    from arm_emulator.base.urdf.shafts import Shafts
 
     draw = np.random.default_rng(seed)
     parts, shares = any_arm(seed)

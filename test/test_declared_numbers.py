@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from arm_emulator.base import bound
-from arm_emulator.base.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.validation import bound
+from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
 from arm_emulator.machine.integrator import Integrator
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.imu import Imu

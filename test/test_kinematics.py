@@ -23,7 +23,7 @@ from machines import random_chain_urdf
 from scipy.spatial.transform import Rotation
 
 from arm_emulator import JacobianController, Kinematics, Pose, Refusal
-from arm_emulator.base.urdf_text import read_urdf
+from arm_emulator.base.urdf.urdf_text import read_urdf
 from arm_emulator.machine.urdf_file import example_robot_data
 
 

@@ -16,8 +16,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import BatteryState, CameraInfo, Imu, JointState, Joy, LaserScan, NavSatFix
 from trajectory_msgs.msg import JointTrajectory
 
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
 from arm_emulator.ros.c import MESSAGE_READER
 from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
 from arm_emulator.ros.middleware import middleware

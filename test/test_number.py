@@ -16,9 +16,9 @@ import yaml
 from refused_numbers import check_refusals, fits
 
 from arm_emulator import Plant, Refusal, load_scene, load_servo_config
-from arm_emulator.base import bound
-from arm_emulator.base.number import LARGEST, SMALLEST, Number, numbers_of
-from arm_emulator.base.parameters import checked, parameters_of
+from arm_emulator.base.validation import bound
+from arm_emulator.base.validation.number import LARGEST, SMALLEST, Number, numbers_of
+from arm_emulator.base.validation.parameters import checked, parameters_of
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.servo.servo_config import ServoConfig

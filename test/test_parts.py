@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from documents import DOCS
 
-from arm_emulator.base.number import LARGEST, REQUIRED, SMALLEST
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import LARGEST, REQUIRED, SMALLEST
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.encoder import Encoder
 from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.known import PARTS

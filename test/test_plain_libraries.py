@@ -32,7 +32,7 @@ from arm_emulator import (
     load_scene,
     load_servo_config,
 )
-from arm_emulator.base.count import check_count
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.call_arguments import PIECE
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.motion.motion_config import load_motion_config

@@ -17,7 +17,7 @@ from draws import some
 from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
-from arm_emulator.base.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
+from arm_emulator.base.io.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.urdf_file import example_robot_data

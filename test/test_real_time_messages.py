@@ -9,7 +9,7 @@ from by_hand import go_on
 from draws import some
 from in_process import InProcess, in_process
 
-from arm_emulator.base.bound import COMMAND
+from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator_msgs.msg import MotorCommand
 

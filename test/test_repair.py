@@ -25,8 +25,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
+from arm_emulator.base.io.atomic_write import write_all
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.whole_file import write_all
 from arm_emulator.cli.command_line import main
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT, Topic
@@ -285,7 +285,7 @@ def test_no_row_is_written_after_the_first_failure(
         bag = tmp_path / f"{case}"
         with monkeypatch.context() as patch:
             patch.setattr("arm_emulator.ros.bag_writer.write_all", writes)
-            patch.setattr("arm_emulator.base.whole_file.write_all", writes)
+            patch.setattr("arm_emulator.base.io.atomic_write.write_all", writes)
             if number is None:
                 talk(bag, 100, case)
             else:

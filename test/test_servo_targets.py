@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from one_motor import JOINT, PERIOD, Drivetrain
 
-from arm_emulator.base.bound import POSITION, VELOCITY
+from arm_emulator.base.validation.bound import POSITION, VELOCITY
 from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
 

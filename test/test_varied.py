@@ -14,7 +14,7 @@ from draws import some
 from machines import MOTOR, Oracle, moving_joints, random_chain_urdf, write_scene
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.base.number import Number
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.schemes.known import SCHEMES
 

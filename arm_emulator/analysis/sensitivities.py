@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.call_arguments import LARGEST_STEPS
 from arm_emulator.machine.compiler import DIRECTIONS, sensitivity_library_of
 from arm_emulator.machine.core_calls import SENSITIVITY

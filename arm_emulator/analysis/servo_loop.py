@@ -19,7 +19,7 @@ from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlan
 from arm_emulator.analysis.stability import SmallMotions, contacts
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import UNLIMITED
+from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from arm_emulator.bags.recorded_ticks import Change, RecordedTick, recorded_ticks
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.scene import Scene, load_scene

@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_ticks import Change
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.count import check_count
-from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.runs.gains import Gains, load_gains

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.count import check_count
 
 LOCAL = "127.0.0.1"
 

@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 from sysconfig import get_path
 
+from arm_emulator.base.io.text_file import why_no_file
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import why_no_file
-from arm_emulator.base.yaml_file import read_yaml
 
 # Files that may be next to a scene: parameters of servo and motion controller, and a demo.
 BESIDE = ("servo", "motion", "demo")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.config_files import find_beside
-from arm_emulator.base.number import Number
-from arm_emulator.base.section import Section
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.io.yaml_file import read_yaml
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
 
 NANOSECONDS = 1_000_000_000
 

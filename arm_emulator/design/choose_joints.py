@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from arm_emulator.base.couplings import Follows, followers, own_shafts
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.couplings import Follows, followers, own_shafts
 from arm_emulator.machine.urdf_tree import FREE_KINDS, MOVING_KINDS
 
 MOVING = tuple(MOVING_KINDS)

@@ -7,9 +7,9 @@ from pathlib import Path
 import yaml
 
 from arm_emulator.base.config_files import check_own
+from arm_emulator.base.io.text_file import read_text
+from arm_emulator.base.io.yaml_file import MOST_BYTES, edited, nodes_of
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import read_text
-from arm_emulator.base.yaml_file import MOST_BYTES, edited, nodes_of
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")

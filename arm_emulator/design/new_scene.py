@@ -15,9 +15,9 @@ import yaml
 from arm_emulator.analysis.holding import Overload, overloads
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import check_own
-from arm_emulator.base.number import numbers_of
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import UNLIMITED, parse_urdf
+from arm_emulator.base.urdf.urdf_text import UNLIMITED, parse_urdf
+from arm_emulator.base.validation.number import numbers_of
 from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, has_shape
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published

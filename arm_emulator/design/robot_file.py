@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from arm_emulator.base.config_files import ROBOTS
+from arm_emulator.base.io.text_file import why_no_file
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import why_no_file
-from arm_emulator.base.urdf_text import MOST_BYTES, read_urdf
+from arm_emulator.base.urdf.urdf_text import MOST_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
 from arm_emulator.design.mesh_file import source_packages
 from arm_emulator.design.sizing import Sized

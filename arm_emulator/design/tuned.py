@@ -13,7 +13,7 @@ import numpy as np
 from arm_emulator.analysis.sampled_loop import Margins
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design
 from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.plant import Plant

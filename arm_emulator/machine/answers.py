@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import COMMAND
-from arm_emulator.base.count import LARGEST, check_count
-from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import COMMAND
+from arm_emulator.base.validation.count import LARGEST, check_count
+from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.inputs import further_inputs, further_rows
 from arm_emulator.machine.scene import Scene

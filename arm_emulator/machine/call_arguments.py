@@ -8,8 +8,8 @@ from typing import Any
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.joint_order import check_joint_names
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.joint_order import check_joint_names
 from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.machine.core_calls import ARM, PLACES
 from arm_emulator.machine.inputs import modes_of

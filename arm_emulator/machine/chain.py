@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.couplings import Coupling
 from arm_emulator.base.products import applied, product
+from arm_emulator.base.urdf.couplings import Coupling
 
 
 def _constant(values: object) -> Array:

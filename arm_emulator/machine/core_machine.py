@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
+from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.build.c_header import NULL, CData, Library, pointer
 from arm_emulator.machine.call_arguments import options_of, refusal_of, truth_at
 from arm_emulator.machine.compiler import equations_library_of, library_of

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import ANY_COMMAND
-from arm_emulator.base.count import check_count
-from arm_emulator.base.given import coerce_flag
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
+from arm_emulator.base.validation.bound import ANY_COMMAND
+from arm_emulator.base.validation.coerce import coerce_flag
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.number import Number
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.call_arguments import Commands, by_joint, options_of, refusal_of
 from arm_emulator.machine.compiler import fleet_library_of

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import FORCE, MOMENT, POINT
-from arm_emulator.base.number import Number
 from arm_emulator.base.products import applied
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import FORCE, MOMENT, POINT
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.chain import Frame
 from arm_emulator.machine.scene import Scene
 

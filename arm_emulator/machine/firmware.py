@@ -10,8 +10,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import read_bytes
 from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.build.elf import address_in, called_functions, why_no_library, written_memory
 from arm_emulator.machine.control_code import ControlCode

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import synchronized
+from arm_emulator.base.validation.bound import ANY_COMMAND, ANY_COMMANDS
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.call_arguments import LARGEST_STEPS, PIECE, Commands, commands_of
 from arm_emulator.machine.core_calls import ARM, FLEET, REFUSED

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.count import check_count
-from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.non_copyable import NonCopyable
+from arm_emulator.base.validation.coerce import coerce_flag
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.measured import Measured, MeasuredPlace

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from arm_emulator.base.count import check_count
-from arm_emulator.base.given import coerce_flag, coerce_kind
 from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.coerce import coerce_flag, coerce_kind
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.core_calls import ARM, FLEET

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from arm_emulator.base.formula import (
+from arm_emulator.base.expression.formula import (
     Combined,
     Constant,
     Expression,

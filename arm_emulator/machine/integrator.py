@@ -6,9 +6,9 @@ import math
 import sys
 from dataclasses import dataclass
 
-from arm_emulator.base.number import number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.section import LARGEST_COUNT, Section
+from arm_emulator.base.validation.number import number
+from arm_emulator.base.validation.section import LARGEST_COUNT, Section
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES, SCHEMES
 from arm_emulator.machine.schemes.scheme import Scheme
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from arm_emulator.base.number import LARGEST, number
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import LARGEST, number
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import DriveStage

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import POSITION
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import POSITION
+from arm_emulator.base.validation.number import Number
 from arm_emulator.build.c_header import pointer
 
 QUANTITIES = {

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.number import Number
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.urdf_tree import check_inertia
 

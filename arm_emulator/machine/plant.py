@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
-from arm_emulator.base.count import check_count
-from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import synchronized
+from arm_emulator.base.validation.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
+from arm_emulator.base.validation.coerce import coerce_flag
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.build.c_header import NULL, Library, pointer
 from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,

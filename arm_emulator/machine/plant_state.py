@@ -9,8 +9,8 @@ import numpy as np
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
-from arm_emulator.base.number import Number
+from arm_emulator.base.validation.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.scene import Scene
 
 SET = ("current", "theta_m", "omega_m", "q", "v")  # what decides on the others of `PlantState`

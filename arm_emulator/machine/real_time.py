@@ -9,10 +9,10 @@ from dataclasses import fields
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import COMMAND
-from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized
+from arm_emulator.base.validation.bound import COMMAND
+from arm_emulator.base.validation.count import LARGEST, check_count
 from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.call_arguments import commands_of
 from arm_emulator.machine.clock import Clock, ReachedTick, RealTimeFigures

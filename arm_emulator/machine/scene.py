@@ -19,12 +19,12 @@ import numpy as np
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import BESIDE, find_config
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
-from arm_emulator.base.number import Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.section import Section
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.validation.number import Number, number, numbers_of
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.integrator import Integrator, dividing, odds

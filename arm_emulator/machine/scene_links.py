@@ -5,10 +5,10 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from arm_emulator.base.number import Number
-from arm_emulator.base.section import Section
-from arm_emulator.base.shafts import shaft_limits
-from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
+from arm_emulator.base.urdf.shafts import shaft_limits
+from arm_emulator.base.urdf.urdf_text import limits_of, parse_urdf, read_urdf
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.payload import Load, load_of, read_payload
 from arm_emulator.machine.urdf_chain import lock_joints, read_chain

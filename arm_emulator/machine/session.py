@@ -15,9 +15,9 @@ from typing import Any, Self
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.given import coerce_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
+from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.answers import CommandBuffer
 from arm_emulator.machine.clock import Clock, RealTimeFigures

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.couplings import Coupling, coupling_of, followers
 from arm_emulator.base.products import applied, length, product
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import complete_limits
+from arm_emulator.base.urdf.couplings import Coupling, coupling_of, followers
+from arm_emulator.base.urdf.urdf_text import complete_limits
 from arm_emulator.machine.chain import (
     Body,
     Chain,

@@ -6,8 +6,8 @@ import os
 import sys
 from pathlib import Path
 
+from arm_emulator.base.io.text_file import why_no_file
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import why_no_file
 
 
 def example_robot_data() -> Path | None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.chain import Body, ChainJoint, Frame
 from arm_emulator.machine.cxx_literals import number
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.shafts import Shafts
+from arm_emulator.base.urdf.shafts import Shafts
 from arm_emulator.build.c_header import NULL, CData, Header, pointer
 from arm_emulator.build.flags import CPP_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once

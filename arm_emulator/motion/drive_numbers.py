@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.number import number
-from arm_emulator.base.parameters import numbers_in, tables_of
+from arm_emulator.base.validation.number import number
+from arm_emulator.base.validation.parameters import numbers_in, tables_of
 
 SECTION = "joints"  # of the motion controller's parameter file
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.motion.coming_orders import (
     AcceptedGoal,
     GoalQueue,

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import VELOCITY
-from arm_emulator.base.joint_order import check_known_joints
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import VELOCITY
+from arm_emulator.base.validation.joint_order import check_known_joints
 from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 

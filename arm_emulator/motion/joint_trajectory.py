@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.joint_order import check_known_joints
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.validation.joint_order import check_known_joints
+from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.joint_curve import beyond
 from arm_emulator.motion.reference import Reference
 

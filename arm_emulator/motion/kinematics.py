@@ -11,13 +11,13 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import POSITION, TOOL_POSITION
-from arm_emulator.base.given import coerce_kind
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.shafts import Shafts, shafts_of
-from arm_emulator.base.urdf_text import UNLIMITED
+from arm_emulator.base.urdf.shafts import Shafts, shafts_of
+from arm_emulator.base.urdf.urdf_text import UNLIMITED
+from arm_emulator.base.validation.bound import POSITION, TOOL_POSITION
+from arm_emulator.base.validation.coerce import coerce_kind
+from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.kinematics_model import JOINT, LINK, link_names, rate_limits, whole_model
 from arm_emulator.motion.pose import Pose
 

@@ -16,7 +16,7 @@ from typing import Any
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import complete_limits, parse_urdf
+from arm_emulator.base.urdf.urdf_text import complete_limits, parse_urdf
 
 # Before the names in the model: a joint and a link may be called the same, and a joint "universe".
 JOINT, LINK = "joint ", "link "

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.shafts import Shafts
+from arm_emulator.base.urdf.shafts import Shafts
 
 
 class LinkMotions:

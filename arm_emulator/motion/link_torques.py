@@ -10,7 +10,7 @@ import pinocchio as pin
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.shafts import Shafts
+from arm_emulator.base.urdf.shafts import Shafts
 from arm_emulator.motion.kinematics_model import JOINT, whole_model
 
 

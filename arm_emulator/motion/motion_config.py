@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.base.parameters import load_parameters, parameter
 from arm_emulator.base.saved_objects import SharedObject
+from arm_emulator.base.validation.parameters import load_parameters, parameter
 from arm_emulator.motion.drive_numbers import SECTION, Drives, drives_of
 from arm_emulator.motion.obstacles import OBSTACLES, Obstacle, obstacles_of
 

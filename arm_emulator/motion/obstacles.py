@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from arm_emulator.base.number import Number
-from arm_emulator.base.parameters import tables_of
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.parameters import tables_of
 
 OBSTACLES = "obstacles"  # the section's name
 _LENGTH = Number("", "m", above=0.0, at_most=1e3)

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import TOOL_POSITION
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import TOOL_POSITION
+from arm_emulator.base.validation.number import Number
 
 # A quaternion this far from length 1, and a matrix this far from a rotation, is rounding of its
 # sender; farther, it is a mistake.

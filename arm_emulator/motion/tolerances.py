@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.joint_order import check_known_joints
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.joint_order import check_known_joints
 
 WHERE = "joint_trajectory"
 

@@ -13,15 +13,15 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from arm_emulator.base.io.text_file import open_file
+from arm_emulator.base.io.yaml_file import parse_yaml, read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import open_file
-from arm_emulator.base.yaml_file import parse_yaml, read_yaml
 from arm_emulator.ros.bag_metadata import ABOUT, Span, Topic, qos_from_yaml
 
 try:
     from mcap.records import Channel, Message, Metadata, Schema
 
-    from arm_emulator.base.mcap_records import CutOff, Damaged, records
+    from arm_emulator.base.io.mcap_records import CutOff, Damaged, records
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"

@@ -16,10 +16,10 @@ from arm_emulator.ros.bag import Bag, files_of  # first: refuses where mcap is m
 # isort: split
 from mcap.writer import CompressionType, Writer
 
-from arm_emulator.base.mcap_records import NO_ROOM, recover_mcap
+from arm_emulator.base.io.atomic_write import UnbufferedFile, flush_to_disk, write_all
+from arm_emulator.base.io.mcap_records import NO_ROOM, recover_mcap
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk, write_all
-from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.ros.bag_metadata import (
     ABOUT,

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import IO
 
 from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.ros.ctrl_c import END_SIGNALS
 from arm_emulator.ros.end_with_parent import parent_environment
 from arm_emulator.ros.node_forks import ForkedNode, forks, python_path

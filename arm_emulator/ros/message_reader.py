@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
-from arm_emulator.base.joint_order import JointOrder
-from arm_emulator.base.number import LARGEST, Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.joint_order import JointOrder
+from arm_emulator.base.validation.number import LARGEST, Number
 from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MESSAGE_READER
 from arm_emulator.ros.fixed_layout import CODES, fields_of

@@ -17,15 +17,15 @@ from rcl_interfaces.msg import (
 )
 from rclpy.parameter import Parameter as RosParameter
 
-from arm_emulator.base.number import Number
-from arm_emulator.base.parameters import (
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.parameters import (
     ROS_PARAMETERS,
     Parameters,
     checked,
     nearest_name_hint,
     parameters_of,
 )
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.managed_node import ManagedNode
 
 SETTABLE = "set in every state of the node"

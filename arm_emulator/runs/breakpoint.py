@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.base.given import coerce_kind
+from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.machine.formula_rows import BREAKPOINT, formula_library
 from arm_emulator.machine.listeners import leave, listen
 from arm_emulator.machine.plant import Plant

@@ -1,6 +1,7 @@
 """Conditions on a machine as text, such as ``current.elbow > 20 and abs(v.waist) < 0.01``.
 
-The language is that of requirements (`arm_emulator.base.formula`), without its operators over time.
+The language is that of requirements (`arm_emulator.base.expression.formula`), without its operators
+over time.
 """
 
 from __future__ import annotations
@@ -8,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.column import Column
-from arm_emulator.base.formula import Combined, Formula, Window, bound_to, parse_formula
-from arm_emulator.base.given import coerce_kind
+from arm_emulator.base.expression.formula import Combined, Formula, Window, bound_to, parse_formula
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.machine.formula_rows import CONDITION, FormulaRows, formula_library
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_row import RecordRow, columns_of

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.count import check_count
-from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.non_copyable import NonCopyable
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.joint_order import JointOrder
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import ANY_COMMANDS
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.count import check_count
+from arm_emulator.base.io.record_file import arrow_table, open_record
 from arm_emulator.base.non_copyable import NonCopyable
-from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import check_suffix
+from arm_emulator.base.validation.bound import ANY_COMMANDS
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS

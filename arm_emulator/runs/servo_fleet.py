@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
-from arm_emulator.base.count import check_count, whole_numbers
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.base.validation.count import check_count, whole_numbers
+from arm_emulator.base.validation.number import Number
 from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library

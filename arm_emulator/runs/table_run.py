@@ -11,8 +11,8 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.count import check_count
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.firmware import Firmware

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import POSITION
+from arm_emulator.base.io.table_file import Table, read_table
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.table_file import Table, read_table
+from arm_emulator.base.validation.bound import POSITION
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.joint_trajectory import ROUNDING, SPEED_BETWEEN_POINTS

@@ -6,9 +6,9 @@ import bisect
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
-from arm_emulator.base.count import check_count
 from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.count import check_count
 
 
 @runtime_checkable

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
+from arm_emulator.base.validation.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.validation.number import Number
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import (
     JointServo,
@@ -45,8 +45,8 @@ class Servo(Synchronized):
     its two halves: `observe` when the measurement is there, `control` when the target is.
 
     A joint whose observer or integral is no longer finite begins anew where the motor stands, is
-    commanded 0 for that period, and is counted in `restarts`. Within the bounds of base/bound.py
-    only a data sheet of impossible numbers can lead there.
+    commanded 0 for that period, and is counted in `restarts`. Within the bounds of
+    base/validation/bound.py only a data sheet of impossible numbers can lead there.
 
     Attributes:
         config: data-sheet values, gains and limits.

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import BRAKE_CLOSED
+from arm_emulator.base.validation.bound import BRAKE_CLOSED
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_law import SERVO, servo_law

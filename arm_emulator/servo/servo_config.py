@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from arm_emulator.base.bound import encoder_counts
 from arm_emulator.base.config_files import find_config
-from arm_emulator.base.given import coerce_kind
-from arm_emulator.base.number import Number, number, numbers_of
-from arm_emulator.base.parameters import (
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import SharedObject
+from arm_emulator.base.validation.bound import encoder_counts
+from arm_emulator.base.validation.coerce import coerce_kind
+from arm_emulator.base.validation.number import Number, number, numbers_of
+from arm_emulator.base.validation.parameters import (
     ROS_PARAMETERS,
     check_keys,
     numbers_in,
     ros_parameters,
     tables_of,
 )
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.saved_objects import SharedObject
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from dataclasses import replace
 
-from arm_emulator.base.number import numbers_of
+from arm_emulator.base.validation.number import numbers_of
 from arm_emulator.build.c_header import CData
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import (

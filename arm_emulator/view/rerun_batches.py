@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.shafts import Shafts
+from arm_emulator.base.urdf.shafts import Shafts
 from arm_emulator.view.rerun_blueprint import (
     COLOURS,
     DEVIATION,

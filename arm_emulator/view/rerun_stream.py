@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import require_package
-from arm_emulator.base.shafts import Shafts
+from arm_emulator.base.urdf.shafts import Shafts
+from arm_emulator.base.validation.bound import TOOL_POSITION
 from arm_emulator.view.rerun_batches import QUANTITIES, RerunBatches, SampleQueue
 
 if TYPE_CHECKING:

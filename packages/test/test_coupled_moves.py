@@ -21,8 +21,8 @@ from fmu_client import OK, Fmu, Instance
 from test_rerun_stream import read
 
 from arm_emulator import OfflineRun, Plant, Pose, Refusal, Scene, load_gains, load_scene
-from arm_emulator.base.shafts import Shafts, shaft_limits
-from arm_emulator.base.urdf_text import limits_of
+from arm_emulator.base.urdf.shafts import Shafts, shaft_limits
+from arm_emulator.base.urdf.urdf_text import limits_of
 from arm_emulator.build.c_header import Library
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE

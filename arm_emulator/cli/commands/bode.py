@@ -13,8 +13,8 @@ from scipy import signal
 
 from arm_emulator.analysis.linearised import LinearMachine, linearise
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output

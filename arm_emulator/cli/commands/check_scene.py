@@ -13,11 +13,11 @@ from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.packages import MODES, load_all
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import parse_urdf
+from arm_emulator.base.urdf.urdf_text import parse_urdf
 from arm_emulator.base.warning import warn
-from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain

@@ -15,11 +15,11 @@ from cyclopts import Parameter
 from numpy.typing import NDArray
 
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.base.count import check_count
 from arm_emulator.base.cpu_load import load_processors
-from arm_emulator.base.number import Number
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.number import Number
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output

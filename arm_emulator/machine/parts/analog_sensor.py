@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import ClassVar, Self
 
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.encoder import DELAY
 from arm_emulator.machine.parts.fault import FALLS, HOLDS, STUCK, Fault, rise, sensor_fault, share
 from arm_emulator.machine.parts.part import Part, PartNumber, number

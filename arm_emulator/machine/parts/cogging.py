@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.registry import register_part

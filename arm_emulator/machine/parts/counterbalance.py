@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.extra import JointEffect
 from arm_emulator.machine.parts.fault import Fault, falling, share
 from arm_emulator.machine.parts.part import number

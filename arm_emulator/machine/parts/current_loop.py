@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.decorator import DriveStage, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled

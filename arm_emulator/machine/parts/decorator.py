@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, NamedTuple, Self
 
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import CxxMotor, Motor, Rating
 from arm_emulator.machine.parts.part import Part

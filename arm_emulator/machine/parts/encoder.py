@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Self
 
-from arm_emulator.base.number import Number
-from arm_emulator.base.section import LARGEST_COUNT, Section
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.fault import HOLDS, STUCK, Fault, rise, sensor_fault, share
 from arm_emulator.machine.parts.key import Key

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.part import Part
 
 

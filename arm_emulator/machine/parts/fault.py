@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
-from arm_emulator.base.number import Number
+from arm_emulator.base.validation.number import Number
 
 
 @dataclass(frozen=True)

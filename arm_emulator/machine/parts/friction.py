@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from arm_emulator.base.number import Number
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Chain, Frame, frame_of
 from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR, Converter

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.extra import JointEffect

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from arm_emulator.base.number import Number
+from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, share
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part

@@ -17,8 +17,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, dataclass_transform
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.number import REQUIRED, Ends, Number, between, field_of, numbers_of
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import (
+    REQUIRED,
+    Ends,
+    Number,
+    between,
+    field_of,
+    numbers_of,
+)
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.drawn import Numbers, Rng, usual
 from arm_emulator.machine.parts.fault import Fault

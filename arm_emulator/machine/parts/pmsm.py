@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Self
 
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.drawn import Numbers, Rng, scaled
 from arm_emulator.machine.parts.fault import RISES, Fault, share

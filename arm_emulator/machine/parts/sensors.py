@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.decorator import DriveStage, Supply
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.motor import CxxMotor, Motor

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.number import LARGEST, Number
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import LARGEST, Number
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.drawn import Numbers, Rng
 from arm_emulator.machine.parts.extra import JointEffect

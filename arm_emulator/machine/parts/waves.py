@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.number import Number
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.key import Key
 

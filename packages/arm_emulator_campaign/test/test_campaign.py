@@ -15,7 +15,7 @@ from draws import FULL, some
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import RunOutputs
-from arm_emulator.base.section import Section
+from arm_emulator.base.validation.section import Section
 from arm_emulator.cli.output import output, plain
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.scene import load_scene

@@ -16,7 +16,7 @@ import yaml
 from draws import FULL
 
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
-from arm_emulator.base.formula import bound_to, parse_formula
+from arm_emulator.base.expression.formula import bound_to, parse_formula
 from arm_emulator.machine.tool_chain import TOOL
 from arm_emulator_campaign.batch_simulator import BatchSimulator
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
-from arm_emulator.base.formula import (
+from arm_emulator.base.expression.formula import (
     Constant,
     Operation,
     Signal,

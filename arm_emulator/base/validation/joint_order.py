@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import Number
 
 
 def check_known_joints(where: str, names: Iterable[object], joints: Sequence[str]) -> None:

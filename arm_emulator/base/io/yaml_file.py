@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
+from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import read_bytes
 
 MOST_BYTES = 1 << 20
 MOST_VALUES = 20_000  # keys and values, those that aliases repeat among them

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.number import Number
+from arm_emulator.base.validation.number import Number
 
 # Commands to a joint and measurements of it; m instead of rad for a prismatic joint.
 POSITION = Number.within("position", "rad", 1e6)

@@ -16,10 +16,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from arm_emulator.base.column import Column, Rows
+from arm_emulator.base.io.atomic_write import UnbufferedFile, flush_to_disk
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import require_package
 from arm_emulator.base.run_outputs import SUFFIXES, check_suffix
-from arm_emulator.base.whole_file import UnbufferedFile, flush_to_disk
 
 CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not by size
 ROWS_OF_CHUNK = 256
@@ -141,7 +141,7 @@ class McapFile:
 
     def give_up(self) -> None:
         """End the file after the last whole chunk."""
-        from arm_emulator.base.mcap_records import recover_mcap
+        from arm_emulator.base.io.mcap_records import recover_mcap
 
         self._stream.close()
         recover_mcap(self._file)

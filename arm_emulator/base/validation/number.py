@@ -22,8 +22,8 @@ from typing import Any, Self
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.given import array_of
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.coerce import array_of
 
 # A finite number need not be a quantity. What lies beyond these is a slip, and what is computed
 # from several such numbers may overflow. They hold where no other bound is declared.

@@ -7,9 +7,9 @@ import operator
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.given import array_of
-from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.coerce import array_of
+from arm_emulator.base.validation.number import Number
 
 LARGEST = 2**63 - 1  # the core's integer
 

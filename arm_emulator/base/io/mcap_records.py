@@ -34,9 +34,9 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from arm_emulator.base.io.atomic_write import flush_to_disk, write_all
+from arm_emulator.base.io.text_file import open_file
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import open_file
-from arm_emulator.base.whole_file import flush_to_disk, write_all
 
 MOST_RECORD = 1 << 28  # bytes of a record, and of an unpacked chunk
 MOST_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, or by its own size:

@@ -9,8 +9,8 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from xml.parsers import expat
 
+from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import read_bytes
 
 MOST_BYTES = 16 << 20
 MOST_MARKS = 400_000  # of `<`: bounds the number of elements

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.io.text_file import read_text
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.text_file import read_text
 
 MOST_BYTES = 2**28
 MOST_COLUMNS = 1000

@@ -8,9 +8,16 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from arm_emulator.base.number import REQUIRED, Ends, Number, between, field_of, numbers_of
+from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.base.validation.number import (
+    REQUIRED,
+    Ends,
+    Number,
+    between,
+    field_of,
+    numbers_of,
+)
 
 Parameters = TypeVar("Parameters")
 

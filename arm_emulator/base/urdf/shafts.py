@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.couplings import Follows, followers, own_shafts
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import limits_of, parse_urdf
+from arm_emulator.base.urdf.couplings import Follows, followers, own_shafts
+from arm_emulator.base.urdf.urdf_text import limits_of, parse_urdf
 
 WHERE = "robot_description"
 _ROUNDING = 1e-9  # rad or m

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
 
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: larger ones are mistakes
 

@@ -1,0 +1,1 @@
+"""Expressions of signals: read, folded, bound to columns."""

@@ -1,0 +1,1 @@
+"""Robot descriptions as text: joints, couplings, shafts, limits."""

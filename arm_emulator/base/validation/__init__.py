@@ -1,0 +1,1 @@
+"""Checks of values from files and callers."""
