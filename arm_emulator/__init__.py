@@ -36,9 +36,11 @@ if TYPE_CHECKING:
     from arm_emulator.machine.scene import Scene as Scene
     from arm_emulator.machine.scene import load_scene as load_scene
     from arm_emulator.machine.session import Session as Session
-    from arm_emulator.motion.jacobian import JacobianController as JacobianController
-    from arm_emulator.motion.kinematics import Kinematics as Kinematics
-    from arm_emulator.motion.pose import Pose as Pose
+    from arm_emulator.motion.model.kinematics import Kinematics as Kinematics
+    from arm_emulator.motion.model.pose import Pose as Pose
+    from arm_emulator.motion.planner.jacobian_controller import (
+        JacobianController as JacobianController,
+    )
     from arm_emulator.runs.breakpoint import Breakpoint as Breakpoint
     from arm_emulator.runs.condition import Condition as Condition
     from arm_emulator.runs.gains import load_gains as load_gains
@@ -59,15 +61,15 @@ _MODULES = {
     "FleetFrame": "machine.fleet_control",
     "FleetState": "machine.core_machines",
     "FleetWay": "machine.fleet_way",
-    "JacobianController": "motion.jacobian",
-    "Kinematics": "motion.kinematics",
+    "JacobianController": "motion.planner.jacobian_controller",
+    "Kinematics": "motion.model.kinematics",
     "LinearMachine": "analysis.linearised",
     "Measured": "machine.measured",
     "NumberChange": "machine.change",
     "OfflineRun": "runs.offline",
     "Plant": "machine.plant",
     "PlantState": "machine.plant_state",
-    "Pose": "motion.pose",
+    "Pose": "motion.model.pose",
     "PowerChange": "machine.change",
     "Recording": "runs.recording",
     "Refusal": "base.refusal",

@@ -17,7 +17,7 @@ import numpy as np
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.path_watch import apart
+from arm_emulator.motion.executor.path_monitor import apart
 from bench.measure import progress
 from bench.pictures import new_figure
 from bench.tables import table

@@ -8,8 +8,8 @@ from typing import Any
 
 from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
 from arm_emulator.base.validation.parameters import parameters_of
-from arm_emulator.motion.drive_numbers import DriveParameters
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.drive_parameters import DriveParameters
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters

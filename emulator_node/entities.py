@@ -14,7 +14,7 @@ from arm_emulator.machine.session import Session
 from arm_emulator.ros.node_shell import set_stamp
 
 if TYPE_CHECKING:
-    from arm_emulator.motion.link_motions import LinkMotions
+    from arm_emulator.motion.model.link_motions import LinkMotions
 
 ROBOT, OBJECT = 1, 0  # EntityCategory
 ALL_OF_THEM = 1  # TagsFilter
@@ -34,7 +34,7 @@ class Entities:
     @cached_property
     def _links(self) -> LinkMotions:
         # Imported at the first question: Pinocchio takes longer than a node's whole start.
-        from arm_emulator.motion.link_motions import LinkMotions
+        from arm_emulator.motion.model.link_motions import LinkMotions
 
         return LinkMotions(self._session.scene.urdf, self._session.scene.joint_names)
 

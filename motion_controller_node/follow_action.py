@@ -13,9 +13,9 @@ from rclpy.task import Future
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.follow_goal import result_of
-from arm_emulator.motion.motion_report import GoalStatus, Kind
-from arm_emulator.motion.reference import JointSetpoint
+from arm_emulator.motion.executor.follow_joint_trajectory import result_of
+from arm_emulator.motion.executor.goal_status import GoalStatus, Kind
+from arm_emulator.motion.model.joint_reference import JointSetpoint
 from arm_emulator.ros.barrier import guard
 from arm_emulator.ros.managed_node import ManagedNode
 

@@ -33,12 +33,12 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.base.validation.number import Number
-from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.follow_goal import check_points, tolerances_of
-from arm_emulator.motion.instructor import MotionExecutor
-from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
-from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.motion.executor.follow_joint_trajectory import check_points, tolerances_of
+from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.motion.executor.motion_executor import MotionExecutor
+from arm_emulator.motion.model.config import SECTIONS, MotionConfig
+from arm_emulator.motion.model.kinematics import moving_joints
+from arm_emulator.motion.planner.tool_controller import Controller, controller_for
 from arm_emulator.ros.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_parameters import (

@@ -18,15 +18,15 @@ from std_msgs.msg import Header, Int8
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.instructor import MotionExecutor
-from arm_emulator.motion.jog import JogCommand, joint_command, twist_command
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
-from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.motion_report import Kind
-from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.tolerances import Tolerances
-from arm_emulator.motion.tool_path import check_number_of_poses
+from arm_emulator.motion.executor.goal_status import Kind
+from arm_emulator.motion.executor.jog import JogCommand, joint_command, twist_command
+from arm_emulator.motion.executor.motion_executor import MotionExecutor
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.planner.tool_controller import Controller
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint, check_number_of_points
+from arm_emulator.motion.trajectory.tolerances import Tolerances
+from arm_emulator.motion.trajectory.tool_path import check_number_of_poses
 from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, EVENT_QOS, NANOSECONDS, time_of
 
 try:

@@ -31,7 +31,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.machine.urdf_file import example_robot_data
-from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.executor.goal_status import State
 from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN
 from oracles.predicted_residual import predicted_residual

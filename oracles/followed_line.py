@@ -21,9 +21,9 @@ from arm_emulator import OfflineRun, Pose, Scene, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.new_scene import known_drives
-from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.elastic_arm import ElasticArm
-from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.motion.model.elastic_arm import ElasticArm
+from arm_emulator.motion.model.link_torques import LinkTorques
+from arm_emulator.motion.planner.tool_controller import controller_for
 
 SETTLE = 5.0  # s, before the line begins: the integrals of heavy arms take 1 s
 PRACTICE = 4.0  # s, for the line there and back

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import LARGEST_COUNT, POSITION
-from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.jacobian import JacobianController
-from arm_emulator.motion.kinematics import POSITION_ROWS
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.model.kinematics import POSITION_ROWS
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.planner.jacobian_controller import JacobianController
+from arm_emulator.motion.planner.tool_controller import Controller
 
 _Q = POSITION.named("q")
 _COUNT = POSITION.named("count_angle")

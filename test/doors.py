@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.config_files import find_config
-from arm_emulator.motion.motion_report import Reports
+from arm_emulator.motion.executor.goal_status import Reports
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.message_reader import MessageReader

@@ -10,9 +10,9 @@ import numpy as np
 
 from arm_emulator import Pose, load_gains
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.instructor import MotionExecutor
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.reference import JointSetpoint
+from arm_emulator.motion.executor.motion_executor import MotionExecutor
+from arm_emulator.motion.model.joint_reference import JointSetpoint
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.runs.offline import load_offline_run
 
 SECOND = 1_000_000_000

@@ -364,10 +364,10 @@ MUTANTS = (
     ),
     # Motion control.
     Mutant(
-        f"{MOTION}/jacobian.py",
+        f"{MOTION}/jacobian_controller.py",
         "(0.5 * e) ** 2 * (1.0 - (s / e) ** 2)",
         "(0.5 * e) ** 2",
-        "test_jacobian.py",
+        "test_jacobian_controller.py",
     ),
     Mutant(
         f"{MOTION}/kinematics.py",
@@ -376,13 +376,13 @@ MUTANTS = (
         "test_kinematics.py",
     ),
     Mutant(
-        f"{MOTION}/motion_config.py",
+        f"{MOTION}/config.py",
         '        1e-3,\n        "largest distance of a tool that has',
         '        1e-2,\n        "largest distance of a tool that has',
-        "test_run_time_parameters.py test_motion_orders.py test_target_ways.py",
+        "test_run_time_parameters.py test_motion_orders.py test_candidate_paths.py",
     ),
     Mutant(
-        f"{MOTION}/jog_order.py",
+        f"{MOTION}/jog_goal.py",
         "twist = np.concatenate([R_WL @ twist[:3], R_WL @ twist[3:]])",
         "twist = np.concatenate([R_WL @ twist[:3], twist[3:]])",
         "test_jog.py::test_a_twist_is_along_any_link",
@@ -391,10 +391,10 @@ MUTANTS = (
         f"{MOTION}/tolerances.py",
         "                if value:\n",
         "                if value > 0.0:\n",
-        "test_follow_goal.py",
+        "test_follow_joint_trajectory.py",
     ),
     Mutant(
-        f"{MOTION}/paced.py",
+        f"{MOTION}/time_scaling.py",
         "3.0 * one.a * rate * change",
         "one.a * rate * change",
         "test_stopping_on_the_way.py",

@@ -11,9 +11,9 @@ from draws import some
 from machines import random_chain_urdf
 
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.arm_tree import ArmTree
-from arm_emulator.motion.kinematics import Kinematics, moving_joints
-from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.motion.model.arm_tree import ArmTree
+from arm_emulator.motion.model.kinematics import Kinematics, moving_joints
+from arm_emulator.motion.model.link_torques import LinkTorques
 from oracles.own_robots import OWN
 
 GRAVITY = (1.0, -2.0, -9.0)

@@ -15,7 +15,7 @@ from arm_emulator.design import new_scene
 from arm_emulator.design.assumed_bodies import DENSITY, SLENDER, assume_bodies
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.chain import Body, frame_of
-from arm_emulator.motion.arm_shapes import CollisionShapes
+from arm_emulator.motion.collision.shapes import CollisionShapes
 
 RHO = 800.0  # kg/m3
 JOINT = (

@@ -25,11 +25,11 @@ from arm_emulator.base.validation.bound import (
 )
 from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.plant_state import bounds_of
-from arm_emulator.motion.coming_orders import MOST_TARGETS
-from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.instructor import MotionExecutor
-from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.executor.goal_queue import MOST_TARGETS
+from arm_emulator.motion.executor.motion_executor import MotionExecutor
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.kinematics import moving_joints
+from arm_emulator.motion.planner.tool_controller import Controller, controller_for
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target

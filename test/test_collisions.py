@@ -14,16 +14,16 @@ from scipy.spatial import ConvexHull
 
 from arm_emulator import Kinematics, OfflineRun, Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion import collisions
-from arm_emulator.motion.collision_guard import CollisionGuard
-from arm_emulator.motion.collisions import OWN_SHARE, Collisions
-from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
-from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.motion_report import GoalStatus, State
-from arm_emulator.motion.obstacles import Obstacle
+from arm_emulator.motion.collision import collisions
+from arm_emulator.motion.collision.collisions import OWN_SHARE, Collisions
+from arm_emulator.motion.executor.goal_status import GoalStatus, State
+from arm_emulator.motion.executor.jog import JogStatus, joint_command, twist_command
+from arm_emulator.motion.model.config import MotionConfig, load_motion_config
+from arm_emulator.motion.model.obstacles import Obstacle
+from arm_emulator.motion.planner.collision_guard import CollisionGuard
+from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 
 MARGIN = 0.01  # m
 

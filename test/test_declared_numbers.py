@@ -22,8 +22,8 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import kinds_of
 from arm_emulator.machine.payload import COM, INERTIA, MASS
 from arm_emulator.machine.scene import Scene
-from arm_emulator.motion.drive_numbers import DriveParameters
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.drive_parameters import DriveParameters
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters

@@ -11,7 +11,7 @@ from in_process import InProcess, in_process
 
 import servo_node.node
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.motion_report import GoalStatus, Kind, State
+from arm_emulator.motion.executor.goal_status import GoalStatus, Kind, State
 from arm_emulator.ros.node_shell import NodeLog
 
 

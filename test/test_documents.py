@@ -177,7 +177,7 @@ def _constants(file: Path) -> dict[str, Any]:
 
 
 def test_examples_have_the_numbers_of_the_scene() -> None:
-    from arm_emulator.motion.motion_config import load_motion_config
+    from arm_emulator.motion.model.config import load_motion_config
     from arm_emulator.servo.servo_config import load_servo_config
 
     scene = load_scene("three_axis")

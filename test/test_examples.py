@@ -14,8 +14,8 @@ import pytest
 from network import PATIENCE, network
 
 from arm_emulator import load_scene, load_servo_config
-from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.model.config import load_motion_config
+from arm_emulator.motion.planner.tool_controller import controller_for
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from oracles.predicted_residual import predicted_residual
 

@@ -17,7 +17,7 @@ from network import JOINTS, PATIENCE, assert_same_bits, logs, network, offline_s
 from random_messages import RECEIVER, TOPICS, bad_message, huge, random_message
 from rosgraph_msgs.msg import Clock
 
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import EmulatorStatus

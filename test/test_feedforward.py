@@ -14,14 +14,14 @@ from machines import one_link_urdf
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.design.new_scene import known_drives
-from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.drive_numbers import DriveParameters
-from arm_emulator.motion.elastic_arm import ElasticArm
-from arm_emulator.motion.feedforward import Feedforward
-from arm_emulator.motion.link_torques import LinkTorques
-from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.reference import JointSetpoint, Reference
-from arm_emulator.motion.rest_load import RestLoad
+from arm_emulator.motion.executor.feedforward import Feedforward
+from arm_emulator.motion.model.config import MotionConfig, load_motion_config
+from arm_emulator.motion.model.drive_parameters import DriveParameters
+from arm_emulator.motion.model.elastic_arm import ElasticArm
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
+from arm_emulator.motion.model.link_torques import LinkTorques
+from arm_emulator.motion.model.rest_load import RestLoad
+from arm_emulator.motion.planner.tool_controller import controller_for
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from oracles.followed_line import Known, follow
 

@@ -20,12 +20,12 @@ from std_msgs.msg import Header, Int8
 
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.jog import JogCommand, JogStatus, joint_command, twist_command
-from arm_emulator.motion.laws import jerk_limited_velocity
-from arm_emulator.motion.motion_report import Kind, State
-from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.smooth_joints import JerkLimitedVelocity
-from arm_emulator.motion.tool_directions import ToolDirections
+from arm_emulator.motion.executor.controllers import jerk_limited_velocity
+from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.motion.executor.jog import JogCommand, JogStatus, joint_command, twist_command
+from arm_emulator.motion.executor.tool_directions import ToolDirections
+from arm_emulator.motion.model.joint_reference import Reference
+from arm_emulator.motion.trajectory.jerk_limited_velocity import JerkLimitedVelocity
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node import order_topics
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline, interp1d
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.joint_trajectory import (
+from arm_emulator.motion.trajectory.joint_trajectory import (
     MOST_POINTS,
     SPEED_BETWEEN_POINTS,
     JointLimits,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Kinematics, load_scene
-from arm_emulator.motion.link_motions import LinkMotions
+from arm_emulator.motion.model.link_motions import LinkMotions
 
 H = 1e-6  # s, of central differences: rounding 1e-10, their own error below
 

@@ -37,7 +37,7 @@ from arm_emulator import (
     sensitivities,
     testing,
 )
-from arm_emulator.motion.way_controller import TargetPlanner
+from arm_emulator.motion.planner.target_planner import TargetPlanner
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]

@@ -16,9 +16,9 @@ from in_process import InProcess, in_process
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.motion_report import Kind
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.executor.goal_status import Kind
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.ros.node_shell import stamp
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus

@@ -12,9 +12,9 @@ from ideal_arm import SECOND, Ideal
 
 from arm_emulator import Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.instructor import MotionExecutor
-from arm_emulator.motion.link_torques import LinkTorques
-from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.motion.executor.motion_executor import MotionExecutor
+from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.runs.gains import warn_of_gravity
 from arm_emulator.runs.offline import load_offline_run
 

@@ -23,7 +23,7 @@ from arm_emulator.design.moveit_package import (
     package_name,
     srdf,
 )
-from arm_emulator.motion.mesh_units import package_folders
+from arm_emulator.motion.model.mesh_units import package_folders
 
 SCENES = ("three_axis", "ur5", "panda")
 DRAWN = 500

@@ -62,7 +62,7 @@ ALLOWED = {
     "bench/mujoco_peer.py": INDEPENDENT,
     "bench/advice.py": ABOUT,
     "bench/doubtful_records.py": ABOUT,
-    "arm_emulator/motion/elastic_arm.py": "the key of a number that its own data sheet declares",
+    "arm_emulator/motion/model/elastic_arm.py": "the key of a number of its own data sheet",
     "arm_emulator/servo/servo_numbers.py": "a coefficient of the servo's law, called winding",
     "arm_emulator/core/mechanics/imu.hpp": "three sensors of the kind of any quantity",
     "arm_emulator/core/mechanics/sensors.hpp": "rows of the kind of any quantity",

@@ -32,7 +32,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from arm_emulator.base.config_files import find_config
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.model.pose import Pose
 from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus

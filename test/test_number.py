@@ -20,7 +20,7 @@ from arm_emulator.base.validation import bound
 from arm_emulator.base.validation.number import LARGEST, SMALLEST, Number, numbers_of
 from arm_emulator.base.validation.parameters import checked, parameters_of
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_firmware.board import BOARD, CHANNEL, ENCODER, UART, load_board
 from emulator_node.node import EmulatorParameters

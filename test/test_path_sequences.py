@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from network import SEND_QOS, User, network
 
-from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.ros.node_shell import EVENT_QOS
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import MotionStatus

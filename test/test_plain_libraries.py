@@ -35,7 +35,7 @@ from arm_emulator import (
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.call_arguments import PIECE
 from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_arm import ServoArm
 from oracles.predicted_residual import predicted_residual
 

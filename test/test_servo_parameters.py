@@ -12,7 +12,7 @@ import yaml
 from one_motor import CONFIG, JOINT
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo import ServoConfig, load_servo_config
 
 

@@ -13,7 +13,7 @@ from rclpy.action import ActionClient
 from test_managed_nodes import Client
 
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.link_motions import LinkMotions
+from arm_emulator.motion.model.link_motions import LinkMotions
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 

@@ -23,13 +23,13 @@ from std_msgs.msg import String
 
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_config, find_scene
-from arm_emulator.motion.going_on import Resumed
-from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.laws import joint_limits
-from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.reference import JointSetpoint, Reference
-from arm_emulator.motion.way import JointPathLimits, TimedPath
+from arm_emulator.motion.executor.controllers import joint_limits
+from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.trajectory.resumed import Resumed
+from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
 from arm_emulator.ros.lean_executor import LeanExecutor
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain

@@ -10,15 +10,15 @@ from draws import some
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.collisions import Collisions
-from arm_emulator.motion.jog import joint_command, twist_command
-from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.obstacles import Obstacle
-from arm_emulator.motion.paced import TimeScaled
-from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.way import JointPathLimits, TimedPath
+from arm_emulator.motion.collision.collisions import Collisions
+from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.jog import joint_command, twist_command
+from arm_emulator.motion.model.joint_reference import Reference
+from arm_emulator.motion.model.obstacles import Obstacle
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.trajectory.time_scaling import TimeScaled
+from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
 
 SECOND = 1_000_000_000
 SPARE = 0.5e-3  # m from the way to where the margin ends: joints that brake singly go farther

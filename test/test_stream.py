@@ -11,7 +11,7 @@ from draws import some
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.executor.goal_status import State
 
 SPEED = 0.3  # m/s
 BEHIND = 5e-3  # m, what is promised at that speed

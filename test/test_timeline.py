@@ -11,8 +11,8 @@ import pytest
 from draws import some
 
 from arm_emulator import OfflineRun, Pose, Refusal, Timeline
-from arm_emulator.motion.jog import JogCommand
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.executor.jog import JogCommand
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.runs.offline import load_offline_run
 
 Act = Callable[[OfflineRun], object]

@@ -11,17 +11,17 @@ import pytest
 from draws import some
 
 from arm_emulator import Kinematics, Pose, Refusal, load_scene
-from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.path_way import MotionSequence, plan_path
-from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.tool_path import (
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.joint_reference import Reference
+from arm_emulator.motion.planner.target_planner import TargetPlanner
+from arm_emulator.motion.planner.tool_path_planner import MotionSequence, plan_path
+from arm_emulator.motion.trajectory.tool_path import (
     LONGEST,
     MOST_POSES,
     ToolCurve,
     ToolLimits,
     ToolPath,
 )
-from arm_emulator.motion.way_controller import TargetPlanner
 
 SECOND = 1_000_000_000
 LIMITS = ToolLimits(speed=0.25, turn_speed=1.0, acceleration=1.0, jerk=10.0)

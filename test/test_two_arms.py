@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.motion.collision_guard import CollisionGuard
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.motion.planner.collision_guard import CollisionGuard
 
 MARGIN = 0.01  # m
 JOINTS = tuple(f"{side}{k}" for side in ("left", "right") for k in range(3))

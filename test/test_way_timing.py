@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.motion import way
-from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.way import JointPathLimits, TimedPath, ToolPathLimits
+from arm_emulator.motion.trajectory import timed_path
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath, ToolPathLimits
 
 
 @pytest.mark.parametrize("case", some(range(40), 8))
@@ -58,9 +58,9 @@ def test_a_sharp_bend_costs_hardly_more_time_than_with_many_pieces(
         jerk = a / rng.choice([0.05, 0.07])
         limits = JointPathLimits(rng.uniform(0.5, 3.0, joints), a, jerk, np.full(joints, np.inf))
         durations = []
-        for pieces in (way.FEWEST_PIECES, 300):
+        for pieces in (timed_path.FEWEST_PIECES, 300):
             with monkeypatch.context() as patch:
-                patch.setattr(way, "FEWEST_PIECES", pieces)
+                patch.setattr(timed_path, "FEWEST_PIECES", pieces)
                 durations.append(TimedPath(curve, limits).duration)
         ratios.append(durations[0] / durations[1])
     assert max(ratios) <= 1.15

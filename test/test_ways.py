@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from arm_emulator import Kinematics, Pose, load_scene
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.machine.urdf_file import example_robot_data
-from arm_emulator.motion.arm_tree import ArmTree
-from arm_emulator.motion.joint_curve import JointCurve
-from arm_emulator.motion.joint_goal import directions
-from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import PlanningError
-from arm_emulator.motion.tool_line import joints_along
-from arm_emulator.motion.way_controller import LOST, TargetPlanner
+from arm_emulator.motion.ik.inverse_kinematics import directions
+from arm_emulator.motion.model.arm_tree import ArmTree
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.joint_reference import PlanningError
+from arm_emulator.motion.planner.target_planner import LOST, TargetPlanner
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.motion.trajectory.tool_line import joints_along
 from arm_emulator.runs.offline import load_offline_run
 
 THREE_AXIS = (config_folder() / "urdf" / "three_axis.urdf").read_text()

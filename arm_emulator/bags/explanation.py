@@ -17,7 +17,7 @@ from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import EnergyFlow, Plant
 from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene
-from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.motion.executor.goal_status import Kind, State
 
 AT_LIMIT = 1.0 - 1e-9  # share of the largest command from which a drive is at its limit
 

@@ -19,7 +19,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.mesh_file import find_mesh
 from arm_emulator.machine.chain import Body, Frame, frame_of
-from arm_emulator.motion.mesh_units import mesh_unit
+from arm_emulator.motion.model.mesh_units import mesh_unit
 
 DENSITY = 1200.0  # kg/m3
 SLENDER = 0.1  # radius by length of a rod

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from arm_emulator.motion.mesh_units import installed_package_folders
+from arm_emulator.motion.model.mesh_units import installed_package_folders
 
 
 def find_mesh(name: str, folder: Path) -> Path | None:

@@ -17,11 +17,11 @@ from arm_emulator.design import ros2_control
 from arm_emulator.design.ros2_control import TRAJECTORY_CONTROLLER
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.urdf_tree import names_of, read_joints, root_of
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.kinematics_model import rate_limits
-from arm_emulator.motion.link_pairs import DRAWN, link_pairs
-from arm_emulator.motion.mesh_units import package_folders
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.collision.link_pairs import DRAWN, link_pairs
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.motion.model.mesh_units import package_folders
+from arm_emulator.motion.model.pinocchio_model import rate_limits
 
 MACHINE = "machine"  # folder of the compiled scene
 RUNS = (

@@ -35,10 +35,10 @@ from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_chain import MovedBody, moved_bodies
 from arm_emulator.machine.urdf_tree import LARGEST_MASS
-from arm_emulator.motion.collisions import Collisions
-from arm_emulator.motion.drive_numbers import DriveParameters
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.collision.collisions import Collisions
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.drive_parameters import DriveParameters
+from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s

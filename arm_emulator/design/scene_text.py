@@ -16,7 +16,7 @@ from arm_emulator.design.sizing import Demand, Sized, rounded
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.schemes.known import SCHEMES
-from arm_emulator.motion.drive_numbers import SECTION, DriveParameters
+from arm_emulator.motion.model.drive_parameters import SECTION, DriveParameters
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

@@ -10,8 +10,8 @@ from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.servo_loop import FREE_SLIDE, FREE_TURN
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.scene import Scene
-from arm_emulator.motion.collisions import Collisions
-from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
+from arm_emulator.motion.collision.collisions import Collisions
+from arm_emulator.motion.model.kinematics import POSE_ROWS, Kinematics
 
 POSES = 400
 MIDDLE = 0.7  # of a joint's range: where a start is looked for

@@ -2,7 +2,7 @@
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.machine.record_ring import SharedRing
-from arm_emulator.motion.mesh_units import in_metres, package_folders
+from arm_emulator.motion.model.mesh_units import in_metres, package_folders
 from arm_emulator.page.controls import Controls, Vector
 from arm_emulator.page.page_address import PageAddress, page_token
 from arm_emulator.runs.condition import Condition

@@ -1,8 +1,8 @@
 """Machine, servo and motion controller in one process, targets, gains, recorders."""
 
-from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
-from arm_emulator.motion.motion_report import State as MotionState
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.executor.goal_status import State as MotionState
+from arm_emulator.motion.model.config import MotionConfig, load_motion_config
+from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains
 from arm_emulator.runs.goal import last_target, missed_target

@@ -20,11 +20,11 @@ from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene, scene_of
 from arm_emulator.machine.session import Session
-from arm_emulator.motion.controller import controller_for
-from arm_emulator.motion.instructor import MotionExecutor
-from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.reference import JointSetpoint
+from arm_emulator.motion.executor.motion_executor import MotionExecutor
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.joint_reference import JointSetpoint
+from arm_emulator.motion.model.kinematics import moving_joints
+from arm_emulator.motion.planner.tool_controller import controller_for
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.servo.servo_arm import ServoArm, Target

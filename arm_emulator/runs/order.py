@@ -13,7 +13,7 @@ import numpy as np
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.timeline import Timeline
 

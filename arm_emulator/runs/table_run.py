@@ -19,7 +19,7 @@ from arm_emulator.machine.firmware import Firmware
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
-from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table

@@ -28,11 +28,11 @@ from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.motion.collisions import Collisions
-from arm_emulator.motion.jog import joint_command, twist_command
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.motion_report import State
-from arm_emulator.motion.obstacles import Obstacle
+from arm_emulator.motion.collision.collisions import Collisions
+from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.jog import joint_command, twist_command
+from arm_emulator.motion.model.obstacles import Obstacle
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.runs.gains import Gains
 from arm_emulator.view.rerun_batches import QUANTITIES
 from arm_emulator.view.rerun_stream import RerunStream

@@ -33,7 +33,7 @@ from arm_emulator.doors.json_lines import JsonLinesServer, TcpServer, UnixSocket
 from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
 from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.firmware import Firmware
-from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable

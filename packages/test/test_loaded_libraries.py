@@ -34,7 +34,7 @@ if sys.argv[3:]:
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_config import load_servo_config
 from torque_modes import enabled
 from arm_emulator.base.config_files import find_beside, find_scene

@@ -26,7 +26,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.target_table import load_target_table

@@ -24,7 +24,7 @@ from arm_emulator.cli.output import output, plain
 from arm_emulator.design.inertia_check import check_inertias, doubtful_inertias
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.urdf_file import find_urdf
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity
 from arm_emulator.servo.servo_config import ServoConfig
 
@@ -152,7 +152,7 @@ def _with_loops(name: str) -> tuple[Scene, ServoConfig]:
 
 def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionConfig) -> None:
     # Pinocchio, which is slow to import, only where there is a motion controller to check.
-    from arm_emulator.motion.controller import controller_for
+    from arm_emulator.motion.planner.tool_controller import controller_for
 
     controller_for(urdf, joint_names, motion)
 

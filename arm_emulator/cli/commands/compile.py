@@ -17,7 +17,7 @@ from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.formula_rows import formula_unit
 from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.arm_tree import topp_unit
+from arm_emulator.motion.model.arm_tree import topp_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit

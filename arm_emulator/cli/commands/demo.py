@@ -33,9 +33,9 @@ from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
 from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.kinematics import POSITION_ROWS
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.model.kinematics import POSITION_ROWS
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.planner.tool_controller import Controller, controller_for
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
 from arm_emulator.ros.node_shell import (

@@ -21,9 +21,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.motion_report import left
-from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.executor.goal_status import left
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.motion.model.pose import Pose
 from arm_emulator.ros.network_client import STATES, NetworkClient, guest
 from arm_emulator.ros.node_shell import (
     COMMAND_QOS,

@@ -24,7 +24,7 @@ struct Joints {
   double f[DERIVATIVES][MOST_JOINTS];
 };
 
-// s over sigma, with its first three derivatives (way.py, Ramps).
+// s over sigma, with its first three derivatives (timed_path.py, Ramps).
 inline void ramps(double ramp, double sigma, double* s) {
   const double top = 1.0 / (1.0 - ramp);
   const bool falling = sigma > 0.5;

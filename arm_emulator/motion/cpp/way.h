@@ -88,7 +88,7 @@ void way_spline(int32_t nodes, int32_t columns, double step, const double* y, do
  * gap: how much longer than the shortest it may be, in parts of it. work: of way_work numbers.
  * Returns -1, or the point at which not even rest keeps the limits. */
 /* The rows of way_time at places sigma (count) of a curve whose s over sigma has ramps
- * (way.py): most (count), firsts (3, count, F) and thirds (3, count, G). F is the number of
+ * (timed_path.py): most (count), firsts (3, count, F) and thirds (3, count, G). F is the number of
  * coordinates, of limited torques unless arm is NULL, and 1 where the tool is limited; G the same
  * without torques. */
 void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,

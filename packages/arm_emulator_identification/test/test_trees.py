@@ -27,10 +27,10 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator.machine.tool_chain import ToolChain
-from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.way_controller import TargetPlanner
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_identification.inertia import dynamic
 from arm_emulator_identification.link_regressor import LinkRegressor

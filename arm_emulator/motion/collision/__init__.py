@@ -1,0 +1,1 @@
+"""Shapes of the arm and distances between them."""

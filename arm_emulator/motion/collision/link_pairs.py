@@ -1,0 +1,119 @@
+"""Pairs of links that need no test for contact, with the reason, as MoveIt's SRDF lists them."""
+
+from __future__ import annotations
+
+import itertools
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.motion.collision.shapes import CollisionShapes
+
+DRAWN = 10_000  # configurations: MoveIt's own assistant draws as many
+_JUDGED = 200  # of them for `ALWAYS`
+_ALWAYS = 0.95  # share of them
+_ROUND = 100  # drawn until pairs that have touched are left out
+
+
+class Reason(Enum):
+    """The first that holds, in this order."""
+
+    ADJACENT = "Adjacent"  # one joint between them, and at most links without shapes
+    DEFAULT = "Default"  # they touch with all joints at 0, or in the middle of their limits
+    ALWAYS = "Always"  # they touch in nearly all configurations
+    NEVER = "Never"  # they touched in none
+
+
+class LinkPair(NamedTuple):
+    """Two links, the first before the second by name."""
+
+    first: str
+    second: str
+    reason: Reason
+
+
+def link_pairs(urdf_xml: str, joint_names: Sequence[str], drawn: int = DRAWN) -> list[LinkPair]:
+    """Return the pairs of links that need no test for contact, sorted.
+
+    Args:
+        urdf_xml: the robot description.
+        joint_names: the joints that move.
+        drawn: configurations within the limits in which links are tested, the same ones each time.
+
+    Raises:
+        Refusal: a description, or a mesh in it, that cannot be read.
+    """
+    arm = CollisionShapes(urdf_xml, joint_names)
+    links = sorted(set(arm.links))
+    reasons = dict.fromkeys(_adjacent(urdf_xml, links), Reason.ADJACENT)
+    left = [pair for pair in itertools.combinations(links, 2) if pair not in reasons]
+    contacts = _Contacts(arm, left)
+    reasons |= dict.fromkeys(contacts.at(arm.rest), Reason.DEFAULT)
+    contacts = _Contacts(arm, [pair for pair in left if pair not in reasons])
+    rng = np.random.default_rng(0)
+    count = dict.fromkeys(contacts.pairs, 0)
+    for number in range(drawn):
+        if number >= _JUDGED and number % _ROUND == 0:
+            contacts = _Contacts(arm, [pair for pair in contacts.pairs if not count[pair]])
+        for pair in contacts.at(arm.drawn(rng)):
+            count[pair] += 1
+    for pair, times in count.items():
+        if times > _ALWAYS * min(_JUDGED, drawn):
+            reasons[pair] = Reason.ALWAYS
+        elif not times:
+            reasons[pair] = Reason.NEVER
+    return sorted(LinkPair(*pair, reason) for pair, reason in reasons.items())
+
+
+class _Contacts:
+    """Finds which of some pairs of links touch."""
+
+    def __init__(self, arm: CollisionShapes, pairs: Iterable[tuple[str, str]]) -> None:
+        self.pairs = list(pairs)
+        self._arm = arm
+        self._hulls, self._meshes = pin.GeometryModel(arm.hulls), pin.GeometryModel(arm.meshes)
+        self._links = list[tuple[str, str]]()  # of each pair of shapes
+        shapes = {link: [k for k, one in enumerate(arm.links) if one == link] for link in arm.links}
+        for pair in self.pairs:
+            for both in itertools.product(*(shapes[link] for link in pair)):
+                for model in (self._hulls, self._meshes):
+                    model.addCollisionPair(pin.CollisionPair(*both))
+                self._links.append(pair)
+        self._data = arm.model.createData()
+        self._tested, self._exact = self._hulls.createData(), self._meshes.createData()
+
+    def at(self, q: Array) -> set[tuple[str, str]]:
+        """Return the pairs that touch at q (N,)."""
+        model, data = self._arm.model, self._data
+        if not self.pairs or not pin.computeCollisions(
+            model, data, self._hulls, self._tested, self._arm.whole(q), False
+        ):
+            return set()
+        hulls = [k for k, one in enumerate(self._tested.collisionResults) if one.isCollision()]
+        pin.updateGeometryPlacements(model, data, self._meshes, self._exact)
+        return {self._links[k] for k in hulls if pin.computeCollision(self._meshes, self._exact, k)}
+
+
+def _adjacent(urdf_xml: str, links: Sequence[str]) -> set[tuple[str, str]]:
+    """Return the pairs of links that joints connect, beyond links without shapes."""
+    near: dict[str, set[str]] = {}
+    for joint in ET.fromstring(urdf_xml).findall("joint"):
+        ends = [one.get("link", "") for tag in ("parent", "child") for one in joint.findall(tag)]
+        for one, other in itertools.permutations(ends, 2):
+            near.setdefault(one, set()).add(other)
+    pairs = set[tuple[str, str]]()
+    for link in links:
+        reached, front = {link}, [link]
+        while front:
+            for other in near.get(front.pop(), set()) - reached:
+                reached.add(other)
+                if other in links:
+                    pairs.add((min(link, other), max(link, other)))
+                else:
+                    front.append(other)
+    return pairs

@@ -1,0 +1,1 @@
+"""Goals: accepted, followed, reported; control laws that act on them."""

@@ -1,0 +1,115 @@
+"""The control laws of one arm, of which one leads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.motion.executor.feedforward import Feedforward
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.motion.planner.collision_guard import CollisionGuard
+from arm_emulator.motion.planner.target_planner import ACCELERATION_SHARE, TargetPlanner
+from arm_emulator.motion.planner.tool_controller import Controller
+from arm_emulator.motion.trajectory.jerk_limited_velocity import JerkLimitedVelocity
+from arm_emulator.motion.trajectory.joint_trajectory import JointLimits
+from arm_emulator.motion.trajectory.tool_path import ToolLimits
+
+_MOST_MARGIN = 0.1  # of a joint's range: a gripper that slides 25 mm has some left
+RISE = 0.05  # s, in which jogged joints take up their largest acceleration
+
+
+class Controllers:
+    """The control laws for tool targets and for tool paths.
+
+    Paths are followed along ways that are planned before they begin, whatever the method for
+    targets is: eq. (6) knows no speed.
+
+    Attributes:
+        controller: for tool targets.
+        config: parameters.
+        leading: the one that leads; None: none does.
+        period_ns: motion period [ns].
+        guard: stops the arm before parts touch; None: nobody watches.
+        feedforward: what makes the servo's targets of the links' motion.
+    """
+
+    def __init__(self, controller: Controller, config: MotionConfig) -> None:
+        self.controller, self.config = controller, config
+        self.period_ns = round(config.period * 1e9)
+        self._ways = controller if isinstance(controller, TargetPlanner) else None
+        self.leading: Controller | None = None
+        self._braking: JerkLimitedVelocity | None = None
+        self.feedforward = Feedforward(controller.kinematics, config)
+        watched = config.watches_collisions
+        self.guard = CollisionGuard(controller.kinematics, config) if watched else None
+        if self._ways is not None:
+            self._ways.guard = self.guard
+
+    @property
+    def ways(self) -> TargetPlanner:
+        """The law for tool paths; the same if possible."""
+        if self._ways is None:
+            self._ways = TargetPlanner(self.controller.kinematics, self.config)
+        return self._ways
+
+    @property
+    def braking(self) -> JerkLimitedVelocity:
+        """Braking motion before a collision."""
+        kinematics, config = self.controller.kinematics, self.config
+        if self._braking is None:
+            self._braking = jerk_limited_velocity(kinematics, config, 0.0, ACCELERATION_SHARE)
+        return self._braking
+
+    def retune(self, config: MotionConfig) -> None:
+        """Continue with other parameters; its owner retunes `controller`."""
+        self.config, self._braking = config, None
+        if self._ways not in (None, self.controller):
+            self.ways.retune(config)
+
+
+def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
+    """Return the limits of joint trajectories."""
+    speed = np.minimum(kinematics.velocity_limit, config.velocity_limit)
+    if config.trajectory_limits == "scale":
+        speed = np.full_like(speed, np.inf)  # what is faster takes longer
+    return JointLimits(
+        kinematics.lower,
+        kinematics.upper,
+        speed,
+        np.minimum(kinematics.acceleration_limit, config.acceleration_limit),
+        kinematics.continuous,
+    )
+
+
+def jerk_limited_velocity(
+    kinematics: Kinematics, config: MotionConfig, margin: float, share: float = 1.0
+) -> JerkLimitedVelocity:
+    """Return joints that take up speeds, and come to rest, as in jogs and before collisions.
+
+    Args:
+        kinematics: of the arm.
+        config: parameters.
+        margin: within the position limits [rad or m]; at most `_MOST_MARGIN` of a joint's range.
+        share: of the largest acceleration.
+    """
+    limits = joint_limits(kinematics, config)
+    acceleration = share * limits.acceleration
+    within = np.minimum(margin, _MOST_MARGIN * (limits.upper - limits.lower))
+    return JerkLimitedVelocity(
+        limits.lower + within,
+        limits.upper - within,
+        np.minimum(limits.speed, config.velocity_limit),
+        acceleration,
+        acceleration / RISE,
+        config.period,
+    )
+
+
+def tool_limits(config: MotionConfig) -> ToolLimits:
+    """Return the tool's limits along paths."""
+    return ToolLimits(
+        config.tool_speed,
+        config.tool_turn_speed,
+        config.tool_acceleration,
+        config.tool_jerk,
+    )

@@ -1,0 +1,186 @@
+"""Feed-forward for the servo: speeds, torques, wind-up of the gears."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.drive_parameters import DriveParameters
+from arm_emulator.motion.model.elastic_arm import Drive, ElasticArm
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.motion.model.link_torques import LinkTorques
+from arm_emulator.motion.model.rest_load import RestLoad
+
+_TIMES = 4  # each reduces the error to about a thousandth
+_APART = 1e-9  # rad or m: rounding of angles that go on from one period to the next
+
+
+class Feedforward:
+    """Computes the servo's targets from the links' motion.
+
+    With `full` these are the angles and speeds of the motors at which the links move as they shall
+    (`ElasticArm`). What is measured, the motors' angles, is not where the links are then: `links`
+    takes the wind-up off. How heavy the links are is observed at rest (`RestLoad`).
+
+    Attributes:
+        gives: none, speed, torque (and speed), full.
+        trouble: why torques are not known though they were asked for; empty: they are, or were not.
+        wind_up: by how much the gears are taken to be wound up (N,) [rad]; 0 but with `full`.
+
+    Args:
+        kinematics: of the arm.
+        config: parameters.
+    """
+
+    def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
+        names = kinematics.joint_names
+        self.gives = config.gives
+        self.trouble = ""
+        self.wind_up: Array = np.zeros(len(names))
+        self._period = config.period
+        self._torques: LinkTorques | None = None
+        self._arm: ElasticArm | None = None
+        self._before: _Period | None = None
+        if self.gives not in ("torque", "full"):
+            return
+        gravity = config.gravity_x, config.gravity_y, config.gravity_z
+        try:
+            self._torques = LinkTorques(kinematics.urdf_xml, names, gravity)
+        except Refusal as reason:
+            self.trouble = str(reason)
+            return
+        if self.gives == "full":
+            drives = [config.drives.get(name, DriveParameters()) for name in names]
+            self._arm = ElasticArm(self._torques, drives, kinematics.velocity_limit)
+            arm, outboard = self._arm, self._torques.outboard
+            self._load = RestLoad(arm.dry, arm.softness, self._period, outboard)
+            self._factor = self._load.factor
+            self._held: Array = np.zeros(len(names))  # by the servo's integrals, N m, negative
+            self._at_rest: Array | None = None  # announced there, N m
+
+    def links(self, q: Array) -> Array:
+        """Return the links' angles for measured motors at q (N,) [rad]."""
+        if self._arm is not None and self._before is None:
+            for _ in range(_TIMES):  # the weight is that at the links' true angles
+                weight = self._arm.weight(q - self.wind_up)
+                self.wind_up = self._arm.wind_up(self._load.factor * weight)
+        return q - self.wind_up
+
+    def standing(self, q: Array) -> Array:
+        """Return the links' angles at rest for commanded angles q, (N,) [rad]."""
+        measured = q + self.wind_up
+        self.forget()
+        return self.links(measured)
+
+    def forget(self) -> None:
+        """Reset for the next motion."""
+        self._before = None
+
+    def observe(self, tau: Array | None, movable: npt.NDArray[np.bool_] | None) -> None:
+        """Take what the motors give, at the links (N,) [N m], and which joints can move (N,).
+
+        None: not measured; all can.
+        """
+        if self._arm is None:
+            return
+        if movable is not None and not movable.all():
+            self._held, self._at_rest = np.where(movable, self._held, 0.0), None  # as the integrals
+            self._load.brakes(movable)
+            tau = None
+        before = self._before
+        sound = tau is not None and bool(np.isfinite(tau).all())
+        if tau is not None and sound and before is not None and before.rests:
+            self._load.rests(tau, self._arm.weight(before.q_end))
+        else:
+            self._load.moves()
+
+    def complete(self, instruction: JointSetpoint) -> JointSetpoint:
+        """Return the servo's targets for this motion period."""
+        if self.gives == "none":
+            return JointSetpoint(instruction.q)
+        if self._arm is not None:
+            return self._full(self._arm, instruction)
+        if self.gives == "speed" or instruction.tau is not None or self._torques is None:
+            return instruction
+        v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
+        return replace(instruction, tau=self._torques.at(instruction.q, v))
+
+    def _full(self, arm: ElasticArm, instruction: JointSetpoint) -> JointSetpoint:
+        q, period = instruction.q, self._period
+        mean = np.zeros_like(q) if instruction.v is None else instruction.v
+        before = self._before
+        if before is not None and (np.abs(before.q_end - q) > _APART).any():
+            before = None
+        now = instruction.now or _estimated(q, mean, before, period)
+        jerk = _jerk(now, before, period)
+        q_end = q + mean * period
+        then = instruction.then or _extrapolated(now, jerk, q_end, period)
+        rests = not any(one.any() for one in (mean, now.v, now.a, jerk))
+        if rests or before is None:
+            self._factor = self._load.factor
+        factor = self._factor
+        begins = arm.at(now.q, now.v, now.a, jerk, factor) if before is None else before.ends
+        ends = arm.at(q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor)
+        self._before = present = _Period(now, mean, q_end, ends, rests)
+        self.wind_up = begins.theta - q
+        tau = self._announced(arm, begins, present) if instruction.tau is None else instruction.tau
+        return JointSetpoint(begins.theta, (ends.theta - begins.theta) / period, tau, now)
+
+    def _announced(self, arm: ElasticArm, begins: Drive, present: _Period) -> Array:
+        """Return the torques of the present period (N,).
+
+        At rest they stay as they are while the factor follows: the servo's integrals hold the rest
+        of the weight, and torques that change without a motion would be wrong evidence to it.
+        """
+        ends = present.ends
+        tau = arm.over(begins, ends, self._period) + self._held
+        if not present.rests:
+            self._at_rest = None
+            return tau - self._load.let_go(arm.sliding(present.mean))
+        weight = arm.over(ends, ends, self._period)
+        if self._at_rest is None:
+            self._at_rest = weight + self._held
+            return tau
+        self._held = self._at_rest - weight
+        return self._at_rest
+
+
+@dataclass(frozen=True, eq=False)
+class _Period:
+    """A commanded motion period."""
+
+    now: Reference
+    mean: Array
+    """Speeds (N,)."""
+    q_end: Array
+    ends: Drive
+    """Motion of the motors at its end."""
+    rests: bool
+    """Whether the links rest in it and after it."""
+
+
+def _estimated(q: Array, mean: Array, before: _Period | None, period: float) -> Reference:
+    """Return the motion at the beginning of a period, by the mean speeds of this and the last."""
+    a = np.zeros_like(q) if before is None else (mean - before.mean) / period
+    return Reference(q, mean - 0.5 * a * period, a)
+
+
+def _extrapolated(now: Reference, jerk: Array, q_end: Array, period: float) -> Reference:
+    """Return the motion at the end of a period in which the jerk lasts."""
+    v = now.v + now.a * period + 0.5 * jerk * period**2
+    return Reference(q_end, v, now.a + jerk * period, jerk)
+
+
+def _jerk(now: Reference, before: _Period | None, period: float) -> Array:
+    if now.jerk is not None:
+        return now.jerk
+    if before is None:
+        return np.zeros_like(now.q)
+    jerk: Array = (now.a - before.now.a) / period
+    return jerk

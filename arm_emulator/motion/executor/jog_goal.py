@@ -1,0 +1,194 @@
+"""Motion by jog commands, until no more arrive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.motion.executor.controllers import Controllers, jerk_limited_velocity
+from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress, State
+from arm_emulator.motion.executor.jog import JogCommand, JogStatus
+from arm_emulator.motion.executor.tool_directions import Speeds, ToolDirections
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
+from arm_emulator.motion.model.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.planner.target_planner import ACCELERATION_SHARE
+
+
+class JogGoal:
+    """Follows the newest jog command, and comes to rest when it is too old.
+
+    Attributes:
+        status: limit of the motion.
+        words: the same as text.
+    """
+
+    kind = Kind.JOG
+    stamp_ns = 0
+    way = ""
+
+    def __init__(self, command: JogCommand) -> None:
+        self._command = command
+        self.status, self.words = JogStatus.NO_WARNING, ""
+
+    @classmethod
+    def stop(cls, now_ns: int, joints: int) -> JogGoal:
+        """Return the order to come to rest at once."""
+        return cls(JogCommand(now_ns, None, "", np.zeros(joints)))
+
+    def take(self, command: JogCommand) -> None:
+        """Follow another command."""
+        self._command = command
+
+    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
+        margin = laws.config.jog_joint_limit_margin
+        self._joints = jerk_limited_velocity(
+            laws.controller.kinematics, laws.config, margin, ACCELERATION_SHARE
+        )
+        self._joints.begin(reference)
+        self._line = JogLine(laws.controller.kinematics)
+        self._stale = False
+        laws.leading = None
+
+    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+        """See `Goal`."""
+        self.begin(laws, now_ns, reference)
+
+    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+        """See `Goal`."""
+        now, config = self._joints.now, laws.config
+        command = self._command
+        timeout = round(config.jog_incoming_command_timeout * 1e9)
+        self._stale = now_ns - command.time_ns > timeout
+        speeds = Speeds(np.zeros_like(now.q))
+        if self._stale or command.twist is None:
+            self._line.leave()
+        if not self._stale:
+            speeds = self._speeds(laws, command, now)
+        self.status = speeds.status
+        self.words = self.status.words
+        v = self._bounded(laws, command, now.q, speeds.v)
+        mean = self._joints.go(v, alone=command.joints is not None)
+        guard = laws.guard
+        touching = "" if guard is None else guard.ahead(self._joints, now.q, self._joints.now)
+        if touching:
+            self.status, self.words = JogStatus.HALT_FOR_COLLISION, f"{touching} would touch"
+            self._joints.begin(now)
+            mean = self._joints.halt()
+        return JointSetpoint(now.q, mean, None, now)
+
+    def _speeds(self, laws: Controllers, command: JogCommand, now: Reference) -> Speeds:
+        if command.joints is not None:
+            return Speeds(command.joints)
+        assert command.twist is not None
+        kinematics = laws.controller.kinematics
+        # Speeds taken up in this period hold at its end.
+        coming = now.q + laws.config.period * now.v
+        twist = command.twist
+        if command.link:
+            R_WL = kinematics.axes(command.link, coming)
+            twist = np.concatenate([R_WL @ twist[:3], R_WL @ twist[3:]])
+        here = ToolDirections(kinematics, coming)
+        speeds = here.speeds(twist, laws.config, self._joints.brakes)
+        if speeds.status is not JogStatus.NO_WARNING:
+            self._line.leave()  # what leads back may be what is lost there
+            return speeds
+        back = self._line.back(coming, now.v, command.twist, twist)
+        return replace(speeds, v=speeds.v + here.speeds(back, laws.config).v)
+
+    def _bounded(self, laws: Controllers, command: JogCommand, q: Array, v: Array) -> Array:
+        """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""
+        allowed = self._joints.allowed(q, v)
+        held = [laws.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)]
+        if held:
+            self.status = JogStatus.JOINT_BOUND
+            self.words = f"{self.status.words}: {', '.join(held)}"
+        return v * (allowed if command.joints is not None else allowed.min())
+
+    def reference(self, now_ns: int) -> Reference | None:
+        """See `Goal`."""
+        return self._joints.now
+
+    def planned(self) -> None:
+        """See `Goal`."""
+
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+        """See `Goal`."""
+        if self._stale and not self._joints.moving:
+            return Progress(State.REACHED, "no command any more, at rest")
+        return MOVING
+
+
+# Joint speeds that grow together lead a tool aside while they grow, and a twist alone has no place
+# to come back to. The line begins where the tool rests, or where it goes along the twist. It shifts
+# with the tool along the twist: how far the tool has come is the lever's business.
+GAIN = 15.0  # 1/s, of the distance from the line
+MOST = 0.3  # of the twist, that leads back at most
+_SAME = 0.9998  # cosine: 1 degree
+_ALONG = 0.02  # of the twist, that may lead aside where a line begins
+
+
+class JogLine:
+    """The line of one arm's jog.
+
+    Args:
+        kinematics: of the arm.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._kinematics = kinematics
+        self._command: Array = np.zeros(POSE_ROWS)
+        self._place: Pose | None = None
+
+    def leave(self) -> None:
+        """Forget the line."""
+        self._place = None
+
+    def back(self, q: Array, v: Array, command: Array, twist: Array) -> Array:
+        """Return the twist that leads the tool back to its line (6,) [m/s, rad/s].
+
+        Args:
+            q: joint angles (N,).
+            v: joint speeds (N,).
+            command: twist as commanded (6,), which keeps its direction in the frame of the command.
+            twist: the same along the world's axes (6,).
+        """
+        kinematics, rows = self._kinematics, self._kinematics.rows
+        scale, back = kinematics.scale, np.zeros(POSE_ROWS)
+        wanted = scale * twist[:rows]
+        size = float(np.linalg.norm(wanted))
+        if size == 0.0 or not self._goes_on(command):
+            self.leave()
+        self._command = command
+        if size == 0.0:
+            return back
+        if self._place is None:
+            tool = scale * (kinematics.jacobian(q) @ v)
+            if np.linalg.norm(_aside(tool, wanted)) <= _ALONG * size:
+                R_WT, p_WT = kinematics.forward(q)
+                self._place = Pose(p_WT, R_WT)
+            return back
+        off = scale * kinematics.tool_error(q, self._place)
+        passed = -float(off @ wanted) / size**2
+        self._place = Pose(
+            self._place.p_WT + passed * twist[:POSITION_ROWS],
+            pin.exp3(passed * twist[POSITION_ROWS:]) @ self._place.R_WT,
+        )
+        aside = GAIN * _aside(off, wanted)
+        much = float(np.linalg.norm(aside)) / (MOST * size)
+        back[:rows] = aside / scale / max(1.0, much)
+        return back
+
+    def _goes_on(self, command: Array) -> bool:
+        norms = float(np.linalg.norm(command) * np.linalg.norm(self._command))
+        return float(command @ self._command) >= _SAME * norms > 0.0
+
+
+def _aside(one: Array, along: Array) -> Array:
+    """Return the part of a vector across another."""
+    across: Array = one - along * float(one @ along) / float(along @ along)
+    return across

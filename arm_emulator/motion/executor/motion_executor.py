@@ -1,0 +1,457 @@
+"""Instructions to the servo, one per motion period: the current order, results of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.motion.executor.controllers import Controllers
+from arm_emulator.motion.executor.goal_queue import (
+    AcceptedGoal,
+    GoalQueue,
+    check_wait,
+    path_goal,
+    stop_goal,
+    trajectory_goal,
+)
+from arm_emulator.motion.executor.goal_status import (
+    CANCELLED,
+    MOVING,
+    Kind,
+    Progress,
+    Reports,
+    State,
+)
+from arm_emulator.motion.executor.goals import Goal, Planned, TargetGoal
+from arm_emulator.motion.executor.jog import JogCommand
+from arm_emulator.motion.executor.jog_goal import JogGoal
+from arm_emulator.motion.executor.standstill import Flags, Standstill, StopGoal
+from arm_emulator.motion.executor.target_stream import StreamGoal, TargetStream, is_near
+from arm_emulator.motion.model.config import MotionConfig
+from arm_emulator.motion.model.joint_reference import JointSetpoint, PlanningError, Reference
+from arm_emulator.motion.model.pose import Pose
+from arm_emulator.motion.planner.target_planner import LOST
+from arm_emulator.motion.planner.tool_controller import Controller
+from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.trajectory.tolerances import Tolerances
+
+_Q = POSITION.named("q")
+_Q_TARGET = POSITION.named("q_target")
+_V_TARGET = VELOCITY.named("v_target")
+_TAU = EFFORT.named("tau_feedforward")
+
+
+class MotionExecutor:
+    """Answers joint angles with joint targets.
+
+    Until something else holds these are the angles at first. Of tool targets, joint trajectories
+    and tool paths the newest holds, from its time on: one that begins takes over from the angles
+    and speeds commanded so far, so that nothing jumps.
+
+    Its results are checked. If one is not finite, or beyond the bound of joint positions, the
+    instructor forgets everything and holds the arm where it is.
+
+    Args:
+        config: parameters.
+
+    Attributes:
+        restarts: how often that happened.
+        trouble: why, the last time, in words.
+        reports: results of targets, trajectories and paths.
+        progress: that of the order that holds now, by the newest measurement.
+    """
+
+    def __init__(self, config: MotionConfig | None = None) -> None:
+        self.restarts = 0
+        self.trouble = ""
+        self.reports = Reports()
+        self.progress = MOVING
+        self._config = config or MotionConfig()
+        self._coming = GoalQueue()
+        self._active: AcceptedGoal | None = None
+        self._laws: Controllers | None = None
+        self._stream = TargetStream(self._config.period)
+        self.start_over()
+
+    def start_over(self, reason: str = "the motion controller was reset") -> None:
+        """Forget all orders, and the arm's position."""
+        for taken in [self._active, *self._coming]:
+            if taken is not None:
+                taken.report(self.reports, Progress(State.ABORTED, reason))
+        self._hold: Array | None = None
+        self._active = None
+        self._standing: Standstill | None = None
+        self._only: Planned | None = None  # the only way on which the arm can stop; None: any
+        self._coming = GoalQueue()
+        self._now_ns: int | None = None  # logical time of the newest joint angles
+        self._last: tuple[int, JointSetpoint] | None = None
+        if self._laws is not None:
+            self._laws.leading = None
+            self._laws.feedforward.forget()
+
+    def retune(self, config: MotionConfig) -> None:
+        """Continue with other parameters; a path that has begun keeps its speed."""
+        self._config = config
+        if self._laws is not None:
+            self._laws.retune(config)
+
+    @property
+    def holding(self) -> bool:
+        """Whether only the initial angles hold yet."""
+        return self._active is None
+
+    @property
+    def leading(self) -> Controller | None:
+        """The control law that moves the tool now; None: none does."""
+        if self._active is None or self._laws is None:
+            return None
+        return self._laws.leading
+
+    @property
+    def wind_up(self) -> Array:
+        """Assumed wind-up of the gears in the newest targets (N,) [rad]."""
+        return np.zeros(0) if self._laws is None else self._laws.feedforward.wind_up
+
+    @property
+    def torques_unknown(self) -> str:
+        """Reason for which requested torques are missing; empty: none are missing."""
+        return "" if self._laws is None else self._laws.feedforward.trouble
+
+    def add(self, time_ns: int, target: Pose) -> None:
+        """Take a tool target that holds from a logical time [ns] on, until something else does.
+
+        Of two with the same time the newer wins; a time that is past means at once.
+
+        Raises:
+            Refusal: more wait for their time than are taken.
+        """
+        self._take(Kind.TOOL_TARGET, time_ns, lambda: TargetGoal(time_ns, target))
+
+    def add_trajectory(
+        self,
+        controller: Controller | None,
+        names: Sequence[str],
+        points: Sequence[TrajectoryPoint],
+        stamp_ns: int = 0,
+        tolerances: Callable[[Tolerances], Tolerances] = lambda default: default,
+    ) -> int:
+        """Take a joint trajectory; see `JointTrajectory`. Return its number.
+
+        Args:
+            controller: of the arm; None: not known yet.
+            names: of the joints that it moves.
+            points: of it.
+            stamp_ns: logical time at which it starts [ns]; 0: at once.
+            tolerances: makes its own of those of the parameters.
+
+        Raises:
+            Refusal: see `JointTrajectory`, no arm, or more wait for their time than are taken.
+        """
+
+        def order() -> Goal:
+            return trajectory_goal(controller, self._config, names, points, stamp_ns, tolerances)
+
+        return self._take(Kind.JOINT_TRAJECTORY, stamp_ns, order)
+
+    def add_path(
+        self,
+        controller: Controller | None,
+        poses: Sequence[Pose],
+        stamp_ns: int = 0,
+        times_ns: Sequence[int] | None = None,
+    ) -> int:
+        """Take a tool path; see `ToolPath`. Return its number.
+
+        Args:
+            controller: of the arm; None: not known yet.
+            poses: of the tool.
+            stamp_ns: logical time at which the way to the first one begins [ns]; 0: at once.
+            times_ns: when the tool shall be in each [ns]; None: as the parameters state.
+
+        Raises:
+            Refusal: see `ToolPath`, no arm, or more wait for their time than are taken.
+        """
+
+        def order() -> Goal:
+            return path_goal(controller, self._config, poses, stamp_ns, times_ns)
+
+        begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
+        return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
+
+    def jog(self, command: JogCommand) -> None:
+        """Take a jog command: it holds at once, and as long as jog commands last."""
+        for order in (self.jogging, *(one.order for one in self._coming)):
+            if isinstance(order, JogGoal):
+                order.take(command)
+                return
+        self._take(Kind.JOG, 0, lambda: JogGoal(command))
+
+    @property
+    def jogging(self) -> JogGoal | None:
+        """The jog that holds now; None: none does."""
+        active = self._active
+        jogs = active is not None and not active.state.final
+        return active.order if active and jogs and isinstance(active.order, JogGoal) else None
+
+    def cancel(self, number: int) -> None:
+        """Abort a joint trajectory by its number: the joints come to rest if it moves them."""
+        for taken in self._coming:
+            if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
+                self._coming.remove(taken)
+                taken.report(self.reports, Progress(State.ABORTED, CANCELLED))
+                return
+        active = self._active
+        if self._laws is None or active is None or active.state.final:
+            return
+        if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
+            self._coming.put_first(AcceptedGoal(stop_goal(self._laws), 0))
+
+    def instruct(
+        self,
+        controller: Controller,
+        time_ns: int,
+        q: Array,
+        v: Array | None = None,
+        movable: Flags | None = None,
+        tau: Array | None = None,
+    ) -> JointSetpoint:
+        """Return the joint targets at a logical time [ns].
+
+        Args:
+            controller: the control law for the arm.
+            time_ns: of the joint angles; never before that of the last call.
+            q: joint angles measured at the motors (N,) [rad].
+            v: measured joint speeds (N,) [rad/s]; None: not measured.
+            movable: which joints can move (N,): with power, and an open brake; None: all.
+            tau: torques that the motors give, at the links (N,) [N m]; None: not measured.
+
+        Raises:
+            Refusal: q is not finite or too large; nothing has changed then.
+        """
+        _Q.check("motion_controller", q.tolist())
+        laws = self._laws_of(controller)
+        if movable is not None and not movable.all():
+            laws.feedforward.forget()  # the measured positions hold, whatever was commanded
+        laws.feedforward.observe(tau, movable)
+        measured, q = q, laws.feedforward.links(q)
+        try:
+            self._wait(laws, time_ns, q, movable)
+            self._take_up(laws, time_ns, q)
+            if self._standing is None:
+                of_links = self._instruct(laws, time_ns, q, v)
+            else:
+                can = np.ones(len(q), dtype=bool) if movable is None else movable
+                of_links = self._standing.instruct(q, v, can)
+            instruction = laws.feedforward.complete(of_links)
+            answer = instruction.q, instruction.v, instruction.tau
+            for bound, values in zip((_Q_TARGET, _V_TARGET, _TAU), answer, strict=True):
+                if values is not None:
+                    bound.check("motion_controller", values.tolist())
+        except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
+            # q is within its bound and orders were checked on arrival. The cause is this object's
+            # state, or a robot description with impossible numbers.
+            self.restarts += 1
+            self.trouble = str(error)
+            self.start_over(self.trouble)
+            self._hold = q
+            of_links, instruction = JointSetpoint(q), JointSetpoint(measured)
+        self._last = time_ns, of_links
+        return instruction
+
+    @property
+    def waits_for(self) -> str:
+        """Reason why the arm waits at a standstill, as text; empty: it moves."""
+        return "" if self._standing is None else self._standing.words
+
+    def _wait(self, laws: Controllers, time_ns: int, q: Array, movable: Flags | None) -> None:
+        """Stand still while a joint cannot move, and until all rest."""
+        if self._standing is None:
+            if movable is not None and not movable.all():
+                self._standing = Standstill(laws, self._reference(laws, time_ns, q))
+                self._only = None
+            return
+        if not self._standing.over or (movable is not None and not movable.all()):
+            return
+        rest, active = self._standing.reference, self._active
+        self._standing = None
+        if active is None:
+            self._hold = rest.q if self._hold is not None else None
+            return
+        begins = active.state is State.ACCEPTED
+        try:
+            (active.order.begin if begins else active.order.go_on)(laws, time_ns, rest)
+        except Refusal as reason:
+            active.report(self.reports, Progress(State.REFUSED, str(reason)))
+            self._active, self._hold = None, rest.q
+
+    def _laws_of(self, controller: Controller) -> Controllers:
+        if self._laws is None or self._laws.controller is not controller:
+            self._laws = Controllers(controller, self._config)
+        return self._laws
+
+    def _take(
+        self, kind: Kind, time_ns: int, make: Callable[[], Goal], begins_ns: int | None = None
+    ) -> int:
+        begins_ns = time_ns if begins_ns is None else begins_ns
+        try:
+            if self._now_ns is not None:
+                check_wait(kind, begins_ns, self._now_ns)
+            order = make()
+            self._coming.check_room(kind, time_ns)
+        except Refusal as reason:
+            self.reports.refuse(kind, time_ns, reason)
+            raise
+        taken = AcceptedGoal(order, self.reports.next_number(kind), begins_ns)
+        taken.report(self.reports, Progress(State.ACCEPTED))
+        before = self._coming.put(time_ns, taken)
+        if before is not None:
+            before.report(self.reports, taken.replaces)
+        return taken.number
+
+    def _take_up(self, laws: Controllers, time_ns: int, q: Array) -> None:
+        """Start the orders whose time has come."""
+        early = list(self._coming) if self._now_ns is None else []  # than the first joint states
+        for one in early:
+            try:
+                check_wait(one.order.kind, one.begins_ns, time_ns)
+            except Refusal as reason:
+                self._coming.remove(one)
+                one.report(self.reports, Progress(State.REFUSED, str(reason)))
+        self._now_ns = time_ns
+        while (taken := self._coming.due(time_ns)) is not None:
+            reference, order = self._reference(laws, time_ns, q), taken.order
+            if isinstance(order, TargetGoal):
+                self._stream.take(order.stamp_ns or time_ns, order.pose, reference.q)
+            if (newer := self._coming.next_due(time_ns)) is not None:
+                taken.report(self.reports, newer.replaces)
+                continue
+            if isinstance(order, TargetGoal):
+                taken.order = self._streamed(laws, order, reference.q)
+            try:
+                taken.order.begin(laws, time_ns, reference)
+            except Refusal as reason:
+                taken.report(self.reports, Progress(State.REFUSED, str(reason)))
+                continue
+            if self._active is not None:
+                self._active.report(self.reports, taken.replaces)
+            self._active = taken
+
+    def _streamed(self, laws: Controllers, order: TargetGoal, q: Array) -> TargetGoal | StreamGoal:
+        """Return the order for the newest target: itself, or that of its stream."""
+        motion = self._stream.motion()
+        if motion is None or not is_near(laws.controller.kinematics, q, order):
+            return order
+        return StreamGoal(order, motion, self._stream.posture)
+
+    def _instruct(
+        self, laws: Controllers, time_ns: int, q: Array, v: Array | None
+    ) -> JointSetpoint:
+        taken = self._active
+        if taken is None:
+            if self._hold is None:
+                self._hold = q
+            return JointSetpoint(self._hold)
+        try:
+            instruction = taken.order.instruct(laws, time_ns, q)
+        except PlanningError as reason:  # nothing has changed
+            before = taken.order.reference(time_ns)
+            assert before is not None
+            moved = bool((before.v != 0.0).any())
+            state = State.ABORTED if moved else State.REFUSED
+            return self._halt(laws, time_ns, before, Progress(state, str(reason)))
+        progress = self.progress = taken.order.progress(time_ns, q, v)
+        way = taken.order.way
+        if taken.state is State.ACCEPTED or (taken.state is State.MOVING and way != taken.way):
+            taken.way = way
+            taken.report(self.reports, replace(progress, state=State.MOVING, reason=way), anew=True)
+        if taken.state is State.MOVING or (taken.state, progress.state) == (
+            State.UNREACHABLE,
+            State.REACHED,
+        ):
+            taken.report(self.reports, progress)
+        if taken.state is State.ABORTED:
+            return self._stop(laws, time_ns, q, v)
+        return self._guarded(laws, time_ns, q, instruction)
+
+    def _guarded(
+        self, laws: Controllers, time_ns: int, q: Array, instruction: JointSetpoint
+    ) -> JointSetpoint:
+        """Return an instruction after which the arm can stop before a collision."""
+        guard, taken = laws.guard, self._active
+        if guard is None or taken is None:
+            return instruction
+        if isinstance(taken.order, JogGoal) and self._only is None:
+            return instruction  # jogs look ahead by themselves
+        now, then = _begin_and_end(instruction, laws.config.period)
+        then = taken.order.reference(time_ns + laws.period_ns) or then
+        touching = guard.ahead(laws.braking, now.q, then)
+        if not touching:
+            self._only = None
+            return instruction
+        planned = taken.order.planned()
+        if planned is not None and guard.frees(planned.motion):
+            self._only = planned
+            return instruction
+        why = Progress(State.ABORTED, f"collision: {touching} would touch")
+        return self._halt(laws, time_ns, now, why)
+
+    def _halt(
+        self, laws: Controllers, time_ns: int, now: Reference, why: Progress
+    ) -> JointSetpoint:
+        """Abort the order, and come to rest from the commanded motion."""
+        if self._active is not None:
+            self._active.report(self.reports, why)
+        stop: JogGoal | StopGoal
+        if self._only is None:
+            stop = JogGoal.stop(time_ns, len(now.q))
+        else:
+            stop = StopGoal(laws, time_ns, self._only)
+        stop.begin(laws, time_ns, now)
+        self._active = AcceptedGoal(stop, 0, state=State.MOVING)
+        instruction = stop.instruct(laws, time_ns, now.q)
+        if self._only is not None:
+            self._only = stop.planned()
+        return instruction
+
+    def _stop(self, laws: Controllers, time_ns: int, q: Array, v: Array | None) -> JointSetpoint:
+        """Bring the joints to rest from their measured motion."""
+        stop = stop_goal(laws)
+        still = np.zeros_like(q)
+        q = laws.feedforward.standing(q)
+        stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
+        self._active, self._only = AcceptedGoal(stop, 0), None
+        return stop.instruct(laws, time_ns, q)
+
+    def _reference(self, laws: Controllers, time_ns: int, q: Array) -> Reference:
+        """Return the joints' commanded motion, or the measured one if they are far apart."""
+        if self._standing is not None:
+            return self._standing.reference
+        still = np.zeros_like(q)
+        reference = None if self._active is None else self._active.order.reference(time_ns)
+        if reference is None and self._last is not None:
+            then, last = self._last
+            if last.v is None:
+                reference = Reference(last.q, still, still)
+            else:
+                reference = Reference(last.q + (time_ns - then) * 1e-9 * last.v, last.v, still)
+        elif reference is None and self._hold is not None:
+            reference = Reference(self._hold, still, still)
+        scale = laws.controller.kinematics.joint_scale
+        if reference is None or not (np.abs(reference.q - q) <= LOST * scale).all():
+            return Reference(q, still, still)
+        return reference
+
+
+def _begin_and_end(instruction: JointSetpoint, period: float) -> tuple[Reference, Reference]:
+    """Return the motion at the begin and at the end of a motion period."""
+    q, still = instruction.q, np.zeros_like(instruction.q)
+    v = still if instruction.v is None else instruction.v
+    now = instruction.now or Reference(q, v, still)
+    jerk = still if now.jerk is None else now.jerk
+    ends = now.v + now.a * period + 0.5 * jerk * period**2
+    return now, Reference(q + period * v, ends, now.a + jerk * period)

@@ -1,0 +1,1 @@
+"""Joint angles for a pose of the tool."""

@@ -1,0 +1,1 @@
+"""Kinematics, elastic drives and configuration of one arm."""

@@ -1,0 +1,1 @@
+"""Paths and trajectories towards targets within limits."""

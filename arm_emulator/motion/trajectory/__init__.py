@@ -1,0 +1,1 @@
+"""Curves of joints and tool over distance and time."""

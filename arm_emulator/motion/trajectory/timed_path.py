@@ -1,0 +1,348 @@
+"""A planned way of the joints: a curve and its timing.
+
+Its timing is the one of least duration within the limits of speed, acceleration, jerk and torque,
+from rest to rest. The result is checked at more places. Where it exceeds a limit there, it is
+slowed down.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import SharedObject
+from arm_emulator.build.c_header import NULL, pointer
+from arm_emulator.motion.model.arm_tree import WAY, ArmTree, way_library
+from arm_emulator.motion.model.joint_reference import Reference
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+
+FEWEST_PIECES = 24  # of the timing
+MOST_PIECES = 400  # of a way in which the ramps decide how many it has
+IN_A_RAMP = 12  # pieces of it
+MOST_TIMINGS = 3  # that are found for a way with as many pieces
+CLOSE = 0.94  # factor of c with which a timing is slowed down as a whole
+FAR, FINER = 0.83, 4  # with which its pieces are too long, and so many more are tried
+MARGIN = 1.002  # of time: for what lies between the checks
+JERK_MARGIN = 1.01  # likewise, of the jerk, which steps
+_CHECKED, _CHECKED_AGAIN = 5, 17  # places in a piece where limits are held against it
+_LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
+
+
+@dataclass(frozen=True, eq=False)
+class JointPathLimits:
+    """Limits of the joints along a way, (N,) each; speed, acceleration and jerk > 0."""
+
+    speed: Array
+    """[rad/s or m/s]."""
+    acceleration: Array
+    """[rad/s2 or m/s2]."""
+    jerk: Array
+    """[rad/s3 or m/s3]."""
+    torque: Array
+    """[N m or N]; infinite: no limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPathLimits:
+    """Limits of the tool along its curve, which ends at s = 1."""
+
+    length: float
+    """Measure of the curve [m]."""
+    speed: float
+    """[m/s]."""
+    acceleration: float
+    """Along, and again across [m/s2]."""
+    jerk: float
+    """Along [m/s3]."""
+    ends: Array
+    """Ends of the curve's parts in s, ascending (S,)."""
+    curvature: Array
+    """Curvature of these parts: acceleration across at speed 1, (S,) [1/m]."""
+
+    @classmethod
+    def straight(
+        cls, length: float, speed: float, acceleration: float, jerk: float
+    ) -> ToolPathLimits:
+        """Return those of a line."""
+        return cls(length, speed, acceleration, jerk, np.ones(1), np.zeros(1))
+
+
+class TimedPath(SharedObject):
+    """A way from rest to rest.
+
+    Args:
+        curve: of the joints.
+        limits: of the joints.
+        arm: for torques; None: they are not limited.
+        along: of the tool; None: it is as fast as the joints.
+        asked: time in which the curve was meant to be gone through evenly [s], which no part of it
+            falls below; 0: none.
+        where: names the motion in refusals.
+
+    Attributes:
+        duration: [s].
+
+    Raises:
+        Refusal: at some place of the curve not even rest keeps the limits of torque.
+    """
+
+    def __init__(
+        self,
+        curve: JointCurve,
+        limits: JointPathLimits,
+        arm: ArmTree | None = None,
+        along: ToolPathLimits | None = None,
+        asked: float = 0.0,
+        where: str = "motion",
+    ) -> None:
+        self.curve = curve
+        self._limits, self._along, self._asked = limits, along, asked
+        self._loaded = np.flatnonzero(np.isfinite(limits.torque))
+        self._arm = arm if len(self._loaded) else None
+        ramp, pieces = self._ramp()
+        self._ramps = Ramps(ramp)
+        given = self._given()
+        self._timing = self._found(pieces, given, where)
+        self.duration = self._timing.duration
+
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since the start [s]."""
+        q, v, a, jerk = self.curve.moving(*self._over_time(time))
+        return Reference(q, v, a, jerk)
+
+    def place(self, time: float) -> float:
+        """Return s at a time since the start [s]."""
+        return self._over_time(time)[0]
+
+    def _over_time(self, time: float) -> tuple[float, float, float, float]:
+        """Return s and its first three derivatives by time."""
+        sigma, d1, d2, d3 = self._timing.derivatives(max(0.0, time))
+        s, s1, s2, s3 = self._ramps.at(sigma)
+        return s, s1 * d1, s1 * d2 + s2 * d1**2, s1 * d3 + 3.0 * s2 * d1 * d2 + s3 * d1**3
+
+    def _ramp(self) -> tuple[float, int]:
+        """Return the share of sigma of the ramps, and its number of pieces."""
+        _, f1, _, _ = self.curve.derivatives(_LOOKS)
+        limits, tiny = self._limits, 1e-12
+        slow = (np.abs(f1) / limits.speed).max(axis=1) + tiny  # seconds per s
+        stiff = (np.abs(f1) / limits.acceleration).max(axis=1) + tiny
+        if self._along is not None:
+            slow = np.maximum(slow, self._along.length / self._along.speed)
+            stiff = np.maximum(stiff, self._along.length / self._along.acceleration)
+        cruise = max(float(slow.mean()), self._asked)
+        ends = float(stiff[[0, -1]].max()) / cruise + float(
+            (limits.acceleration / limits.jerk).max()
+        )
+        # Ways of any length are planned in so many pieces at most; a longer ramp is gentler.
+        ramp = min(0.5, max(ends / (cruise + ends), IN_A_RAMP / MOST_PIECES))
+        # Two checks or more in each piece of the curve, whose third derivative steps.
+        in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
+        return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
+
+    def _found(self, pieces: int, given: tuple[Any, ...], where: str) -> Timing:
+        """Return the quickest timing found that keeps every limit at every check.
+
+        Where one exceeds limits between the places for which it was found, it is found again with
+        tighter ones there, and slowed down as a whole by the rest; and of more pieces, too, if the
+        first exceeds them by much.
+        """
+        law, timings, first = way_library(), list[Timing](), 0.0
+        # Once more with as many: now what is exceeded is known from more looks.
+        for count in (pieces, pieces, min(FINER * pieces, max(pieces, MOST_PIECES))):
+            sigma, keeps = places(count), np.empty(count)
+            rows = self._rows(sigma, given)
+            for _ in range(MOST_TIMINGS):
+                found = least_duration(count, rows)
+                if isinstance(found, int):
+                    raise self._too_heavy(sigma[found], where)
+                looks = _CHECKED_AGAIN if timings else _CHECKED
+                law.way_keeps(*given, count, pointer(found), looks, JERK_MARGIN, pointer(keeps))
+                least = float(keeps.min())
+                first = first or least
+                timings.append(Timing(found * least / MARGIN**2))
+                if least > CLOSE:
+                    break
+                rows = rows.within(keeps)
+            if first > FAR:
+                break
+        return min(timings, key=lambda one: one.duration)
+
+    def _rows(self, sigma: Array, given: tuple[Any, ...]) -> Rows:
+        """Return the limits at places (P,), in parts of them; those of torque with an arm."""
+        joints, along, torques = len(self._limits.speed), self._along is not None, 0
+        if self._arm is not None:
+            torques = len(self._loaded)
+        most = np.empty(len(sigma))
+        firsts = np.empty((3, len(sigma), joints + torques + along))
+        thirds = np.empty((3, len(sigma), joints + along))
+        way_library().way_rows(*given, len(sigma), *map(pointer, (sigma, most, firsts, thirds)))
+        return Rows(most, firsts, thirds)
+
+    def _given(self) -> tuple[Any, ...]:
+        """Return arm, curve, limits and ramp as way.h takes them."""
+        limits, along = self._limits, self._along
+        struct = WAY.new(
+            "way_limits",
+            speed=limits.speed,
+            acceleration=limits.acceleration,
+            jerk=limits.jerk,
+            torque=limits.torque,
+            asked=self._asked,
+        )
+        if along is not None:
+            WAY.fill(
+                struct,
+                length=along.length,
+                tool_speed=along.speed,
+                tool_acceleration=along.acceleration,
+                tool_jerk=along.jerk,
+                parts=len(along.ends),
+                ends=along.ends,
+                curvature=along.curvature,
+            )
+        arm = NULL if self._arm is None else self._arm.struct
+        return arm, self.curve.struct, struct, self._ramps.ramp
+
+    def _too_heavy(self, sigma: float, where: str) -> Refusal:
+        assert self._arm is not None
+        s = self._ramps.at(sigma)[0]
+        q = self.curve.derivatives(np.array([s]))[0]
+        still = np.zeros_like(q)
+        share = np.abs(self._arm.torques(q, still, still)[0]) / self._limits.torque
+        j = int(np.argmax(share))
+        name = self._arm.kinematics.joint_names[j]
+        rule = f"need no more torque of {name} than its limit, {self._limits.torque[j]:.4g} N m"
+        got = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s:.0%} of the way"
+        return Refusal(where, "the way", rule, got)
+
+
+# A place s of the way is a function of sigma in [0, 1], `Ramps`, whose slope rises smoothly from 0
+# and falls to 0 again. So what goes along it evenly in sigma begins and ends at rest, with
+# continuous accelerations, and the rate c = (dsigma/dt)^2 that remains to be found is an ordinary
+# function: the quadratic spline of cpp/way.h.
+
+POINTS = (0.0, 0.5, 1.0)  # of a piece, at which way.h asks for the limits
+_BESIDE = 1e-9  # of a piece: an end belongs to the piece that it is asked for
+_GAUSS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+_GAUSS, _WEIGHTS = 0.5 * (_GAUSS + 1.0), 0.5 * _WEIGHTS
+_PAIRS = list(zip(_GAUSS.tolist(), _WEIGHTS.tolist(), strict=True))
+_GAP = 0.02  # of the shortest duration, that the search leaves
+
+
+class Ramps:
+    """s over sigma, both in [0, 1]: faster over a part `ramp`, evenly, slower over as long a part.
+
+    Args:
+        ramp: in (0, 1/2].
+    """
+
+    def __init__(self, ramp: float) -> None:
+        self.ramp = ramp
+
+    def at(self, sigma: float) -> tuple[float, float, float, float]:
+        """Return s and its first three derivatives."""
+        r, top = self.ramp, 1.0 / (1.0 - self.ramp)
+        falling = sigma > 0.5
+        x = (1.0 - sigma if falling else sigma) / r
+        if x >= 1.0:
+            s, s1, s2, s3 = top * r * (x - 0.5), top, 0.0, 0.0
+        else:
+            s, s1 = top * r * x**3 * (1.0 - 0.5 * x), top * x * x * (3.0 - 2.0 * x)
+            s2, s3 = top / r * 6.0 * x * (1.0 - x), top / r**2 * (6.0 - 12.0 * x)
+        return (1.0 - s, s1, -s2, s3) if falling else (s, s1, s2, s3)
+
+
+def places(pieces: int) -> Array:
+    """Return sigma at the `POINTS` of each of so many equal pieces."""
+    inside = np.clip(np.array(POINTS), _BESIDE, 1.0 - _BESIDE)
+    return np.asarray(((np.arange(pieces)[:, None] + inside) / pieces).ravel())
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Limits at places along a way, by the derivatives of c = (dsigma/dt)^2, in parts of them."""
+
+    most: Array
+    """Largest c at each place, (P,)."""
+    firsts: Array
+    """|f0 + fc c + fd c'| <= 1, (3, P, F)."""
+    thirds: Array
+    """|tc c + td c' + te c''| sqrt(c) <= 1, (3, P, G)."""
+
+    def within(self, factors: Array) -> Rows:
+        """Return limits of which c may take parts (pieces,) in each piece, 1 or less."""
+        k = np.repeat(factors, len(POINTS))
+        still, moving = self.firsts[:1], self.firsts[1:]
+        firsts = np.concatenate([still, moving / k[:, None]])
+        return Rows(self.most * k, firsts, self.thirds / (k**1.5)[:, None])
+
+
+class Timing:
+    """sigma over time.
+
+    Args:
+        coefficients: of c, (pieces + 2,).
+
+    Attributes:
+        duration: [s].
+    """
+
+    def __init__(self, coefficients: Array) -> None:
+        self.coefficients = coefficients
+        self._pieces = len(coefficients) - 2
+        x0, x1, x2 = coefficients[:-2], coefficients[1:-1], coefficients[2:]
+        # c = k0 + u (k1 + u k2) in a piece, u from 0 to 1.
+        k = np.stack([0.5 * (x0 + x1), x1 - x0, 0.5 * (x0 - 2.0 * x1 + x2)])
+        at = k[0] + _GAUSS[:, None] * (k[1] + _GAUSS[:, None] * k[2])
+        if not (at > 0.0).all():
+            raise ArithmeticError("the timing of a way would stand still")
+        spans = _WEIGHTS @ (1.0 / np.sqrt(at)) / self._pieces
+        self._times = [0.0, *np.cumsum(spans).tolist()]
+        self.duration: float = self._times[-1]
+        self._polynomials = k.T.tolist()
+
+    def derivatives(self, time: float) -> tuple[float, float, float, float]:
+        """Return sigma and its first three derivatives by time [s]."""
+        if time >= self.duration:
+            return 1.0, 0.0, 0.0, 0.0
+        piece = max(0, bisect.bisect_right(self._times, time) - 1)
+        k0, k1, k2 = self._polynomials[piece]
+        left = (time - self._times[piece]) * self._pieces
+        u = min(1.0, left * math.sqrt(k0))
+        for _ in range(8):  # Newton's method: the rate is nearly even in a piece
+            gone = u * sum(w / math.sqrt(k0 + g * u * (k1 + g * u * k2)) for g, w in _PAIRS)
+            step = (left - gone) * math.sqrt(k0 + u * (k1 + u * k2))
+            before, u = u, min(1.0, max(0.0, u + step))
+            if abs(u - before) < 1e-12:
+                break
+        n = self._pieces
+        c = k0 + u * (k1 + u * k2)
+        rate = math.sqrt(c)
+        slope, bend = n * (k1 + 2.0 * u * k2), n * n * 2.0 * k2
+        return (piece + u) / n, rate, 0.5 * slope, 0.5 * bend * rate
+
+
+def least_duration(pieces: int, rows: Rows) -> Array | int:
+    """Return the coefficients of c, or the place at which not even rest keeps the limits.
+
+    Args:
+        pieces: of c.
+        rows: at `places(pieces)`.
+    """
+    law = way_library()
+    firsts, thirds = rows.firsts.shape[2], rows.thirds.shape[2]
+    found = np.empty(pieces + 2)
+    work = np.empty(law.way_work(pieces, firsts, thirds))
+    held = [np.ascontiguousarray(rows.most)]
+    held += [np.ascontiguousarray(one) for one in (*rows.firsts, *rows.thirds)]
+    most, f0, fc, fd, tc, td, te = map(pointer, held)
+    fault: int = law.way_time(
+        pieces, most, firsts, f0, fc, fd, thirds, tc, td, te, _GAP, pointer(work), pointer(found)
+    )
+    return fault if fault >= 0 else found
