@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from arm_emulator.analysis.sensitivities import Sensitivities as Sensitivities
     from arm_emulator.analysis.sensitivities import sensitivities as sensitivities
     from arm_emulator.base.refusal import Refusal as Refusal
-    from arm_emulator.machine.change import NumberChange as NumberChange
-    from arm_emulator.machine.change import PowerChange as PowerChange
-    from arm_emulator.machine.change import WrenchChange as WrenchChange
-    from arm_emulator.machine.core_machines import FleetState as FleetState
-    from arm_emulator.machine.diverged import Diverged as Diverged
-    from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
-    from arm_emulator.machine.fleet import Fleet as Fleet
-    from arm_emulator.machine.fleet_control import FleetControl as FleetControl
-    from arm_emulator.machine.fleet_control import FleetFrame as FleetFrame
-    from arm_emulator.machine.fleet_way import FleetWay as FleetWay
-    from arm_emulator.machine.measured import Measured as Measured
-    from arm_emulator.machine.plant import Plant as Plant
-    from arm_emulator.machine.plant_state import PlantState as PlantState
-    from arm_emulator.machine.scene import Scene as Scene
-    from arm_emulator.machine.scene import load_scene as load_scene
-    from arm_emulator.machine.session import Session as Session
+    from arm_emulator.machine.fleet.fleet import Fleet as Fleet
+    from arm_emulator.machine.fleet.fleet_control import FleetControl as FleetControl
+    from arm_emulator.machine.fleet.fleet_control import FleetFrame as FleetFrame
+    from arm_emulator.machine.fleet.fleet_schedule import FleetWay as FleetWay
+    from arm_emulator.machine.plant.core_machines import FleetState as FleetState
+    from arm_emulator.machine.plant.diverged import Diverged as Diverged
+    from arm_emulator.machine.plant.external_wrench import ExternalWrench as ExternalWrench
+    from arm_emulator.machine.plant.measured import Measured as Measured
+    from arm_emulator.machine.plant.plant import Plant as Plant
+    from arm_emulator.machine.plant.plant_state import PlantState as PlantState
+    from arm_emulator.machine.scene.scene import Scene as Scene
+    from arm_emulator.machine.scene.scene import load_scene as load_scene
+    from arm_emulator.machine.session.change import NumberChange as NumberChange
+    from arm_emulator.machine.session.change import PowerChange as PowerChange
+    from arm_emulator.machine.session.change import WrenchChange as WrenchChange
+    from arm_emulator.machine.session.session import Session as Session
     from arm_emulator.motion.model.kinematics import Kinematics as Kinematics
     from arm_emulator.motion.model.pose import Pose as Pose
     from arm_emulator.motion.planner.jacobian_controller import (
@@ -54,35 +54,35 @@ if TYPE_CHECKING:
 _MODULES = {
     "Breakpoint": "runs.breakpoint",
     "Condition": "runs.condition",
-    "Diverged": "machine.diverged",
-    "ExternalWrench": "machine.external_wrench",
-    "Fleet": "machine.fleet",
-    "FleetControl": "machine.fleet_control",
-    "FleetFrame": "machine.fleet_control",
-    "FleetState": "machine.core_machines",
-    "FleetWay": "machine.fleet_way",
+    "Diverged": "machine.plant.diverged",
+    "ExternalWrench": "machine.plant.external_wrench",
+    "Fleet": "machine.fleet.fleet",
+    "FleetControl": "machine.fleet.fleet_control",
+    "FleetFrame": "machine.fleet.fleet_control",
+    "FleetState": "machine.plant.core_machines",
+    "FleetWay": "machine.fleet.fleet_schedule",
     "JacobianController": "motion.planner.jacobian_controller",
     "Kinematics": "motion.model.kinematics",
     "LinearMachine": "analysis.linearised",
-    "Measured": "machine.measured",
-    "NumberChange": "machine.change",
+    "Measured": "machine.plant.measured",
+    "NumberChange": "machine.session.change",
     "OfflineRun": "runs.offline",
-    "Plant": "machine.plant",
-    "PlantState": "machine.plant_state",
+    "Plant": "machine.plant.plant",
+    "PlantState": "machine.plant.plant_state",
     "Pose": "motion.model.pose",
-    "PowerChange": "machine.change",
+    "PowerChange": "machine.session.change",
     "Recording": "runs.recording",
     "Refusal": "base.refusal",
-    "Scene": "machine.scene",
+    "Scene": "machine.scene.scene",
     "Sensitivities": "analysis.sensitivities",
     "Servo": "servo.servo",
     "ServoFleet": "runs.servo_fleet",
     "Timeline": "runs.timeline",
-    "Session": "machine.session",
-    "WrenchChange": "machine.change",
+    "Session": "machine.session.session",
+    "WrenchChange": "machine.session.change",
     "linearise": "analysis.linearised",
     "load_gains": "runs.gains",
-    "load_scene": "machine.scene",
+    "load_scene": "machine.scene.scene",
     "load_servo_config": "servo.servo_config",
     "sensitivities": "analysis.sensitivities",
     "testing": "",

@@ -19,9 +19,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.coerce import array_of, coerce_kind
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.plant.measured import Measured
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from arm_emulator.ros.network_under_test import NetworkUnderTest

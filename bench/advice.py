@@ -42,7 +42,7 @@ from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.parts.pmsm import Pmsm
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from oracles import mixtures
 from oracles.random_chain import moving_joints, random_chain_urdf
 

@@ -19,7 +19,7 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     without,
 )
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 
 # The parts that a bare scene has.
 PLAIN = (DcMotor, ElasticGear, RigidGear, LinkFriction)

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 
 LENGTH, RADIUS = 0.2, 0.03  # m
 BASE_MASS = 4.0  # kg; every link is a tenth lighter than the one before

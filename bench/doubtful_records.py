@@ -16,7 +16,6 @@ import numpy as np
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.friction import RotorFriction
 from arm_emulator.machine.parts.input import TORQUE
@@ -24,7 +23,8 @@ from arm_emulator.machine.parts.known import EXTRAS, MOTORS, without
 from arm_emulator.machine.parts.lugre import RotorLuGre
 from arm_emulator.machine.parts.stribeck import RotorStribeck
 from arm_emulator.machine.parts.torque_ripple import TorqueRipple
-from arm_emulator.machine.possible import variable_numbers
+from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.varied import of_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.found import numbers_found

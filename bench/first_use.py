@@ -24,8 +24,8 @@ PROGRAM = """
 import json, sys, time
 import numpy
 started = time.perf_counter()
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import load_scene
 imported = time.perf_counter()
 scene = load_scene(sys.argv[1])
 loaded = time.perf_counter()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.varied import of_child
 from arm_emulator_identification.filtered import Filtered, filtered
 from arm_emulator_identification.found import numbers_found

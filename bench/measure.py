@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.scene.scene import Scene
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.view.rerun_stream import RerunStream

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-import arm_emulator.machine.compiler as of_machines
+import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Fleet, Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from bench.measure import Task, interleaved, progress

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields
 
 from arm_emulator.base.validation.number import numbers_of
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_campaign import campaign_file
 from arm_emulator_campaign.distributions import KINDS
 from arm_emulator_campaign.fault import known_faults

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from arm_emulator.base.config_files import BESIDE
 from arm_emulator.base.name_rule import LONGEST_NAME, SCENE_MARKS
 from arm_emulator.base.validation.number import Number, numbers_of
-from arm_emulator.machine.integrator import EVENTS, EXCHANGES, Integrator
 from arm_emulator.machine.parts.key import Key
-from arm_emulator.machine.payload import COM, INERTIA, MASS
-from arm_emulator.machine.scene import CORES, GRAVITY, HOME_OFFSETS, Scene
-from arm_emulator.machine.scene_links import LOCKED, SHARE
+from arm_emulator.machine.scene.integrator import EVENTS, EXCHANGES, Integrator
+from arm_emulator.machine.scene.payload import COM, INERTIA, MASS
+from arm_emulator.machine.scene.scene import CORES, GRAVITY, HOME_OFFSETS, Scene
+from arm_emulator.machine.scene.scene_links import LOCKED, SHARE
 from arm_emulator.machine.schemes.known import SCHEMES
 
 Keys = dict[str, Key | Number]

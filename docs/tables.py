@@ -9,8 +9,6 @@ from pathlib import Path
 
 from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
 from arm_emulator.machine.faults.known import FAULTS
-from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.gear import RATIO_UNIT, Gear
@@ -22,6 +20,8 @@ from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.parts.sensors import IMU_SENSORS, SENSORS
+from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
+from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
 from arm_emulator_fieldbus.declared import index_of
 from docs import scene_keys as scene_keys_of

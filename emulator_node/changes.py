@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.session.session import Session
 from arm_emulator.page.page_process import PageProcess
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.pacer import Pacer

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, field
 
-from arm_emulator.machine.pace import Pace
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.session.pace import Pace
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import Diagnostics
 from emulator_node.outgoing_messages import OutgoingMessages

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.node_shell import set_stamp
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.phase import Phase
-from arm_emulator.machine.session import EndOfTime
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.session.phase import Phase
+from arm_emulator.machine.session.session import EndOfTime
 from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, stamp
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.context import Context

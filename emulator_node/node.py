@@ -28,11 +28,11 @@ from rclpy.publisher import Publisher
 from arm_emulator.base.address import LOCAL
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.parameters import parameter
-from arm_emulator.machine.build_facts import build_facts
-from arm_emulator.machine.pace import LARGEST, Pace
-from arm_emulator.machine.real_time import real_time_session
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import CLOCKS, STARTS, Session
+from arm_emulator.machine.plant.build_facts import build_facts
+from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.machine.session.pace import LARGEST, Pace
+from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.session import CLOCKS, STARTS, Session
 from arm_emulator.page.page_process import PageProcess
 from arm_emulator.ros.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.managed_node import ManagedNode

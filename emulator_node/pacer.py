@@ -7,7 +7,7 @@ import time
 
 import rclpy
 
-from arm_emulator.machine.phase import Phase
+from arm_emulator.machine.session.phase import Phase
 from arm_emulator.ros.node_shell import wall_timer
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.context import Context

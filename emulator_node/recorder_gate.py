@@ -7,7 +7,7 @@ from functools import partial
 
 from rclpy.node import Node
 
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.node_shell import KEPT, Diagnostics
 from arm_emulator.ros.recorder_presence import recorders_of
 from arm_emulator.ros.recorders import Recorders

@@ -11,9 +11,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator.machine.call_arguments import truth_at
-from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.plant.call_arguments import truth_at
+from arm_emulator.machine.plant.measured import Measured
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator.ros.middleware import Numbers, Outgoing
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS, set_stamp, stamp

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from arm_emulator.machine.phase import Phase
+from arm_emulator.machine.session.phase import Phase
 from emulator_node.context import Context
 from emulator_node.health import Health
 from emulator_node.pacer import Pacer

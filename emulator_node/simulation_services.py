@@ -10,7 +10,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.phase import Phase
+from arm_emulator.machine.session.phase import Phase
 from arm_emulator.ros.barrier import guard_later
 from arm_emulator.ros.managed_node import ManagedNode
 from arm_emulator.ros.node_shell import wall_timer

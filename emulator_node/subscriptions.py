@@ -10,9 +10,9 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answers import DuplicateCommand
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.inputs import named_inputs
+from arm_emulator.machine.plant.external_wrench import ExternalWrench
+from arm_emulator.machine.plant.inputs import named_inputs
+from arm_emulator.machine.session.command_buffer import DuplicateCommand
 from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator.ros.message_reader import no_message
 from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import PoseStamped
 
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.runs.view_of import view_of
 from arm_emulator.view.rerun_stream import RerunStream

@@ -17,8 +17,8 @@ from launch_ros.actions import Node
 
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.pace import factor_of
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.session.pace import factor_of
 from arm_emulator.ros.end_with_parent import parent_environment
 
 ARGUMENTS = [

@@ -30,7 +30,7 @@ from arm_emulator import (
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.design.new_scene import NewScene, write_new
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.executor.goal_status import State
 from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN

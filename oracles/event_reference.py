@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from oracles.reference import ROWS, STIFF, ReferenceMachine
 
 ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it

@@ -30,7 +30,6 @@ import numpy as np
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.decorator import DriveStage
 from arm_emulator.machine.parts.known import (
@@ -43,6 +42,7 @@ from arm_emulator.machine.parts.known import (
     read_motor,
 )
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.plant.inputs import further_inputs, input_at
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.mixtures import LARGEST, ORDER, RESOLVED, any_of, fits, key_of, place_of, write_scene
 from oracles.random_chain import moving_joints, random_chain_urdf

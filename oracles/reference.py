@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
@@ -27,7 +26,8 @@ from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.parts.friction import LinkFriction
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.scene import Scene
 
 ROWS = 6  # of a state: i, tm, wm, q, v, integral of the current controller [V]
 

@@ -21,7 +21,6 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator import Refusal, Scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.current_loop import CurrentLoop
@@ -34,6 +33,7 @@ from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.lugre import LinkLuGre, LuGre, RotorLuGre
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.scene.joint import Joint
 from oracles.reference import links_model
 
 KNOWN = (

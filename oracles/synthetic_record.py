@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator_identification.measured_run import MeasuredRun
 
 WAVES = 4  # of the motion of each joint

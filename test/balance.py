@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.plant import Plant
 
 
 @dataclass(frozen=True)

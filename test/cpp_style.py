@@ -14,8 +14,13 @@ from pathlib import Path
 import clang_tidy
 
 from arm_emulator.build.unit import Unit
-from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.compiler import (
+    equations_unit,
+    fleet_unit,
+    machine_unit,
+    real_time_unit,
+)
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_firmware.microcontroller import runner_unit
 from arm_emulator_fmu.unit import VERSIONS, unit_of

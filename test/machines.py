@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from arm_emulator.machine.compiler import equations_library_of
-from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.link_dynamics import LinkDynamics
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.plant.compiler import equations_library_of
+from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.machine.plant.link_dynamics import LinkDynamics
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from oracles.random_chain import LINK, moving_joints, random_chain_urdf, random_tree_urdf
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -169,7 +169,7 @@ MUTANTS = (
         "test_varied.py test_varied_axes.py",
     ),
     Mutant(
-        f"{MACHINE}/answers.py",
+        f"{MACHINE}/command_buffer.py",
         "        self.pointer.known = 0\n",
         "",
         "test_session.py",

@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import scene_unit
 
 Rng = np.random.Generator
 

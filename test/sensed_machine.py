@@ -9,7 +9,7 @@ import numpy as np
 from machines import GRAVITY, LINK, MOTOR, write_scene
 
 from arm_emulator import Measured, Plant, PlantState, Scene
-from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.plant.outputs import KNOWN
 
 TURN = 2.0 * math.pi
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from machines import one_link_urdf, write_scene
 
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_identification.measured_run import MeasuredRun
 from oracles.synthetic_record import make_record
 

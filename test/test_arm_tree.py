@@ -10,7 +10,7 @@ import pytest
 from draws import some
 from machines import random_chain_urdf
 
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.kinematics import Kinematics, moving_joints
 from arm_emulator.motion.model.link_torques import LinkTorques

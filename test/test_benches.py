@@ -13,7 +13,7 @@ import pytest
 
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench import report
 from bench.bare import BARE, odd_parts

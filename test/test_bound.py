@@ -24,7 +24,7 @@ from arm_emulator.base.validation.bound import (
     encoder_counts,
 )
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.plant_state import bounds_of
+from arm_emulator.machine.plant.plant_state import bounds_of
 from arm_emulator.motion.executor.goal_queue import MOST_TARGETS
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig

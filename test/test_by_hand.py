@@ -18,7 +18,7 @@ from network import JOINTS, PATIENCE
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 
 __all__ = ["varied"]  # a fixture

@@ -20,8 +20,8 @@ from test_library_cache import ROOT, SOMEBODY, Sound, as_root, cache, sound
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.library_cache import CACHE_VARIABLE
-from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.tick.c import REAL_TIME
 
 __all__ = ["cache", "sound"]  # fixtures
@@ -29,8 +29,8 @@ __all__ = ["cache", "sound"]  # fixtures
 LOAD = """
 import sys
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import load_scene
 try:
     print(Plant(load_scene(sys.argv[1])).t)
 except Refusal as refusal:

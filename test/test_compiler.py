@@ -23,13 +23,13 @@ from arm_emulator.build.compiler_command import find_compiler, identity
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from arm_emulator.core import CORE
-from arm_emulator.machine.compiler import FLAGS, compile_ahead, library_of
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.compiler import FLAGS, compile_ahead, library_of
+from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.tick.c import tick_unit
 
 READY = (
-    "from arm_emulator.machine.scene import load_scene;"
-    "from arm_emulator.machine.plant import Plant;"
+    "from arm_emulator.machine.scene.scene import load_scene;"
+    "from arm_emulator.machine.plant.plant import Plant;"
     "print(Plant(load_scene('three_axis')).t)"
 )
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Condition, Kinematics, Refusal, Session, Timeline, load_scene
-from arm_emulator.machine.record_row import columns_of
+from arm_emulator.machine.session.record_row import columns_of
 from arm_emulator.runs.condition import TOOL
 from arm_emulator.runs.offline import load_offline_run
 

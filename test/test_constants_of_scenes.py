@@ -18,7 +18,7 @@ DIGESTS = """
 import hashlib, pathlib, sys, tempfile
 from portable_bits import drawings
 from arm_emulator import load_gains
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 with tempfile.TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ from own_firmware import SCENE, builder, code, random_table
 from visits import random_visits
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.firmware import Firmware
+from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.runs.table_run import TableRun, load_table_run
 from arm_emulator.runs.timeline import Timeline
 

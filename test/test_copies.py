@@ -30,7 +30,7 @@ from arm_emulator import (
     load_scene,
 )
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.machine.real_time import real_time_session
+from arm_emulator.machine.session.real_time import real_time_session
 
 __all__ = ["plant", "scene"]  # fixtures
 

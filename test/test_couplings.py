@@ -31,7 +31,7 @@ from arm_emulator.analysis.holding import LinkLoads, overloads
 from arm_emulator.analysis.sensitivities import numbers_of
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.tool_chain import ToolChain
+from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.runs.breakpoint import Breakpoint
 from oracles.any_arm import move, reachable

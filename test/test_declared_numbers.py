@@ -15,13 +15,13 @@ import pytest
 
 from arm_emulator.base.validation import bound
 from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
-from arm_emulator.machine.integrator import Integrator
-from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import kinds_of
-from arm_emulator.machine.payload import COM, INERTIA, MASS
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.integrator import Integrator
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.payload import COM, INERTIA, MASS
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import DriveParameters
 from arm_emulator.servo.servo_config import JointServo, ServoConfig

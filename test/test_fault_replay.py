@@ -15,8 +15,8 @@ from test_faults import whole_scene
 
 from arm_emulator.bags.comparison import compare
 from arm_emulator.machine.faults.known import FAULTS
-from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of

@@ -35,8 +35,8 @@ from sensor_msgs.msg import JointState
 from arm_emulator.build.c_header import pointer
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.machine.firmware import Firmware
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.session.firmware import Firmware
+from arm_emulator.machine.session.session import Session
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun, load_table_run
 from arm_emulator.runs.target_table import load_target_table

@@ -10,7 +10,7 @@ import pytest
 from draws import FULL, some
 
 from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
-from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.plant.outputs import KNOWN
 from oracles.random_machines import machine
 
 COUNT = 11  # more than one group, and none that is full

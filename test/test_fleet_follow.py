@@ -15,10 +15,10 @@ from test_fleet_step import COUNT, LOCATED
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.cxx import run_compiler
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.fleet_control import FleetControl
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.fleet.fleet import Fleet
+from arm_emulator.machine.fleet.fleet_control import FleetControl
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.servo.servo_arm import ServoArm, Target

@@ -12,7 +12,7 @@ from draws import some
 from test_fleet_calls import COUNT, NUMBER, SENSED
 
 from arm_emulator import Fleet, Refusal, Scene, load_scene
-from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.plant.outputs import KNOWN
 
 BRAKED: dict[str, Any] = {
     "varied": ["joints.*.friction.viscous"],

@@ -16,7 +16,7 @@ from own_firmware import command
 
 from arm_emulator.base import warning
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.runs.target_table import check_targets, load_target_table
 
 LIMITS = {"waist": (-2.0, 2.5, 1.5), "shoulder": (-1.0, 1.5, 2.0), "elbow": (-0.2, 2.6, 3.0)}

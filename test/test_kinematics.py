@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from arm_emulator import JacobianController, Kinematics, Pose, Refusal
 from arm_emulator.base.urdf.urdf_text import read_urdf
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 
 
 def test_forward_kinematics_of_the_three_axis_arm() -> None:

@@ -21,7 +21,7 @@ from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.build import library_cache, unit
 from arm_emulator.build.elf import with_data
 from arm_emulator.build.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
-from arm_emulator.machine.compiler import (
+from arm_emulator.machine.plant.compiler import (
     compile_ahead,
     equations_library_of,
     library_of,

@@ -13,7 +13,7 @@ import pytest
 from test_manners import VARIED
 
 from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from arm_emulator import load_scene
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.collision.link_pairs import Reason, link_pairs
 
 # Of the base and of the tool, 1 m and 1 m away from each other: they touch where the elbow is bent

@@ -30,7 +30,7 @@ from arm_emulator import OfflineRun, Plant, Pose, Refusal, load_scene, load_serv
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.cli.commands.run import run as run_command
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.ros.node_shell import NANOSECONDS, stamp
 from arm_emulator.runs.offline import load_offline_run

@@ -9,7 +9,7 @@ from in_process import in_process
 from nav_msgs.msg import Path as ToolPath
 
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.message_types import definition_of
 

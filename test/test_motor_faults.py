@@ -12,9 +12,9 @@ from machines import write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
-from arm_emulator.machine.inputs import further_inputs, input_at
-from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.plant.inputs import further_inputs, input_at
+from arm_emulator.machine.plant.outputs import KNOWN
 from oracles.random_chain import LINK
 
 ROTOR = {"rotor_inertia": 1e-4}

@@ -19,7 +19,7 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.timeline_bag import ORDERS, TARGETS
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.fork import fork
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator_msgs.srv import SetState, SetVaried
 

@@ -27,7 +27,7 @@ from arm_emulator.design.sizing import (
 )
 from arm_emulator.design.survey import survey
 from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.kinematics import Kinematics
 from oracles.own_robots import OWN, Part, serial
 

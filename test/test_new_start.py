@@ -12,7 +12,7 @@ from draws import some
 from arm_emulator.base.config_files import find_beside
 from arm_emulator.design import new_scene
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from oracles.own_robots import Part, serial

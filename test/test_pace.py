@@ -7,7 +7,7 @@ import pytest
 from test_command_line import run
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.pace import UNLIMITED, Pace, factor_of
+from arm_emulator.machine.session.pace import UNLIMITED, Pace, factor_of
 from emulator_node.node import EmulatorParameters, check_pace
 
 PERIOD = 1e-3

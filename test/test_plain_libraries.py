@@ -33,8 +33,8 @@ from arm_emulator import (
     load_servo_config,
 )
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.call_arguments import PIECE
-from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.plant.call_arguments import PIECE
+from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_arm import ServoArm
 from oracles.predicted_residual import predicted_residual
@@ -302,7 +302,7 @@ def test_long_calls_give_the_same_bits_in_pieces(
         plant.advance(rows[0], 1000)
         whole = as_bytes(plant)
         for piece in (16, 128, 512):
-            monkeypatch.setattr("arm_emulator.machine.plant.PIECE", piece)
+            monkeypatch.setattr("arm_emulator.machine.plant.plant.PIECE", piece)
             plant.reset()
             assert plant.run(rows, steps).tobytes() == q.tobytes(), (steps, piece)
             plant.advance(rows[0], 1000)
@@ -313,8 +313,8 @@ def test_long_calls_give_the_same_bits_in_pieces(
 
 def test_ctrl_c_ends_a_call_that_would_take_years() -> None:
     code = """
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import load_scene
 plant = Plant(load_scene("three_axis"))
 try:
     print("ready", flush=True)

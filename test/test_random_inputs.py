@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of
 from arm_emulator.ros.ros_domain import own_domain

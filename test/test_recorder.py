@@ -26,10 +26,10 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.io.record_file import open_record
 from arm_emulator.base.run_outputs import SUFFIXES, RunOutputs
 from arm_emulator.cli.command import command_names, load_command
-from arm_emulator.machine.outputs import outputs_of, units_of
-from arm_emulator.machine.plant_state import ROWS
-from arm_emulator.machine.real_time import real_time_session
-from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.plant.plant_state import ROWS
+from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.record_row import RecordRow, columns_of
 from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.recorder import Recorder

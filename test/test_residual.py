@@ -23,7 +23,7 @@ from arm_emulator import (
     load_servo_config,
 )
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import controller_for
 from oracles.predicted_residual import predicted_residual

@@ -8,7 +8,7 @@ from draws import FULL
 from sensed_machine import FIELDS, motion, noisy, rows, same, set_all, truth, write
 
 from arm_emulator import Fleet, Scene, load_scene
-from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.session.real_time import RealTimeLoop
 
 
 @pytest.fixture(scope="module")

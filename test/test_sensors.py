@@ -31,9 +31,9 @@ from sensed_machine import (
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene, load_servo_config
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.design.tuned import run
-from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.outputs import ALWAYS, KNOWN
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
+from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.runs.gains import check_joints
 
 OF_SENSORS = [name for name, one in KNOWN.items() if one not in ALWAYS]

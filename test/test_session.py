@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, Session, load_scene
-from arm_emulator.machine.answers import DuplicateCommand
-from arm_emulator.machine.phase import Phase
+from arm_emulator.machine.session.command_buffer import DuplicateCommand
+from arm_emulator.machine.session.phase import Phase
 
 NAMES = ["waist", "shoulder", "elbow"]
 ZERO = [0.0, 0.0, 0.0]

@@ -12,7 +12,7 @@ from network import PATIENCE, User, assert_same_bits, network, offline_states, u
 from rclpy.action import ActionClient
 from test_managed_nodes import Client
 
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.link_motions import LinkMotions
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run

@@ -10,7 +10,7 @@ import pytest
 from own_firmware import NAMES, SCENE, N, builder, code, random_table, row_at
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.firmware import Firmware
+from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import load_target_table
 

@@ -15,7 +15,7 @@ from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.json_lines import LONGEST, TcpServer
-from arm_emulator.machine.real_time import real_time_session
+from arm_emulator.machine.session.real_time import real_time_session
 
 SCENE = load_scene("three_axis")
 PATIENCE = 120.0  # s

@@ -14,7 +14,7 @@ from arm_emulator.bags.first_difference import first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.cli.command_line import main
-from arm_emulator.machine.plant_state import SET
+from arm_emulator.machine.plant.plant_state import SET
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import load_offline_run

@@ -23,7 +23,7 @@ from arm_emulator.doors.udp import (
     Datagrams,
     UdpServer,
 )  # fmt: skip
-from arm_emulator.machine.real_time import real_time_session
+from arm_emulator.machine.session.real_time import real_time_session
 
 SCENE = load_scene("three_axis")
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "udp_servo.c"

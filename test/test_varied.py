@@ -15,7 +15,7 @@ from machines import MOTOR, Oracle, moving_joints, random_chain_urdf, write_scen
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.compiler import library_of
+from arm_emulator.machine.plant.compiler import library_of
 from arm_emulator.machine.schemes.known import SCHEMES
 
 ALL = ["payload.mass", "joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.*"]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from arm_emulator import Kinematics, Pose, load_scene
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.ik.inverse_kinematics import directions
 from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.config import MotionConfig

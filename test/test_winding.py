@@ -12,7 +12,7 @@ from balance import balance_of
 from machines import DC, GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, load_scene
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import scene_unit
 
 RATIO = 0.01
 WEAK = DC | {"back_emf_constant": 0.045}

@@ -27,10 +27,10 @@ from arm_emulator.analysis.true_motion import (
 )
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import EVENTS, odds
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.integrator import EVENTS, odds
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 MOST_STEPS = 3e7  # of one motion: some seconds of computing

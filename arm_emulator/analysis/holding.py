@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from arm_emulator.analysis.servo_loop import poses
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.scene import Scene
 
 POSES = 400
 NEARLY = 1.0 - 1e-9  # a motor with just the torque of the weight holds it

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 SECONDS = 1.0

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.call_arguments import Commands
-from arm_emulator.machine.core_machine import Equations
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, scene_of
+from arm_emulator.machine.plant.call_arguments import Commands
+from arm_emulator.machine.plant.core_machine import Equations
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene, scene_of
 
 MOST_ROUNDS = 30  # of Newton's method
 ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual permitted at rest

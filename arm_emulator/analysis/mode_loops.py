@@ -26,9 +26,9 @@ from arm_emulator.analysis.linear_servo import LinearServo, Loop
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.analysis.servo_loop import HARMLESS, late, poses, sampled_plant
 from arm_emulator.analysis.stability import SmallMotions, contacts
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig
 
 POSES = 4

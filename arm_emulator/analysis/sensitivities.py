@@ -21,12 +21,12 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.call_arguments import LARGEST_STEPS
-from arm_emulator.machine.compiler import DIRECTIONS, sensitivity_library_of
-from arm_emulator.machine.core_calls import SENSITIVITY
 from arm_emulator.machine.parts.sensors import JointSensors
-from arm_emulator.machine.possible import variable_numbers
-from arm_emulator.machine.scene import Scene, scene_of
+from arm_emulator.machine.plant.call_arguments import LARGEST_STEPS
+from arm_emulator.machine.plant.compiler import DIRECTIONS, sensitivity_library_of
+from arm_emulator.machine.plant.core_calls import SENSITIVITY
+from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator.machine.scene.scene import Scene, scene_of
 from arm_emulator.machine.varied import Varied, choose
 
 WHERE = "sensitivities"

@@ -21,8 +21,8 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.base.warning import warn
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 from arm_emulator.servo.zoh_motor import discretise_zoh
 

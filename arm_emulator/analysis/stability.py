@@ -14,9 +14,9 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.core_machine import LinearDrive
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.core_machine import LinearDrive
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.schemes.known import KNOWN
 
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.

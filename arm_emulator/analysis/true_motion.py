@@ -20,10 +20,10 @@ import numpy as np
 
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.integrator import Integrator
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.integrator import Integrator
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 # Differences that fall by less when a step is halved show no convergence.

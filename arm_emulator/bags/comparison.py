@@ -9,9 +9,9 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import Difference, Repetition
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.build_facts import build_facts, other_builds
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.build_facts import build_facts, other_builds
+from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.bag import Bag
 
 COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")

@@ -13,10 +13,10 @@ from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.plant import EnergyFlow, Plant
-from arm_emulator.machine.plant_state import PlantState
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.measured import Measured
+from arm_emulator.machine.plant.plant import EnergyFlow, Plant
+from arm_emulator.machine.plant.plant_state import PlantState
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.executor.goal_status import Kind, State
 
 AT_LIMIT = 1.0 - 1e-9  # share of the largest command from which a drive is at its limit

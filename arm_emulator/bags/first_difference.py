@@ -13,10 +13,10 @@ from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_ticks import Change, RecordedTick, Values
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import SET
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.plant.plant_state import SET
+from arm_emulator.machine.scene.scene import Scene
 
 
 class FirstDifference(NamedTuple):

@@ -13,10 +13,10 @@ from arm_emulator.bags.recorded_ticks import Change, RecordedTick, recorded_tick
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.measured import rows_of
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.bag import Bag
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 

@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.build_facts import COMPILED_WITH
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.build_facts import COMPILED_WITH
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.bag_metadata import SCENE
 from arm_emulator.ros.fixed_layout import FixedLayout

@@ -19,14 +19,14 @@ from sensor_msgs.msg import JointState
 from arm_emulator.analysis.stability import explain
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answers import CommandBuffer
-from arm_emulator.machine.inputs import further_inputs, named_inputs
-from arm_emulator.machine.measured import rows_of
-from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import SET
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.inputs import further_inputs, named_inputs
+from arm_emulator.machine.plant.measured import rows_of
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.plant.plant_state import SET
+from arm_emulator.machine.session.command_buffer import CommandBuffer
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, MotorState

@@ -15,11 +15,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.build_facts import build_facts
-from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.build_facts import build_facts
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
+from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of

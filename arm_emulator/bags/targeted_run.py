@@ -14,7 +14,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.joint_order import JointOrder
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.ros.node_shell import nanoseconds_of
 from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import OfflineRun

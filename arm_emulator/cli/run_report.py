@@ -13,8 +13,8 @@ import numpy.typing as npt
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.cli.output import output
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import END_OF_TIME, Session
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.session.session import END_OF_TIME, Session
 
 
 @contextlib.contextmanager

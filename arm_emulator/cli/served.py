@@ -9,9 +9,9 @@ from typing import Any
 from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.warning import warn
 from arm_emulator.cli.output import output
-from arm_emulator.machine.real_time import real_time_session
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.session import Session
 from arm_emulator.page.control_server import watched
 from arm_emulator.runs.recorder import Recorder
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.executor.goal_status import State
 from arm_emulator.runs.gains import Gains
 from arm_emulator.runs.goal import missed_order

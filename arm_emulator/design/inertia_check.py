@@ -23,7 +23,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
 from arm_emulator.design.assumed_bodies import shape_of
 from arm_emulator.machine.chain import Body, Chain, cross
-from arm_emulator.machine.urdf_tree import read_bodies
+from arm_emulator.machine.scene.urdf_tree import read_bodies
 
 ROUNDING = 0.01  # of the largest moment: figures of two digits
 DENSITIES = 300.0, 3000.0  # kg/m3: 44 of 48 industrial arms lie between them, by their hulls

@@ -13,9 +13,9 @@ from arm_emulator.base.config_files import check_own
 from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.io.yaml_file import MOST_BYTES, edited, nodes_of
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.integrator import EVENTS
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.scene.integrator import EVENTS
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 
 SECTION = "integrator"

@@ -15,8 +15,8 @@ from arm_emulator.base.escape import xml_text
 from arm_emulator.build.unit import stem_of
 from arm_emulator.design import ros2_control
 from arm_emulator.design.ros2_control import TRAJECTORY_CONTROLLER
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.urdf_tree import names_of, read_joints, root_of
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.scene.urdf_tree import names_of, read_joints, root_of
 from arm_emulator.motion.collision.link_pairs import DRAWN, link_pairs
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import Kinematics

@@ -29,12 +29,12 @@ from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_
 from arm_emulator.design.sizing import Demand, Sized, full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
-from arm_emulator.machine.joint import Joint
 from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motor import Motor
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.urdf_chain import MovedBody, moved_bodies
-from arm_emulator.machine.urdf_tree import LARGEST_MASS
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.scene.urdf_chain import MovedBody, moved_bodies
+from arm_emulator.machine.scene.urdf_tree import LARGEST_MASS
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import DriveParameters

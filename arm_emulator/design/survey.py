@@ -9,7 +9,7 @@ import numpy as np
 from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.servo_loop import FREE_SLIDE, FREE_TURN
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.kinematics import POSE_ROWS, Kinematics
 

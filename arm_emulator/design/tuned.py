@@ -15,10 +15,10 @@ from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_litt
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design
-from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.session.session import Session
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 

@@ -17,11 +17,11 @@ from typing import Any
 
 from arm_emulator.base.address import not_free
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answered_tick import submit_command
-from arm_emulator.machine.answers import DuplicateCommand
-from arm_emulator.machine.inputs import further_inputs
-from arm_emulator.machine.outputs import outputs_of, units_of
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.inputs import further_inputs
+from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.session.command_buffer import DuplicateCommand
+from arm_emulator.machine.session.session import Session
+from arm_emulator.machine.session.submit_command import submit_command
 
 PORT = 50780
 LONGEST = 2**16  # bytes of a line

@@ -17,14 +17,14 @@ import numpy as np
 from arm_emulator.base.address import not_free
 from arm_emulator.base.escape import c_comment, c_string
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.answered_tick import submit_command
-from arm_emulator.machine.answers import DuplicateCommand
-from arm_emulator.machine.inputs import further_inputs, input_units
-from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.parts.output import AXES
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.inputs import further_inputs, input_units
+from arm_emulator.machine.plant.measured import Measured
+from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.session.command_buffer import DuplicateCommand
+from arm_emulator.machine.session.session import Session
+from arm_emulator.machine.session.submit_command import submit_command
 
 PORT = 50770
 LARGEST = 65507  # bytes of a datagram

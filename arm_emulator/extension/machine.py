@@ -5,33 +5,11 @@ from arm_emulator.analysis.mode_loops import Mode as LoopMode
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
 from arm_emulator.analysis.stability import explain as explain_divergence
 from arm_emulator.design.assumed_bodies import inertial_of
-from arm_emulator.machine.answers import DuplicateCommand
-from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.chain import Body, ChainJoint, Frame
-from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator.machine.compiler import library_with, machine_unit
-from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.core_calls import ARM as ARM_HEADER
-from arm_emulator.machine.core_calls import FLEET as FLEET_HEADER
-from arm_emulator.machine.core_calls import OK as ARM_OK
-from arm_emulator.machine.core_calls import PLACES as WRENCH_PLACES
 from arm_emulator.machine.cxx_literals import number as cxx_number
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.external_wrench import AXES as WRENCH_AXES
-from arm_emulator.machine.external_wrench import NONE as NO_WRENCH
-from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.faults.scene_faults import SceneFault
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.fleet_way import FleetWay
-from arm_emulator.machine.formula_rows import FORMULA as FORMULA_HEADER
-from arm_emulator.machine.formula_rows import FormulaRows, is_at_one_instant
-from arm_emulator.machine.inputs import further_inputs, input_at, input_units, modes_of
-from arm_emulator.machine.joint import Joint
-from arm_emulator.machine.measured import MeasuredPlace, rows_of
-from arm_emulator.machine.outputs import ALWAYS as ALWAYS_OUTPUTS
-from arm_emulator.machine.outputs import KNOWN as KNOWN_OUTPUTS
-from arm_emulator.machine.outputs import outputs_of, readings_of, units_of
-from arm_emulator.machine.overrides import override
+from arm_emulator.machine.fleet.fleet import Fleet
+from arm_emulator.machine.fleet.fleet_schedule import FleetWay
 from arm_emulator.machine.parts.input import VOLTAGE as VOLTAGE_INPUT
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.known import PARTS
@@ -40,16 +18,38 @@ from arm_emulator.machine.parts.output import COMMAND as COMMAND_OUTPUT
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import ROWS as STATE_ROWS
-from arm_emulator.machine.plant_state import largest_position, link_angle_per_count
-from arm_emulator.machine.possible import variable_numbers
-from arm_emulator.machine.record_row import RecordRow, columns_of, values_of
-from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene, scene_of
+from arm_emulator.machine.plant.call_arguments import truth_at
+from arm_emulator.machine.plant.compiler import library_with, machine_unit
+from arm_emulator.machine.plant.core_calls import ARM as ARM_HEADER
+from arm_emulator.machine.plant.core_calls import FLEET as FLEET_HEADER
+from arm_emulator.machine.plant.core_calls import OK as ARM_OK
+from arm_emulator.machine.plant.core_calls import PLACES as WRENCH_PLACES
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.external_wrench import AXES as WRENCH_AXES
+from arm_emulator.machine.plant.external_wrench import NONE as NO_WRENCH
+from arm_emulator.machine.plant.external_wrench import ExternalWrench, on_moving_link
+from arm_emulator.machine.plant.formula_rows import FORMULA as FORMULA_HEADER
+from arm_emulator.machine.plant.formula_rows import FormulaRows, is_at_one_instant
+from arm_emulator.machine.plant.inputs import further_inputs, input_at, input_units, modes_of
+from arm_emulator.machine.plant.measured import MeasuredPlace, rows_of
+from arm_emulator.machine.plant.outputs import ALWAYS as ALWAYS_OUTPUTS
+from arm_emulator.machine.plant.outputs import KNOWN as KNOWN_OUTPUTS
+from arm_emulator.machine.plant.outputs import outputs_of, readings_of, units_of
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.plant.plant_state import ROWS as STATE_ROWS
+from arm_emulator.machine.plant.plant_state import largest_position, link_angle_per_count
+from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.overrides import override
+from arm_emulator.machine.scene.scene import LARGEST_SEED, Scene, load_scene, scene_of
 from arm_emulator.machine.schemes.known import SCHEMES
-from arm_emulator.machine.session import Session
-from arm_emulator.machine.tool_chain import TOOL as TOOL_SIGNALS_NAME
-from arm_emulator.machine.tool_chain import ToolChain, tool_signals
+from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
+from arm_emulator.machine.session.command_buffer import DuplicateCommand
+from arm_emulator.machine.session.control_code import ControlCode
+from arm_emulator.machine.session.record_row import RecordRow, columns_of, values_of
+from arm_emulator.machine.session.session import Session
+from arm_emulator.machine.session.tool_chain import TOOL as TOOL_SIGNALS_NAME
+from arm_emulator.machine.session.tool_chain import ToolChain, tool_signals
 from arm_emulator.machine.varied import NAMES as VARIED_NAMES
 from arm_emulator.machine.varied import Varied
 from arm_emulator.machine.varied import of_child as varied_of_child

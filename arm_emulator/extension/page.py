@@ -1,7 +1,7 @@
 """A page in the browser: rows of a run, its timeline, controls of the machine."""
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
-from arm_emulator.machine.record_ring import SharedRing
+from arm_emulator.machine.session.record_ring import SharedRing
 from arm_emulator.motion.model.mesh_units import in_metres, package_folders
 from arm_emulator.page.controls import Controls, Vector
 from arm_emulator.page.page_address import PageAddress, page_token

@@ -12,9 +12,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.external_wrench import ExternalWrench
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.session.session import Session
 from arm_emulator.page.controls import Controls, News, Vector
 from arm_emulator.page.page_process import PageProcess
 

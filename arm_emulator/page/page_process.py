@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.page.controls import Controls
 from arm_emulator.runs.row_process import RowProcess, dismiss_all
 

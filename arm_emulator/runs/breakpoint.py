@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from arm_emulator.base.validation.coerce import coerce_kind
-from arm_emulator.machine.formula_rows import BREAKPOINT, formula_library
-from arm_emulator.machine.listeners import leave, listen
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.formula_rows import BREAKPOINT, formula_library
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.session.listeners import leave, listen
 from arm_emulator.runs.condition import Condition, WatchedCondition
 
 

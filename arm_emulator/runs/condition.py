@@ -12,12 +12,12 @@ from arm_emulator.base.column import Column
 from arm_emulator.base.expression.formula import Combined, Formula, Window, bound_to, parse_formula
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.coerce import coerce_kind
-from arm_emulator.machine.formula_rows import CONDITION, FormulaRows, formula_library
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.record_row import RecordRow, columns_of
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
-from arm_emulator.machine.tool_chain import TOOL, ToolChain, tool_signals
+from arm_emulator.machine.plant.formula_rows import CONDITION, FormulaRows, formula_library
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.session.record_row import RecordRow, columns_of
+from arm_emulator.machine.session.session import Session
+from arm_emulator.machine.session.tool_chain import TOOL, ToolChain, tool_signals
 
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 

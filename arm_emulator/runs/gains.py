@@ -8,7 +8,7 @@ from pathlib import Path
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.session.session import Session
 from arm_emulator.motion.executor.goal_status import Progress, State, left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.offline import OfflineRun

@@ -17,9 +17,9 @@ from arm_emulator.base.saved_objects import Saved, SavedObjects
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.firmware_loop import FirmwareLoop
-from arm_emulator.machine.scene import Scene, load_scene, scene_of
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.scene.scene import Scene, load_scene, scene_of
+from arm_emulator.machine.session.firmware_loop import FirmwareLoop
+from arm_emulator.machine.session.session import Session
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import JointSetpoint

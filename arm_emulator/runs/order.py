@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.plant.external_wrench import ExternalWrench
+from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.timeline import Timeline

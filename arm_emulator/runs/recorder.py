@@ -16,7 +16,7 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.runs.row_process import RowProcess
 
 PROCESS = "arm_emulator.runs.recorder_process"

@@ -12,7 +12,7 @@ from typing import Any
 from arm_emulator.base.column import Rows
 from arm_emulator.base.io.record_file import RecordFile, open_record
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.record_ring import SharedRing
+from arm_emulator.machine.session.record_ring import SharedRing
 from arm_emulator.runs.row_end import RowEnd
 
 IDLE = 0.01  # s, wall: how often an empty ring is looked at

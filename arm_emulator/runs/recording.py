@@ -17,10 +17,10 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import check_suffix
 from arm_emulator.base.validation.bound import ANY_COMMANDS
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.outputs import KNOWN
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import ROWS
-from arm_emulator.machine.record_row import RecordRow, columns_of, row_type, values_of
+from arm_emulator.machine.plant.outputs import KNOWN
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.plant.plant_state import ROWS
+from arm_emulator.machine.session.record_row import RecordRow, columns_of, row_type, values_of
 from arm_emulator.runs.view_of import view_of
 
 TRUTH = (*ROWS, "energy")

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.listeners import leave, listen
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.record_ring import RingWriter, SharedRing
-from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.session.listeners import leave, listen
+from arm_emulator.machine.session.record_ring import RingWriter, SharedRing
+from arm_emulator.machine.session.record_row import RecordRow, columns_of
 from arm_emulator.runs.view_of import view_of
 
 HERE = Path(__file__).resolve().parents[2]  # what the other process imports from

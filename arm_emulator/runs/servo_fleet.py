@@ -20,10 +20,10 @@ from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.core_machines import arm_mask
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.fleet_control import FleetControl
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.fleet.fleet import Fleet
+from arm_emulator.machine.fleet.fleet_control import FleetControl
+from arm_emulator.machine.plant.core_machines import arm_mask
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.runs.gains import check_servo
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_arm import ServoArm

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from arm_emulator.build.c_header import Header
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, compiled_once
-from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.tick import c as tick
@@ -33,7 +33,7 @@ _servo_step = compiled_once(servo_step_unit)
 
 
 class ServoStep(ControlCode):
-    """A servo as a step of `arm_emulator.machine.firmware_loop`.
+    """A servo as a step of `arm_emulator.machine.session.firmware_loop`.
 
     Attributes:
         name: for refusals.

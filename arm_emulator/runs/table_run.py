@@ -14,11 +14,11 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.firmware import Firmware
-from arm_emulator.machine.firmware_loop import FirmwareLoop
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.session.control_code import ControlCode
+from arm_emulator.machine.session.firmware import Firmware
+from arm_emulator.machine.session.firmware_loop import FirmwareLoop
+from arm_emulator.machine.session.session import Session
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep

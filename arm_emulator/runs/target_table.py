@@ -15,7 +15,7 @@ from arm_emulator.base.io.table_file import Table, read_table
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import POSITION
 from arm_emulator.base.warning import warn
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.trajectory.joint_trajectory import ROUNDING, SPEED_BETWEEN_POINTS
 

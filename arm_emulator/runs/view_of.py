@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.machine.outputs import reported_by_parts
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.plant.outputs import reported_by_parts
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 
 
 def view_of(scene: Scene) -> dict[str, Any]:

@@ -16,17 +16,21 @@ import numpy as np
 from arm_emulator import Breakpoint, Plant, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import NULL
-from arm_emulator.machine.call_arguments import options_of
-from arm_emulator.machine.compiler import equations_library_of, fleet_library_of, real_time_library
-from arm_emulator.machine.core_calls import ARM, EQUATIONS, FLEET
-from arm_emulator.machine.formula_rows import (
+from arm_emulator.machine.plant.call_arguments import options_of
+from arm_emulator.machine.plant.compiler import (
+    equations_library_of,
+    fleet_library_of,
+    real_time_library,
+)
+from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS, FLEET
+from arm_emulator.machine.plant.formula_rows import (
     BREAKPOINT,
     CONDITION,
     FORMULA,
     TOOL_POSITION,
     formula_library,
 )
-from arm_emulator.machine.record_ring import LISTENERS, RING, record_ring
+from arm_emulator.machine.session.record_ring import LISTENERS, RING, record_ring
 from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls

@@ -18,8 +18,8 @@ from arm_emulator.build import c_header, library_cache
 from arm_emulator.build.c_header import NULL, Header, Library, pointer, text
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.core_calls import ARM, FIRMWARE, FLEET
+from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE, FLEET
 from arm_emulator.runs.servo_step import HERE, STEP
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.servo.servo_law import SERVO
@@ -44,7 +44,7 @@ HEADERS = (
     RUNNER,
 )
 FOLDERS = (BOUNDARY, TICK_FOLDER, SERVO_FOLDER, HERE, DRIVES_CORE, MICROCONTROLLER)
-IMPORT = "import arm_emulator.machine.core_calls as c; print(c.ARM.functions)"
+IMPORT = "import arm_emulator.machine.plant.core_calls as c; print(c.ARM.functions)"
 
 
 def structs_of(header: Header) -> list[str]:

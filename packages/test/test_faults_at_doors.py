@@ -31,8 +31,8 @@ from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.doors.json_lines import JsonLinesServer, TcpServer, UnixSocketServer
 from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
-from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.firmware import Firmware
+from arm_emulator.machine.plant.compiler import compile_ahead
+from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.table_run import TableRun

@@ -27,7 +27,7 @@ from arm_emulator.base import escape
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.doors.udp import Datagrams
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.runs.gains import load_gains
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.drives import Drives

@@ -12,10 +12,15 @@ from pathlib import Path
 
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.unit import Unit
-from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.formula_rows import formula_unit
-from arm_emulator.machine.record_ring import record_ring_unit
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.compiler import (
+    equations_unit,
+    fleet_unit,
+    machine_unit,
+    real_time_unit,
+)
+from arm_emulator.machine.plant.formula_rows import formula_unit
+from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.machine.session.record_ring import record_ring_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from arm_emulator.tick.c import tick_unit
@@ -32,8 +37,8 @@ sys.path += sys.argv[1:3]
 if sys.argv[3:]:
     ctypes.CDLL(sys.argv[3], mode=ctypes.RTLD_GLOBAL)
 from arm_emulator.runs.offline import OfflineRun
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.fleet.fleet import Fleet
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_config import load_servo_config
 from torque_modes import enabled

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import null_pointers
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.machine.scene.scene import load_scene
 
 # Of these some pointers may be null, as their headers state.
 MAY = {

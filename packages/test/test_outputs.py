@@ -18,10 +18,13 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import NULL, text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
-from arm_emulator.machine import outputs
-from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.outputs import (
+from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
+from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
+from arm_emulator.machine.plant.outputs import (
     ALWAYS,
     KNOWN,
     SYMBOLS,
@@ -29,12 +32,9 @@ from arm_emulator.machine.outputs import (
     readings_of,
     reported_by_parts,
 )
-from arm_emulator.machine.parts.known import MOTORS, PARTS
-from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
-from arm_emulator.machine.parts.torque_sensor import TorqueSensor
-from arm_emulator.machine.real_time import real_time_session
-from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.plant.plant import outputs
+from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.session.real_time import real_time_session
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.middleware import Outgoing, middleware
 from arm_emulator_fieldbus.converter import Converter, blocks

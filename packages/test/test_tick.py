@@ -13,9 +13,9 @@ from documents import ROOT
 from arm_emulator import Breakpoint, Diverged, Plant, Refusal, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.c_header import NULL, CData
-from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.firmware_loop import FirmwareLoop
-from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.session.control_code import ControlCode
+from arm_emulator.machine.session.firmware_loop import FirmwareLoop
+from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
@@ -49,7 +49,7 @@ def test_only_the_tick_layer_exchanges() -> None:
     named = {name for name, text in sources(*IN_C, ".py") if re.search(r"\barm_exchange\b", text)}
     assert named == {
         "packages/arm_emulator_fmu/arm_emulator_fmu/machine.hpp",
-        "arm_emulator/machine/plant.py",
+        "arm_emulator/machine/plant/plant.py",
         "packages/arm_emulator_hardware/src/driven_machine.cpp",
     }, "who gives it to a tick_machine"
 

@@ -24,9 +24,9 @@ import numpy as np
 from machines import moving_joints, random_chain_urdf, write_scene
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.machine.integrator import DEEPEST_EXCHANGE
-from arm_emulator.machine.real_time import real_time_session
+from arm_emulator.machine.scene.integrator import DEEPEST_EXCHANGE
 from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator.machine.session.real_time import real_time_session
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 HERE = Path(__file__).resolve().parent

@@ -13,7 +13,7 @@ import numpy as np
 from fmu_2_client import Fmu2, abuse_2
 from fmu_client import Fmu, abuse, rich_machine
 
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_fmu.export import export
 from fuzz.line import TAKEN, report
 

@@ -32,7 +32,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.cli.commands.ros2_control import ros2_control
 from arm_emulator.design.ros2_control import PLUGIN
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.network_client import NetworkClient
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of
 from arm_emulator.ros.ros_domain import own_domain

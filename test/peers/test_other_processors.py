@@ -17,7 +17,7 @@ from portable_bits import drawings
 from arm_emulator import Fleet, Plant
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import fingerprint
-from arm_emulator.machine.compiler import fleet_unit
+from arm_emulator.machine.plant.compiler import fleet_unit
 
 ROWS, STEPS, ARMS = 50, 40, 3
 CLIENT = Path(__file__).parents[1] / "portable_run.cpp"

@@ -22,10 +22,10 @@ from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.measured import rows_of
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun

@@ -18,7 +18,7 @@ from arm_emulator.base.validation.number import Number
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
 PER_DECADE = 2000  # frequencies

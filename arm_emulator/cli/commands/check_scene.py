@@ -22,8 +22,8 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
 from arm_emulator.design.inertia_check import check_inertias, doubtful_inertias
-from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.machine.urdf_file import find_urdf
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.scene.urdf_file import find_urdf
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity
 from arm_emulator.servo.servo_config import ServoConfig

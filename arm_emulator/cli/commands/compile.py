@@ -13,10 +13,10 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.formula_rows import formula_unit
-from arm_emulator.machine.record_ring import record_ring_unit
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.compiler import compile_ahead
+from arm_emulator.machine.plant.formula_rows import formula_unit
+from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.machine.session.record_ring import record_ring_unit
 from arm_emulator.motion.model.arm_tree import topp_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit

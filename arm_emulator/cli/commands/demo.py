@@ -32,7 +32,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.tool_controller import Controller, controller_for

@@ -17,9 +17,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import RunNumber, SceneName, When
 from arm_emulator.cli.output import output
-from arm_emulator.machine.build_facts import other_builds
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant.build_facts import other_builds
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.runs.condition import Condition
 from arm_emulator.runs.timeline import Timeline
 

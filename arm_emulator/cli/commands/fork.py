@@ -15,7 +15,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.ros.bag import Bag
 from arm_emulator.runs.goal import missed_order
 from arm_emulator.runs.offline import OfflineRun

@@ -12,9 +12,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.scene import load_scene
-from arm_emulator.machine.urdf_tree import names_of, read_joints, root_of
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
+from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.machine.scene.urdf_tree import names_of, read_joints, root_of
 
 
 @command(keys="`file`, `panels`")

@@ -23,9 +23,9 @@ from arm_emulator.base.validation.number import Number
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.real_time import RealTimeLoop
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.network_client import guest
 from arm_emulator.ros.node_shell import STATE_SUB_QOS

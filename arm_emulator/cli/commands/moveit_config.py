@@ -14,7 +14,7 @@ from arm_emulator.cli.commands.ros2_control import compile_drives
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.design.moveit_package import MACHINE, moveit_files, package_name
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 
 

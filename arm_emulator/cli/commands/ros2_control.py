@@ -16,8 +16,8 @@ from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.design import ros2_control as files
-from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.plant.compiler import compile_ahead
+from arm_emulator.machine.scene.scene import Scene, load_scene
 
 
 @command(keys="`libraries`, `description`, `controllers`, `update_rate`")

@@ -23,8 +23,8 @@ from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
 from arm_emulator.cli.output import output
 from arm_emulator.cli.run_report import ctrl_c_ends_at_once, report, ticks_of
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.session.session import Session
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.goal import last_target, missed_order, missed_target
 from arm_emulator.runs.guarded import guarded

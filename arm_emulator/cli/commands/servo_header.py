@@ -17,7 +17,7 @@ from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig

@@ -24,7 +24,7 @@ from arm_emulator.design.tuned import (
     link_inertias,
     with_and_without,
 )
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 

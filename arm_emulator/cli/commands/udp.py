@@ -13,7 +13,7 @@ from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.cli.served import serve_clients
 from arm_emulator.doors.udp import Datagrams, UdpServer
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 
 
 @command(

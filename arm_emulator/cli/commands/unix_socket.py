@@ -12,7 +12,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.served import serve_clients
 from arm_emulator.doors.json_lines import UnixSocketServer
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 
 
 @command(until_stopped=True, keys="`scene`, `address`, `clock`")

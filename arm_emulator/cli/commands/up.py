@@ -16,7 +16,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.pace import factor_of
+from arm_emulator.machine.session.pace import factor_of
 from arm_emulator.page.page_address import VARIABLE, PageAddress, new_token
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.ctrl_c import CtrlC
@@ -104,7 +104,7 @@ def up(
 def _check_loops(file: Path) -> None:
     """Refuse servos that are unstable on the machine, or warn of them."""
     from arm_emulator.analysis.servo_loop import warn_of_loops
-    from arm_emulator.machine.scene import load_scene
+    from arm_emulator.machine.scene.scene import load_scene
     from arm_emulator.runs.gains import check_fit, load_gains, warn_of_gravity
 
     try:

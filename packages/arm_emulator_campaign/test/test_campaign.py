@@ -17,8 +17,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.validation.section import Section
 from arm_emulator.cli.output import output, plain
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.external_wrench import ExternalWrench
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun

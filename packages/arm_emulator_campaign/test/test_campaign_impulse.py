@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.tool_chain import ToolChain
+from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, drawn_case
 from arm_emulator_campaign.simulator import Simulator

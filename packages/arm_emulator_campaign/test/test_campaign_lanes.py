@@ -11,8 +11,8 @@ from draws import FULL, some
 from test_campaign import MOVES, TABLE, changed, written
 
 from arm_emulator import ExternalWrench, Fleet, Refusal, ServoFleet, load_gains
-from arm_emulator.machine.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator.machine.fleet_way import FleetWay
+from arm_emulator.machine.fleet.fleet_schedule import FleetWay
+from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, runs_of
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, drawn_case

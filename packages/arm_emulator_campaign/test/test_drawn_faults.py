@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.change import Change, NumberChange, WrenchChange
-from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.plant.external_wrench import ExternalWrench
+from arm_emulator.machine.session.change import Change, NumberChange, WrenchChange
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.fault import Fault, changes_of, known_faults
 from arm_emulator_campaign.varying_numbers import leaves

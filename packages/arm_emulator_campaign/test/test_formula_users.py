@@ -17,7 +17,7 @@ from draws import FULL
 
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
 from arm_emulator.base.expression.formula import bound_to, parse_formula
-from arm_emulator.machine.tool_chain import TOOL
+from arm_emulator.machine.session.tool_chain import TOOL
 from arm_emulator_campaign.batch_simulator import BatchSimulator
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import drawn_case

@@ -10,7 +10,7 @@ import struct
 import pytest
 from canopen_master import ENTRIES, dumped, put, refused, sdo, segment_of, sent, uploaded
 
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator_fieldbus.canopen_node import Frame
 from arm_emulator_fieldbus.eds import eds
 from arm_emulator_fieldbus.object_dictionary import REALS

@@ -47,7 +47,7 @@ from cia402 import (
     until,
 )
 
-from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator_fieldbus.object_dictionary import Aborted, dictionary
 
 # -------------------------------------------------------------------------- limits, stops, faults

@@ -14,7 +14,7 @@ from machines import one_link_urdf, write_scene
 from modbus_line import Master, line_of, long_of, read_write, sound
 
 from arm_emulator import Refusal, Scene, Session, load_scene
-from arm_emulator.machine.session import EndOfTime
+from arm_emulator.machine.session.session import EndOfTime
 from arm_emulator_fieldbus import converter as registers
 from arm_emulator_fieldbus.commands.modbus import modbus
 from arm_emulator_fieldbus.converter import Converter

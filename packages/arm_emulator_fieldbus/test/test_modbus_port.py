@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from modbus_line import line_of, read_write, sound
 
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator_fieldbus import converter as registers
 from arm_emulator_fieldbus.modbus_rtu import is_sound
 

@@ -17,8 +17,8 @@ from machines import DC, PMSM, write_scene
 from arm_emulator import Plant, Scene
 from arm_emulator.build.c_header import Library
 from arm_emulator.build.unit import compile_units
-from arm_emulator.machine.compiler import machine_unit
-from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.plant.compiler import machine_unit
+from arm_emulator.machine.plant.core_calls import ARM
 from oracles.random_chain import LINK
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)

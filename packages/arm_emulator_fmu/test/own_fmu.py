@@ -10,7 +10,7 @@ from fmu_client import OK, Fmu, Instance, rich_machine
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.build.c_header import Library
-from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator_fmu.export import export
 
 NAMES = "hip [1]: left", "lift"

@@ -14,7 +14,7 @@ from draws import some
 from fmu_client import DISCARD, ERROR, OK, Fmu, Instance
 from own_fmu import MASS, PERIOD, fmu, moved, plant, random_inputs, scene, set_all
 
-from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant.plant import Plant
 
 PATIENCE = 60.0  # s
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene.scene import Scene
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.plausibility import without_outliers
 from bench.doubtful_records import (

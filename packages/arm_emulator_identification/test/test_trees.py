@@ -21,12 +21,12 @@ from machines import (
 
 from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
-from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.fleet.fleet import Fleet
+from arm_emulator.machine.plant.external_wrench import ExternalWrench
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import KNOWN
-from arm_emulator.machine.tool_chain import ToolChain
+from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose

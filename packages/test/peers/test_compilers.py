@@ -20,10 +20,15 @@ from draws import FULL, some
 import arm_emulator
 from arm_emulator.build.compiler_command import identity
 from arm_emulator.build.unit import Unit
-from arm_emulator.machine.compiler import equations_unit, fleet_unit, machine_unit, real_time_unit
-from arm_emulator.machine.formula_rows import formula_unit
-from arm_emulator.machine.record_ring import record_ring_unit
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.compiler import (
+    equations_unit,
+    fleet_unit,
+    machine_unit,
+    real_time_unit,
+)
+from arm_emulator.machine.plant.formula_rows import formula_unit
+from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.machine.session.record_ring import record_ring_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
@@ -155,9 +160,9 @@ def test_a_compiler_takes_everything_without_a_warning(
 RUN = """
 import json
 import numpy as np
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.servo.servo import Servo, load_servo_config
 from arm_emulator.base.refusal import Refusal
 

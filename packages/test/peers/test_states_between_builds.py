@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 GO_ON = """
 import pathlib, sys
 import numpy as np
-import arm_emulator.machine.compiler as of_machines
+import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Plant, load_scene
 from arm_emulator.build.unit import compile_units
 from test_fleet_calls import SENSED

@@ -15,7 +15,7 @@ from canopen_master import put
 from draws import some
 
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator_fieldbus.commands.canopen import load_segment, write_eds
 from oracles.own_robots import OWN
 

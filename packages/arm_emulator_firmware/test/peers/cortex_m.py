@@ -18,7 +18,7 @@ if shutil.which("arm-none-eabi-gcc") is None:
     pytest.skip("no arm-none-eabi-gcc", allow_module_level=True)
 
 from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.c import FOLDER as SERVO

@@ -27,7 +27,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.firmware import Firmware
+from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable

@@ -13,7 +13,7 @@ from visits import random_visits
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.servo_header import header_text
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.timeline import Timeline

@@ -35,7 +35,7 @@ from lxml import etree
 from machines import DC, GANTRY, gantry_urdf, write_scene
 from test_fmu_file import scenes
 
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator_fmu.export import export
 from arm_emulator_fmu.model_description import model_description, model_description_2
 from arm_emulator_fmu.variables import scalars, variables

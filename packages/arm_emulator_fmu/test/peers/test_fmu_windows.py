@@ -87,7 +87,7 @@ def test_it_moves_under_wine_as_under_linux(unit: Fmu, tmp_path: Path) -> None:
 def test_without_a_cross_compiler_it_states_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from arm_emulator.machine.scene import load_scene
+    from arm_emulator.machine.scene.scene import load_scene
     from arm_emulator_fmu.unit import unit_of
     from arm_emulator_fmu.variables import variables
 

@@ -28,8 +28,8 @@ from browser import (
 )
 from machines import own_three_axis
 
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.session.record_row import RecordRow, columns_of
 from arm_emulator.page.control_server import MachineControls
 from arm_emulator_page import live_page
 from arm_emulator_page.live_page import LivePage

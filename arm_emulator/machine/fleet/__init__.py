@@ -1,0 +1,1 @@
+"""Many machines of one scene in one library."""

@@ -1,0 +1,382 @@
+"""Many arms of one scene, each with its own numbers and state, advanced side by side."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.synchronized import synchronized
+from arm_emulator.base.validation.bound import ANY_COMMAND, ANY_COMMANDS
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.build.c_header import NULL, pointer
+from arm_emulator.machine.fleet.fleet_control import FleetControl, FleetFrame
+from arm_emulator.machine.fleet.fleet_schedule import FleetWay
+from arm_emulator.machine.fleet.work_threads import WorkThreads
+from arm_emulator.machine.plant.call_arguments import LARGEST_STEPS, PIECE, Commands, commands_of
+from arm_emulator.machine.plant.core_calls import ARM, FLEET, REFUSED
+from arm_emulator.machine.plant.core_machine import BorrowedMachine
+from arm_emulator.machine.plant.core_machines import CoreMachines
+from arm_emulator.machine.plant.diverged import Diverged
+from arm_emulator.machine.plant.inputs import check_inputs, further_rows
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.scene.scene import Scene, scene_of
+
+
+class Fleet(CoreMachines):
+    """Arms of one structure. They are independent: each moves as a `Plant` alone.
+
+    Lanes of vector registers round differently than a single arm: after a step the results differ
+    by some 1e-16 of their size.
+
+    `measured` has the readings of the sensors, for controllers; `state` is the true state. Copies,
+    forks and threads: as of a `Plant`. ``fleet[k]`` is one of the arms, and a `Plant`;
+    ``fleet[3:7]`` is a list of them.
+
+    Attributes:
+        scene: of all arms.
+        lanes: arms that advance together; 1 for scenes with two threads, or with a drive that is
+            never in its usual modes (play, dry friction of a rotor behind an elastic gear).
+        link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
+
+    Args:
+        scene: from `load_scene`, or what that takes: a name or a file.
+        count: of arms.
+        varied: values of numbers that the scene lists as varied, by name: one for all arms, or one
+            each (count,). The scene's own where none are given.
+        q: link positions, (N,) for all or (count, N) [rad or m]; the scene's start if None.
+        v: link speeds alike [rad/s or m/s]; zero if None.
+        workers: threads; None: as many as there are processor cores for this process.
+
+    Raises:
+        Refusal: the scene's core cannot be compiled, or an argument that makes no sense.
+    """
+
+    def __init__(
+        self,
+        scene: Scene | str | Path,
+        count: int,
+        *,
+        varied: Mapping[str, ArrayLike] | None = None,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        workers: int | None = None,
+    ) -> None:
+        if workers is None:
+            workers = len(os.sched_getaffinity(0))
+        workers = check_count("Fleet", "workers", workers, 1, 4096)
+        super().__init__(scene_of(scene, "Fleet"), count)
+        self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
+        self._shares = WorkThreads(self._count, self.lanes, workers)
+        self._period_worth = self._count * self.scene.steps_per_period
+        self._longest = max(1, PIECE * self.lanes // self._period_worth)  # periods of a piece
+        self._commands = np.tile(commands_of(self.scene), (self._count, 1))
+        self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
+        self.reset(q=q, v=v, varied=varied)
+
+    def __del__(self) -> None:
+        if hasattr(self, "_shares"):
+            self._shares.end()
+        super().__del__()
+
+    def __repr__(self) -> str:
+        return f"<Fleet of {self._count} {self.scene.name}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (self.scene, self._count, self._shares.workers), self.__getstate__()
+
+    def __copy__(self) -> Fleet:
+        fleet = Fleet(self.scene, self._count, workers=self._shares.workers)
+        fleet.__setstate__(self.__getstate__())
+        return fleet
+
+    @synchronized
+    def __getstate__(self) -> bytes:
+        return self.save()
+
+    def __setstate__(self, saved: bytes) -> None:
+        self.restore(saved)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Fleet:
+        return self.__copy__()
+
+    def renew_threads(self) -> None:  # noqa: D102
+        self._shares.hire()
+        if self.scene.threads > 1:
+            for arm in range(self._count):
+                self.core.arm_begin_threads(self.core.arm_fleet_machine(self._fleet, arm))
+
+    @overload
+    def __getitem__(self, arm: int) -> Plant: ...
+    @overload
+    def __getitem__(self, arm: slice) -> list[Plant]: ...
+    @synchronized
+    def __getitem__(self, arm: int | slice) -> Plant | list[Plant]:
+        """Return one of the arms as a `Plant`, or a list of them; they share the state."""
+        if isinstance(arm, slice):
+            return [self[k] for k in range(self._count)[arm]]
+        arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1) % self._count
+        if (known := self._arms.get(arm)) is not None:
+            return known
+        machine = self.core.arm_fleet_machine(self._fleet, arm)
+        plant = self._arms[arm] = Plant(self.scene, of=BorrowedMachine(self, self.core, machine))
+        weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm)
+        return plant
+
+    def _give_back(self, arm: int) -> None:
+        """Return an arm that was used alone to its lane."""
+        if self._fleet:
+            self.core.arm_fleet_give_back(self._fleet, arm)
+
+    def __iter__(self) -> Iterator[Plant]:
+        return (self[arm] for arm in range(self._count))
+
+    @synchronized
+    def advance(self, command: Commands, steps: int) -> Array:
+        """Take `steps` integration steps with the commands of the motors held.
+
+        Args:
+            command: (N,) for all arms or (count, N), or by names of all joints a number each or
+                (count,) [V, N m, A]; clamped as the drives do, and 0 without power.
+            steps: of `scene.integrator.dt`, 0 to 1e15.
+
+        Returns:
+            Link positions after them (count, N) [rad or m].
+
+        Raises:
+            Refusal: wrong shape, not finite, or no such count; the states are as before.
+        """
+        where = "Fleet.advance"
+        steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
+        q: Array = self._run(self._arguments.commands(command, where)[np.newaxis], steps)[0]
+        return q
+
+    def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
+        """Advance by one servo period under commands that answer a tick, see `Plant.exchange`.
+
+        An arm that diverges stays at its last sound state, and the others go on; see `diverged`.
+
+        Args:
+            command: as for `advance`.
+            tick: that they answer; -1: none.
+            further: inputs of motors beside their command, by name, given alike; 0 otherwise.
+
+        Raises:
+            Refusal: wrong shape, not finite, or an input that no motor has; nothing has changed.
+        """
+        where = "Fleet.exchange"
+        rows = self._arguments.commands(command, where)
+        tick = check_count(where, "tick", tick, -1)
+        check_inputs(where, self.scene, further)
+        given = {
+            name: self._arguments.commands(one, where, ANY_COMMAND.named(name))
+            for name, one in further.items()
+        }
+        others = further_rows(where, self.scene, given, self._count)
+        exchange = self.core.arm_fleet_exchange
+        with self.turn:
+            self._commands["value"] = rows
+            places = {"joint": self._commands} | ({} if others is None else {"further": others})
+            one = ARM.new("arm_command", tick=tick, **places)
+            self._shares.do(self._period_worth, lambda *share: exchange(self._fleet, *share, one))
+
+    @synchronized
+    def step(
+        self, command: Commands, periods: int = 1, out: FleetFrame | None = None
+    ) -> FleetFrame:
+        """Advance by servo periods with the commands of the motors held: the fast way for loops.
+
+        As `exchange` and a look at `measured` and `state`, in one call and without copies. Energy
+        and gear torques are in `state` alone. An arm that diverges stays at its last sound state,
+        and the others go on.
+
+        Args:
+            command: as for `advance`.
+            periods: servo periods, 0 to 1e9.
+            out: of `frame`, to be filled; None: a new one.
+
+        Returns:
+            `out`.
+
+        Raises:
+            Refusal: wrong shape, not finite, no such count, or a frame of another fleet; nothing
+                has changed.
+        """
+        where = "Fleet.step"
+        rows = self._arguments.commands(command, where)
+        periods = check_count(where, "periods", periods, 0, 10**9)
+        out = self._frame(where, out)
+        self._commands["value"] = rows
+        step, fleet, given = self.core.arm_fleet_step, self._fleet, self._held
+        places = out.measurement, out.truth
+        for _, some in self._pieces(periods):
+            self._shares.do(
+                self._period_worth * some,
+                lambda *share, n=some: step(fleet, *share, given, n, *places),
+            )
+        return out
+
+    @synchronized
+    def follow(
+        self,
+        control: FleetControl,
+        periods: int,
+        out: FleetFrame | None = None,
+        *,
+        links: Array | None = None,
+        way: FleetWay | None = None,
+        arms: int | None = None,
+    ) -> FleetFrame:
+        """Advance by servo periods under commands of control code in C, without Python in between.
+
+        In each the control code reads the measurements of all arms, and commands the coming period.
+        An arm that diverges stays at its last sound state; the others continue.
+
+        Args:
+            control: as `arm_emulator.runs.servo_fleet.ServoFleet`, or a function of yours.
+            periods: servo periods, 0 to 1e9.
+            out: of `frame`, to be filled after the last of them; None: a new one.
+            links: filled with the links' positions after each period (periods, count, N) [rad or
+                m]; None: nothing.
+            way: what is set in the arms at their ticks, and what looks at them; None: nothing.
+            arms: only the first so many advance, and those in their groups of lanes; None: all.
+
+        Returns:
+            `out`.
+
+        Raises:
+            Refusal: wrong arrays, no such count, control code that cannot command this fleet, and
+                nothing has changed; or a command that is not finite, and the arms of that group
+                are where it came.
+        """
+        where = "Fleet.follow"
+        if not isinstance(control, FleetControl):
+            raise Refusal(where, "control", "be a FleetControl", control)
+        periods = check_count(where, "periods", periods, 0, 10**9)
+        out = self._frame(where, out)
+        if links is not None:
+            shape = periods, self._count, self._N
+            fits = isinstance(links, np.ndarray) and links.shape == shape
+            if not fits or links.dtype != np.float64 or not links.flags.carray:
+                rule = f"be a contiguous array {shape} of float64"
+                raise Refusal(where, "links", rule, getattr(links, "shape", links))
+        control.begin(self.scene, self._count)
+        of = self.scene, self._count
+        if way is not None and (not isinstance(way, FleetWay) or way.of != of):
+            raise Refusal(where, "way", "be a FleetWay for this fleet", way)
+        by = FLEET.new("arm_fleet_way") if way is None else way.struct
+        if arms is not None:
+            arms = check_count(where, "arms", arms, 1, self._count)
+        given = FLEET.new(
+            "arm_fleet_control",
+            joint=self._commands,
+            **control.functions,
+            **{"with": control.with_},
+        )
+        places = out.measurement, out.truth
+        follow, fleet, refused = self.core.arm_fleet_follow, self._fleet, []
+
+        def go(some: int, first: int, arms: int) -> None:
+            if follow(fleet, first, arms, given, some, by, *places) == REFUSED:
+                refused.append(first)
+
+        for done, some in self._pieces(periods):
+            by.links = NULL if links is None else pointer(links[done:])
+            if arms is None:
+                self._shares.do(self._period_worth * some, partial(go, some))
+            else:
+                go(some, 0, arms)
+            if refused:
+                raise self._refusal(where, "")
+        return out
+
+    def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
+        """Yield begin and length of pieces between checks for Ctrl-C."""
+        for done in range(0, periods or 1, self._longest):
+            yield done, min(self._longest, periods - done)
+
+    def _frame(self, where: str, out: FleetFrame | None) -> FleetFrame:
+        out = self.frame() if out is None else out
+        if not isinstance(out, FleetFrame) or out.of != (self.scene, self._count):
+            raise Refusal(where, "out", "be a frame of this fleet", out)
+        return out
+
+    def frame(self) -> FleetFrame:
+        """Return arrays for `step` and `follow` to fill."""
+        return FleetFrame(self.scene, self._count)
+
+    @synchronized
+    def run(self, commands: ArrayLike, steps: int) -> Array:
+        """Apply rows of commands one after the other.
+
+        An arm that diverges stays at its last sound state, and the others go on; see `diverged`.
+
+        Args:
+            commands: (K, N) for all arms or (K, count, N) [V, N m, A].
+            steps: integration steps under each row, >= 0; with all rows at most 1e15.
+
+        Returns:
+            Link positions after each row, (K, count, N) [rad or m].
+
+        Raises:
+            Refusal: wrong shape, not finite, or no such count; the states are as before.
+        """
+        where, N = "Fleet.run", self._N
+        rows = ANY_COMMANDS.numbers(where, commands)
+        if rows.ndim == 2 and rows.shape[1] == N:
+            rows = np.repeat(rows[:, np.newaxis], self._count, axis=1)
+        if rows.ndim != 3 or rows.shape[1:] != (self._count, N):
+            rule = f"have shape (K, {N}) or (K, {self._count}, {N})"
+            raise Refusal(where, ANY_COMMANDS.name, rule, rows.shape)
+        steps = check_count(where, "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
+        return self._run(rows, steps)
+
+    @property
+    @synchronized
+    def diverged(self) -> dict[int, Diverged]:
+        """Reasons for which arms have stopped, by their index."""
+        found = {int(arm): self[int(arm)].diverged for arm in np.flatnonzero(self.faults >= 0)}
+        return {arm: why for arm, why in found.items() if why is not None}
+
+    def _run(self, rows: Array, steps: int) -> Array:
+        # A sum is quick, and not finite if any of them is not.
+        if not np.isfinite(rows.sum()):
+            ANY_COMMANDS.check("Fleet.run", rows)
+        rows = np.ascontiguousarray(rows)
+        q = np.empty_like(rows)
+        longest = max(1, PIECE * self.lanes // self._count)  # steps between checks for Ctrl-C
+        if steps > longest:
+            for row, after in zip(rows, q, strict=True):
+                for done in range(0, steps, longest):
+                    self._advance(row[np.newaxis], min(longest, steps - done), after[np.newaxis])
+            return q
+        at_once = longest // max(1, steps)
+        for first in range(0, len(rows), at_once):
+            end = first + at_once
+            self._advance(rows[first:end], steps, q[first:end])
+        return q
+
+    def _advance(self, rows: Array, steps: int, q: Array) -> None:
+        given = pointer(rows), len(rows), steps, pointer(q)
+        run = self.core.arm_fleet_run
+        worth = rows[..., 0].size * steps
+        self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
+
+
+def _again(scene: Scene, count: int, workers: int) -> Fleet:
+    """Return a fleet like one that was pickled, before its state."""
+    return Fleet(scene, count, workers=workers)
+
+
+def _give_back(way: weakref.WeakMethod[Callable[[int], None]], arm: int) -> None:
+    give_back = way()
+    if give_back is not None:
+        give_back(arm)

@@ -1,0 +1,120 @@
+"""Control code in C in the loop with the arms of a fleet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.non_copyable import NonCopyable
+from arm_emulator.base.validation.coerce import coerce_flag
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.build.c_header import CData
+from arm_emulator.machine.plant.core_calls import FLEET, PLACES
+from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
+from arm_emulator.machine.plant.outputs import outputs_of
+from arm_emulator.machine.scene.scene import Scene
+
+_LARGEST = 2**64 - 1  # address
+
+
+class FleetControl(NonCopyable):
+    """A function in C that commands arms in every servo period, for `Fleet.follow`.
+
+    Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
+    `arm_fleet_step_of_rows` if it is written over vectors, for all arms of a group at once. It is
+    called for one group of arms at a time, by several threads for different groups, and keeps what
+    it remembers of an arm apart from that of the others.
+
+    Attributes:
+        functions: it, by the name of its field in `arm_fleet_control`.
+        with_: address that it gets as its first argument.
+
+    Args:
+        step: address of the function, as ``ctypes.cast(f, ctypes.c_void_p).value``. Its library
+            must stay loaded.
+        with_: address of what it works on, which must outlive this; 0: null.
+        in_lanes: whether it takes rows of lanes.
+
+    Raises:
+        Refusal: no addresses, or `in_lanes` that is neither True nor False.
+    """
+
+    instead = "a new one for the fleet's copy"
+
+    def __init__(self, step: int, with_: int = 0, *, in_lanes: bool = False) -> None:
+        step = check_count("FleetControl", "step", step, 1, _LARGEST)
+        with_ = check_count("FleetControl", "with_", with_, 0, _LARGEST)
+        by_rows = coerce_flag(in_lanes, "FleetControl", "in_lanes")
+        name, kind = ("step_rows", "rows") if by_rows else ("step", "control")
+        self.functions: dict[str, CData] = {name: FLEET.ffi.cast(f"arm_fleet_step_of_{kind}", step)}
+        self.with_: CData = FLEET.ffi.cast("void *", with_)
+
+    def begin(self, scene: Scene, count: int) -> None:
+        """Prepare for a fleet of so many arms.
+
+        Raises:
+            Refusal: it cannot command this one. Nothing has changed then.
+        """
+
+
+class FleetFrame:
+    """Measured and true values of all arms after a step.
+
+    The arrays are reused in every step; copy them to keep values.
+
+    Attributes:
+        of: scene and count.
+        measured: what the sensors give, as `Fleet.measured`, in place.
+        powered: whether the drives have power (count,).
+        faults: the joint at which each arm diverged (count,); -1: it goes on.
+        t: logical time (count,) [s].
+        current: (count, N) [A].
+        theta_m: motor angle (count, N) [rad].
+        omega_m: motor speed (count, N) [rad/s].
+        q: link side (count, N) [rad or m].
+        v: link side (count, N) [rad/s or m/s].
+
+    Args:
+        scene: of the fleet.
+        count: of arms.
+    """
+
+    def __init__(self, scene: Scene, count: int) -> None:
+        self.of = scene, count
+        shape = count, len(scene.joints)
+        place = MeasuredPlace(scene, count)
+        self.measured: Measured = place.view()
+        self.faults: NDArray[np.int32] = np.full(count, -1, np.int32)
+        self.t: Array = np.zeros(count)
+        self.current: Array = np.zeros(shape)
+        self.theta_m: Array = np.zeros(shape)
+        self.omega_m: Array = np.zeros(shape)
+        self.q: Array = np.zeros(shape)
+        self.v: Array = np.zeros(shape)
+        powered = np.ones(count, np.uint8)
+        self.powered: NDArray[np.bool_] = powered.view(np.bool_)
+        names = ("t", "current", "theta_m", "omega_m", "q", "v")
+        places = {PLACES.get(name, name): getattr(self, name) for name in names}
+        self._rows = (*places.values(), self.faults, self.powered, *place.arrays.values())
+        # For the core.
+        # Outputs that the scene does not have stay 0.
+        there = {one.symbol.partition(".")[0] for one in outputs_of(scene)}
+        arrays = {name: rows for name, rows in place.arrays.items() if name in there}
+        self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **arrays)
+        self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FleetFrame, self.of, self.__getstate__()
+
+    def __getstate__(self) -> list[NDArray[Any]]:
+        return [rows.copy() for rows in self._rows]
+
+    def __setstate__(self, rows: list[NDArray[Any]]) -> None:
+        for own, given in zip(self._rows, rows, strict=True):
+            own[...] = given
+
+    def __repr__(self) -> str:
+        return f"<FleetFrame of {self.of[1]} {self.of[0].name}>"

@@ -1,0 +1,126 @@
+"""Schedule of a fleet's arms in addition to their control: changes at ticks, observations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from arm_emulator.base.non_copyable import NonCopyable
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.coerce import coerce_flag, coerce_kind
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.build.c_header import CData
+from arm_emulator.machine.plant.core_calls import ARM, FLEET
+from arm_emulator.machine.plant.core_machines import LARGEST_FLEET
+from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
+from arm_emulator.machine.varied import varied_number
+
+_PARAMETER, _WRENCH, _POWER = (
+    FLEET.constant(f"ARM_CHANGES_{name}") for name in ("PARAMETER", "WRENCH", "POWER")
+)
+Timed = tuple[int, Change]
+
+
+class FleetWay(NonCopyable):
+    """Changes of arms at their ticks, and a function in C that is called after each period.
+
+    Attributes:
+        struct: as `arm_fleet_way` of core/boundary/arm_fleet.h, without the links' positions.
+
+    Args:
+        scene: of the arms.
+        count: of arms.
+        look: pointer to the function; None: nobody looks.
+        with_: pointer that it gets; both must outlive this.
+    """
+
+    instead = "a new one with the same changes"
+
+    def __init__(
+        self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
+    ) -> None:
+        scene = coerce_kind(scene, Scene, "FleetWay", "scene", "be a Scene")
+        count = check_count("FleetWay", "count", count, 1, LARGEST_FLEET)
+        self.of = scene, count
+        self._places = {one.name: place for place, one in enumerate(scene.varied)}
+        self.struct = FLEET.new("arm_fleet_way")
+        if look is not None:
+            FLEET.fill(self.struct, look=look, **{"with": with_})
+        self.set_changes([()] * count)
+
+    def __repr__(self) -> str:
+        return f"<FleetWay of {self.of[1]} {self.of[0].name}>"
+
+    def set_changes(self, changes: Sequence[Sequence[Timed]]) -> None:
+        """Let changes happen from now on, instead of those before.
+
+        Args:
+            changes: of each arm: ticks since its reset before which they happen, ascending, and
+                what is set.
+
+        Raises:
+            Refusal: not a list for each arm, ticks that do not ascend, or a change that the scene
+                does not take; nothing has changed.
+        """
+        where, (scene, count) = "FleetWay", self.of
+        if not isinstance(changes, Sequence) or len(changes) != count:
+            raise Refusal(where, "changes", f"be a list for each of {count} arms", changes)
+        first = [0]
+        rows: list[tuple[int, int, int, float]] = []
+        wrenches: list[tuple[int, int, ExternalWrench]] = []
+        for of_arm in changes:
+            before = 0
+            for tick, change in of_arm:
+                tick = check_count(where, "tick", tick, -(2**63))
+                if not before <= tick:
+                    raise Refusal(where, "ticks", "ascend from 0", tick)
+                before = tick
+                kind, place, value = _POWER, 0, 0.0
+                if isinstance(change, NumberChange):
+                    one = varied_number(scene.varied, change.name, where)
+                    kind, place = _PARAMETER, self._places[change.name]
+                    value = one.number.take(where, change.value)
+                elif isinstance(change, WrenchChange):
+                    kind = _WRENCH
+                    place, moved = on_moving_link(scene, where, change.link, change.wrench)
+                    wrenches.append((len(rows), AXES.index(moved.axes), moved))
+                elif isinstance(change, PowerChange):
+                    value = float(coerce_flag(change.on, where, "power"))
+                else:
+                    rule = "be a NumberChange, WrenchChange or PowerChange"
+                    raise Refusal(where, "change", rule, change)
+                rows.append((tick, kind, place, value))
+            first.append(len(rows))
+        self._keep(first, rows, wrenches)
+
+    def _keep(
+        self,
+        first: list[int],
+        rows: list[tuple[int, int, int, float]],
+        wrenches: list[tuple[int, int, ExternalWrench]],
+    ) -> None:
+        """Put the changes where the core finds them."""
+        self._rows = FLEET.rows("arm_fleet_change", max(1, len(rows)))
+        self._first = np.array(first, np.int64)
+        self._wrenches = ARM.rows("arm_wrench", max(1, len(wrenches)))
+        if rows:
+            for name, column in zip(
+                ("tick", "kind", "place", "value"), zip(*rows, strict=True), strict=True
+            ):
+                self._rows[name] = column
+        if wrenches:
+            at, axes, moved = zip(*wrenches, strict=True)
+            of = self._wrenches
+            of["size"], of["axes"] = of.itemsize, axes
+            for name in ("point", "force", "moment"):
+                of[name] = [getattr(one, name) for one in moved]
+            began = of.__array_interface__["data"][0]
+            self._rows["wrench"][list(at)] = began + of.itemsize * np.arange(len(of))
+        FLEET.fill(
+            self.struct,
+            change=FLEET.pointer("arm_fleet_change", self._rows),
+            first_change=self._first,
+        )

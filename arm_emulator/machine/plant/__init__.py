@@ -1,0 +1,1 @@
+"""One machine in its compiled library: state, inputs, outputs."""

@@ -1,0 +1,74 @@
+"""Arguments of calls of a compiled core, and the reasons of its refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.joint_order import check_joint_names
+from arm_emulator.build.c_header import CData, Library, text
+from arm_emulator.machine.plant.core_calls import ARM, PLACES
+from arm_emulator.machine.plant.inputs import modes_of
+from arm_emulator.machine.scene.scene import Scene
+
+LARGEST_STEPS = 10**15  # of one call
+PIECE = 2**20  # steps after which a long call checks for Ctrl-C
+
+Commands = ArrayLike | Mapping[str, ArrayLike]
+
+
+def by_joint(given: object, scene: Scene, where: str) -> object:
+    """Return values given by joint names as columns, base to tool; all else unchanged.
+
+    Raises:
+        Refusal: other names than those of all joints.
+    """
+    if not isinstance(given, Mapping):
+        return given
+    check_joint_names(where, given, scene.joint_names)
+    return [given[name] for name in scene.joint_names]
+
+
+def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwise: str) -> Refusal:
+    """Return the refusal of the newest call on a machine.
+
+    Args:
+        core: of the machine.
+        machine: its handle.
+        scene: of the machine.
+        where: name of the refusal.
+        otherwise: what was got, where no number of a joint was.
+    """
+    why = ARM.new("arm_refusal")
+    core.arm_why(machine, why)
+    joint = f" of {scene.joint_names[why.joint]}" if why.joint >= 0 else ""
+    got = why.got if why.joint >= 0 else otherwise
+    return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), got)
+
+
+def truth_at(**places: NDArray[Any]) -> CData:
+    """Return an ``arm_truth`` whose numbers go to arrays, by their names in `PlantState`."""
+    return ARM.new("arm_truth", **{PLACES.get(name, name): at for name, at in places.items()})
+
+
+def commands_of(scene: Scene) -> NDArray[Any]:
+    """Return commands of 0, as the joints' motors take them."""
+    commands = ARM.rows("arm_joint_command", len(scene.joints))
+    commands["mode"] = modes_of(scene)
+    commands["enable"] = 1
+    return commands
+
+
+def options_of(scene: Scene, values: Array) -> CData:
+    """Return the options of a machine; `values` of the varied numbers must outlive them."""
+    return ARM.new(
+        "arm_options",
+        core=scene.cores[1],
+        step=scene.integrator.dt,
+        steps_per_period=scene.steps_per_period,
+        parameters=values,
+    )

@@ -1,0 +1,394 @@
+"""Many machines of one compiled core: all that is asked of them and set between their steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from arm_emulator.base.array_equality import ArrayEquality
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.synchronized import Synchronized, synchronized
+from arm_emulator.base.validation.bound import ANY_COMMAND
+from arm_emulator.base.validation.coerce import coerce_flag
+from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.number import Number
+from arm_emulator.build.c_header import NULL, CData, pointer
+from arm_emulator.machine.plant.call_arguments import Commands, by_joint, options_of, refusal_of
+from arm_emulator.machine.plant.compiler import fleet_library_of
+from arm_emulator.machine.plant.core_calls import ARM, FLEET, PLACES, REFUSED
+from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
+from arm_emulator.machine.plant.plant_state import ROWS, link_angle_per_count, start_bounds
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.varied import varied_number
+
+LARGEST_FLEET = 10**6  # arms; some 10 kB each
+
+
+class CoreMachines(Synchronized):
+    """Machines as the core keeps them: their numbers, their true states, outside forces.
+
+    How they go on under commands is `Fleet`'s.
+
+    Attributes:
+        scene: of all machines.
+        core: the compiled core (core/boundary/arm_fleet.h).
+        lanes: machines that advance together.
+        link_angle_per_count: meaning of one encoder count at the link (N,) [rad or m].
+
+    Args:
+        scene: of all machines.
+        count: of machines.
+
+    Raises:
+        Refusal: the scene's core cannot be compiled, or no such count.
+    """
+
+    def __init__(self, scene: Scene, count: int) -> None:
+        super().__init__()
+        self.scene = scene
+        self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
+        self._N = len(scene.joints)
+        self._arguments = FleetArguments(scene, self._count)
+        self.core = fleet_library_of(scene)
+        self.lanes = int(self.core.arm_fleet_lanes())
+        self.link_angle_per_count = link_angle_per_count(scene)
+        values = np.tile([one.value for one in scene.varied], (self._count, 1))
+        options = options_of(scene, np.ascontiguousarray(values, np.float64))
+        self._fleet = self.core.arm_fleet_new(options, self._count)
+        self._place = MeasuredPlace(scene, self._count)
+        self._powered = np.zeros(self._count, np.uint8)
+        self._measurement = FLEET.new(
+            "arm_fleet_measurement", powered=self._powered, **self._place.arrays
+        )
+
+    def __del__(self) -> None:
+        fleet, self._fleet = getattr(self, "_fleet", None), None
+        if fleet:
+            self.core.arm_fleet_delete(fleet)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def handle(self) -> CData:
+        """The machines as the functions of core/boundary/arm_fleet.h take them."""
+        return self._fleet
+
+    @synchronized
+    def reset(
+        self,
+        arms: ArrayLike | None = None,
+        *,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        varied: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Set arms to logical time 0, the motors to match the links.
+
+        No current flows, and the gears carry no torque.
+
+        Args:
+            arms: a mask (count,) or indices; None: all.
+            q: link positions, (N,) for all of these or a row each, or (count, N), of which the rows
+                of other arms are not read [rad or m]; the scene's start if None.
+            v: link speeds alike [rad/s or m/s]; zero if None.
+            varied: values of varied numbers by name, one for all of these or one each, or
+                (count,); those that are not named stay.
+
+        Raises:
+            Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
+                arms are as before.
+        """
+        where, mask = "Fleet.reset", arm_mask("Fleet.reset", arms, self._count)
+        of_q, of_v = start_bounds(self.scene)
+        at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
+        speed = self._arguments.rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
+        if not isinstance(varied, Mapping | None):
+            raise Refusal(where, "varied", "be values by name", varied)
+        columns = {
+            n: self._arguments.column(where, n, values, mask)
+            for n, values in (varied or {}).items()
+        }
+        for name, column in columns.items():
+            self._set_parameter(name, column, mask)
+        self.core.arm_fleet_reset(self._fleet, mask_bytes(mask), pointer(at), pointer(speed))
+
+    @property
+    @synchronized
+    def powered(self) -> NDArray[np.bool_]:
+        """Whether the drives of each arm have power (count,); without it every command is 0.
+
+        It can be set, for all arms or for each.
+        """
+        self._measure()
+        powered = self._powered.astype(bool)
+        powered.flags.writeable = False  # an element set in a copy would stop no arm
+        return powered
+
+    @powered.setter
+    def powered(self, on: ArrayLike) -> None:
+        if np.ndim(on) == 0:
+            on = np.full(self._count, coerce_flag(on, "Fleet", "powered"))
+        flags = np.asarray(on)
+        if flags.dtype != np.bool_ or flags.shape != (self._count,):
+            rule = f"be True or False, or ({self._count},) of them"
+            raise Refusal("Fleet", "powered", rule, on)
+        with self.turn:
+            self.core.arm_fleet_power(self._fleet, mask_bytes(flags))
+
+    @property
+    @synchronized
+    def measured(self) -> Measured:
+        """Readings of the sensors of all arms at their newest ticks, as a copy.
+
+        As `Plant.measured`, with arrays (count, N).
+        """
+        self._measure()
+        return self._place.read()
+
+    def _measure(self) -> None:
+        self.core.arm_fleet_measure(self._fleet, self._measurement)
+
+    @property
+    @synchronized
+    def parameters(self) -> dict[str, Array]:
+        """The numbers that the scene lists as varied, by name, with each arm's value (count,)."""
+        values = {one.name: np.zeros(self._count) for one in self.scene.varied}
+        for name, column in values.items():
+            self.core.arm_fleet_get_parameter(self._fleet, name.encode(), pointer(column))
+        return values
+
+    @synchronized
+    def set_parameter(self, name: str, values: ArrayLike, *, arms: ArrayLike | None = None) -> None:
+        """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
+
+        Args:
+            name: of the number.
+            values: one for all of these arms, one each, or (count,).
+            arms: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: the scene does not list it as varied, wrong shape, or a value out of its range;
+                nothing has changed.
+        """
+        where = "Fleet.set_parameter"
+        mask = arm_mask(where, arms, self._count)
+        self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
+
+    @synchronized
+    def set_parameters(self, rows: Array) -> None:
+        """Set all varied numbers of all arms at once, in the scene's order.
+
+        Args:
+            rows: (count, numbers).
+
+        Raises:
+            Refusal: wrong shape, or a value out of its range; nothing has changed.
+        """
+        where, shape = "Fleet.set_parameters", (self._count, len(self.scene.varied))
+        if np.shape(rows) != shape:
+            raise Refusal(where, "rows", f"have shape {shape}", np.shape(rows))
+        given = np.ascontiguousarray(rows, np.float64)
+        if self.core.arm_fleet_set_parameters(self._fleet, NULL, pointer(given)) == REFUSED:
+            raise self._refusal(where, "another value")
+
+    def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
+        given = mask_bytes(mask), name.encode(), pointer(column)
+        if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
+            raise self._refusal("Fleet.set_parameter", "another value")
+
+    @synchronized
+    def set_external_wrench(
+        self, link: str, wrench: ExternalWrench, *, arms: ArrayLike | None = None
+    ) -> None:
+        """Let a force and a moment act on a link of arms, see `Plant.set_external_wrench`.
+
+        Args:
+            link: any link of the URDF that moves.
+            wrench: what acts; each vector (3,) for all of these arms, or (count, 3), of which the
+                rows of other arms are not used.
+            arms: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: see there; nothing has changed.
+        """
+        where = "Fleet.set_external_wrench"
+        mask = arm_mask(where, arms, self._count)
+        place, moved = on_moving_link(self.scene, where, link, wrench, self._count)
+        rows = ARM.rows("arm_wrench", self._count)
+        rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
+        for name in ("point", "force", "moment"):
+            rows[name] = getattr(moved, name)
+        places = mask_bytes(mask), place, ARM.pointer("arm_wrench", rows)
+        self.core.arm_fleet_set_external_wrench(self._fleet, *places)
+
+    @synchronized
+    def save(self) -> bytes:
+        """Return the whole state of the arms as bytes."""
+        size = self._count * self.core.arm_saved_size()
+        saved = np.zeros(size, np.uint8)
+        self.core.arm_fleet_save(self._fleet, pointer(saved), size)
+        return saved.tobytes()
+
+    @synchronized
+    def restore(self, saved: bytes, *, arms: ArrayLike | None = None) -> None:
+        """Continue from what `save` of a fleet of as many arms has returned, to the last bit.
+
+        Args:
+            saved: of all arms.
+            arms: those that are restored: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
+                nothing has changed.
+        """
+        where, mask = "Fleet.restore", arm_mask("Fleet.restore", arms, self._count)
+        size = self._count * self.core.arm_saved_size()
+        if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
+            raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
+        if (
+            self.core.arm_fleet_restore(self._fleet, mask_bytes(mask), bytes(saved), size)
+            == REFUSED
+        ):
+            raise self._refusal(where, "another one")
+
+    @property
+    @synchronized
+    def state(self) -> FleetState:
+        """The true states now, as a copy. An arm's own can be set: ``fleet[k].state = ...``."""
+        shape = self._count, self._N
+        numbers = {name: np.zeros(shape) for name in ROWS}
+        of_arm = {name: np.zeros(self._count) for name in ("t", "energy")}
+        self._look(**numbers, **of_arm)
+        for rows in (*numbers.values(), *of_arm.values()):
+            rows.flags.writeable = False
+        return FleetState(**numbers, **of_arm)
+
+    @property
+    @synchronized
+    def faults(self) -> NDArray[np.int32]:
+        """The joint at which each arm diverged (count,); -1: it goes on."""
+        faults = np.zeros(self._count, np.int32)
+        self._look(fault=faults)
+        return faults
+
+    def _look(self, **to: NDArray[Any]) -> None:
+        places = {PLACES.get(name, name): rows for name, rows in to.items()}
+        self.core.arm_fleet_get_truth(self._fleet, FLEET.new("arm_fleet_truth", **places))
+
+    def _refusal(self, where: str, otherwise: str) -> Refusal:
+        """Return the refusal of a call for one of the arms."""
+        arm = self.core.arm_fleet_refused(self._fleet)
+        machine = self.core.arm_fleet_machine(self._fleet, arm)
+        why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
+        self.core.arm_fleet_give_back(self._fleet, arm)
+        return why
+
+
+def mask_bytes(mask: NDArray[np.bool_]) -> CData:
+    """Return a mask of arms as the core takes it."""
+    return pointer(np.ascontiguousarray(mask).view(np.uint8))
+
+
+class FleetArguments:
+    """Checks and shapes of the arguments.
+
+    Args:
+        scene: of all arms.
+        count: of arms.
+    """
+
+    def __init__(self, scene: Scene, count: int) -> None:
+        self._scene, self._count, self._N = scene, count, len(scene.joints)
+
+    def column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
+        """Return the values of a varied number (count,), checked for those of the mask."""
+        one = varied_number(self._scene.varied, name, where)
+        given = one.number.numbers(where, values)
+        column = np.full(self._count, one.value, np.float64)
+        many = int(mask.sum())
+        if given.shape not in ((), (many,), (self._count,)):
+            shapes = " or ".join(f"({n},)" for n in sorted({many, self._count}))
+            raise Refusal(where, name, f"have shape {shapes} or ()", given.shape)
+        column[mask] = given[mask] if given.shape == (self._count,) else given
+        one.number.check(where, column)
+        return column
+
+    def commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
+        """Return commands (count, N), given for all arms, one each, or by names of joints."""
+        given = by_joint(command, self._scene, where)
+        if given is not command:
+            columns = [bound.numbers(where, one) for one in given]  # type: ignore[attr-defined]
+            if any(column.shape not in ((), (self._count,)) for column in columns):
+                shapes = [column.shape for column in columns]
+                rule = f"have shape () or ({self._count},) for each joint"
+                raise Refusal(where, bound.name, rule, shapes)
+            given = np.column_stack([np.broadcast_to(column, self._count) for column in columns])
+        return self.rows(given, None, where, bound)
+
+    def rows(self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number) -> Array:
+        """Return a row for each arm, checked; those of other arms than the mask's are 0."""
+        given = bound.numbers(where, values)
+        shape = (self._count, self._N)
+        many = self._count if mask is None else int(mask.sum())
+        if given.shape not in ((self._N,), (many, self._N), shape):
+            shapes = " or ".join(f"({n}, {self._N})" for n in sorted({many, self._count}))
+            raise Refusal(where, bound.name, f"have shape ({self._N},) or {shapes}", given.shape)
+        if mask is None and given.shape == shape:
+            rows = given
+        elif mask is None or mask.all():
+            rows = np.ascontiguousarray(np.broadcast_to(given, shape))
+        else:
+            rows = np.zeros(shape)
+            rows[mask] = given[mask] if given.shape == shape else given
+        bound.check(where, rows)
+        return rows
+
+
+@dataclass(frozen=True, eq=False)
+class FleetState(ArrayEquality):
+    """True states of all arms: a row each, and in a row the joints, base to tool."""
+
+    t: Array  # (count,) s; arms that have diverged stay where they are
+    energy: Array  # (count,) J
+    current: Array  # (count, N) A
+    theta_m: Array  # rad, motor angle
+    omega_m: Array  # rad/s, motor speed
+    q: Array  # rad or m, link side
+    v: Array  # rad/s or m/s, link side
+    gear_torque: Array  # N m or N, on the link
+
+
+def arm_mask(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bool_]:
+    """Return which arms are chosen, as a mask (count,).
+
+    Args:
+        where: for refusals.
+        arms: a mask (count,) or indices; None: all.
+        count: of arms.
+
+    Raises:
+        Refusal: no such arms.
+    """
+    if arms is None:
+        return np.ones(count, bool)
+    try:
+        chosen = np.asarray(arms)
+    except Exception:  # any error of a foreign object means that it has no numbers
+        chosen = np.asarray(None)
+    if chosen.dtype == np.bool_ and chosen.shape == (count,):
+        return np.ascontiguousarray(chosen)
+    mask = np.zeros(count, bool)
+    whole = chosen.dtype.kind in "iu" or chosen.size == 0
+    if not whole or chosen.ndim > 1 or (np.abs(chosen + 0.5) > count).any():
+        raise Refusal(where, "arms", f"be a mask of {count}, or indices of {count} arms", arms)
+    mask[chosen.astype(np.int64)] = True
+    if mask.sum() < chosen.size:  # such as a mask of 0 and 1
+        raise Refusal(where, "arms", f"be a mask of {count}, or indices, each once", arms)
+    return mask

@@ -1,0 +1,126 @@
+"""Outputs of a machine, as its parts declare them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import ClassVar, Protocol
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.output import COMMAND, FAULTS, FURTHER, READINGS, Output
+from arm_emulator.machine.parts.sensors import SENSORS
+from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.machine.plant.inputs import further_inputs, input_at, input_units
+from arm_emulator.machine.scene.scene import Scene
+
+# Of every drive, whatever its parts.
+_COUNTS = Output(
+    "encoder_counts",
+    "counts of the encoder at each motor",
+    "joint.encoder",
+    kind="count",
+    cia=0x6063,
+)
+_CURRENT = Output(
+    "current", "current of each motor, by its sensor", "joint.current", "A", cia=0x2005
+)
+_APPLIED = Output(
+    "applied",
+    "command that acted on each motor in the past servo period",
+    "joint.applied",
+    COMMAND,
+    cia=0x2006,
+)
+ALWAYS = (_COUNTS, _CURRENT, _APPLIED, FAULTS)
+
+
+class OutputSource(Protocol):
+    """A kind of part, or of unit, with outputs."""
+
+    outputs: ClassVar[tuple[Output, ...]]
+
+
+def _declared(owners: Iterable[type[OutputSource]]) -> list[Output]:
+    found: dict[Output, None] = {}
+    for owner in owners:
+        found |= dict.fromkeys(owner.outputs)
+    return list(found)
+
+
+# All outputs of parts, by name, in the order of all lists.
+KNOWN: dict[str, Output] = {
+    one.name: one
+    for one in (
+        *(_COUNTS, _CURRENT),
+        *_declared(MOTORS),
+        *(_APPLIED, FAULTS),
+        *_declared((*PARTS, *SENSORS)),
+    )
+}
+
+
+def _symbols() -> Iterator[str]:
+    for name, field in ARM.ffi.typeof("arm_measurement").fields:
+        if field.type.kind == "pointer":
+            array = field.type.item
+            yield from (
+                [f"{name}.{one}" for one, _ in array.fields] if array.kind == "struct" else [name]
+            )
+
+
+SYMBOLS = set(_symbols())  # where arm.h has outputs
+
+
+def outputs_of(scene: Scene) -> tuple[Output, ...]:
+    """Return the outputs of a scene's parts.
+
+    Raises:
+        Refusal: an output that is declared without a place in arm.h.
+    """
+    there = {*ALWAYS, *_reported(scene)}
+    for one in there:
+        if KNOWN.get(one.name) != one or one.symbol not in SYMBOLS:
+            rule = "be declared by its class, with a place in arm.h as its symbol"
+            got, valid = repr(one.symbol), ", ".join(sorted(SYMBOLS))
+            raise Refusal(scene.where, f"output {one.name}", rule, got, valid)
+    return tuple(value for value in KNOWN.values() if value in there)
+
+
+def _reported(scene: Scene) -> set[Output]:
+    parts = (
+        part for joint in scene.joints for part in (*joint.parts, *joint.sensors.parts.values())
+    )
+    of_units = (output for unit in scene.imus for output in unit.outputs)
+    return {*of_units, *(output for part in parts for output in part.reports)}
+
+
+def reported_by_parts(scene: Scene) -> tuple[Output, ...]:
+    """Return the outputs that a part of a scene declares."""
+    there = _reported(scene)
+    return tuple(one for one in outputs_of(scene) if one in there)
+
+
+def readings_of(scene: Scene) -> tuple[Output, ...]:
+    """Return the outputs in ``arm_measurement.readings``, a row each."""
+    return tuple(one for one in outputs_of(scene) if one.symbol == READINGS)
+
+
+def input_of(scene: Scene, output: Output) -> str:
+    """Return the further input whose applied value an output reports."""
+    return next(
+        name
+        for name in further_inputs(scene)
+        for joint in scene.joints
+        if (one := input_at(joint, name)) and one.applied == output.name
+    )
+
+
+def units_of(scene: Scene, output: Output) -> tuple[str, ...]:
+    """Return the unit of an output at each joint; none where its values have none."""
+    if output.unit == COMMAND:
+        return tuple(joint.unit for joint in scene.joints)
+    if output.symbol == FURTHER:
+        return input_units(scene, input_of(scene, output))
+    if not output.unit:
+        return ()
+    return tuple(output.unit_at(joint.kind) for joint in scene.chain.joints)

@@ -1,0 +1,83 @@
+"""Numbers of a scene that may be varied, and faults that it may have."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from arm_emulator.machine.chain import Chain
+from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
+from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.line import line_numbers
+from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.varied import Varied, varied_body
+
+
+def variable_numbers(
+    joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]
+) -> list[Varied]:
+    """Return the numbers of joints, measurement units and links that may be varied."""
+    of_joints = [
+        one
+        for joint in joints
+        for part in (*joint.parts, *joint.sensors.parts.values())
+        for one in part.could_vary(joint.name)
+    ]
+    of_imus = [one for imu in imus for one in imu.could_vary()]
+    of_links = [one for link in chain.links for one in varied_body(link)]
+    return of_joints + of_imus + of_links
+
+
+def fault_catalogue(
+    joints: tuple[Joint, ...],
+    chain: Chain,
+    imus: tuple[Imu, ...],
+    payload: float | None,
+    gravity: tuple[float, ...] | None,
+    varied: Collection[str],
+) -> dict[str, SceneFault]:
+    """Return the faults that a scene could list, by their names.
+
+    Args:
+        joints: of the scene.
+        chain: its links.
+        imus: its measurement units.
+        payload: mass of the payload [kg]; None: there is no payload.
+        gravity: of the scene [m/s2]; None: there is no gravity.
+        varied: names of the numbers that it lists as varied.
+    """
+    # Only where they are asked for: most scenes have none and are loaded in less time.
+    from arm_emulator.machine.faults.known import FAULTS
+
+    parts = [
+        *((joint.name, part) for joint in joints
+          for part in (*joint.parts, *joint.sensors.parts.values())),
+        *((imu.name, part) for imu in imus for part in imu.parts),
+    ]  # fmt: skip
+    hidden = {
+        f"joints.{joint.name}.{joint.motor.section}.{one.hides}"
+        for joint in joints if joint.motor for one in joint.decorators if one.hides
+    }  # fmt: skip
+    hidden |= {
+        f"joints.{joint.name}.{place}"
+        for joint in joints if joint.motor for place in joint.motor.hides
+    }  # fmt: skip
+    numbers = {
+        place: value
+        for name, part in parts
+        for key, value in part.fault_numbers().items()
+        if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
+    }
+    numbers |= {one.name: one.value for link in chain.links for one in varied_body(link)}
+    numbers |= line_numbers({joint.name: joint.motor is not None for joint in joints})
+    if any(joint.motor and joint.motor.has_winding for joint in joints):
+        numbers["supply.share"] = 1.0
+    if gravity is not None:
+        numbers["base.tilt"] = 0.0
+    if payload is not None:
+        numbers["payload.mass"] = payload
+    owners = {
+        "joints": [joint.name for joint in joints],
+        "links": [link.link for link in chain.links],
+        "imus": [imu.name for imu in imus],
+    }
+    return faults_of(FAULTS, owners, numbers, varied)

@@ -1,0 +1,113 @@
+"""The links of a scene: its robot description, with couplings, locked joints and the payload."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from arm_emulator.base.urdf.shafts import shaft_limits
+from arm_emulator.base.urdf.urdf_text import limits_of, parse_urdf, read_urdf
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.chain import Body, Chain
+from arm_emulator.machine.scene.payload import Load, load_of, read_payload
+from arm_emulator.machine.scene.urdf_chain import lock_joints, read_chain
+from arm_emulator.machine.scene.urdf_file import find_urdf
+
+SHARE = Number("couplings", "", at_least=-1e4, at_most=1e4)
+LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
+
+
+class SceneLinks:
+    """Result of a scene's keys `urdf`, `tool`, `payload`, `locked` and `couplings`.
+
+    Attributes:
+        urdf_file: the description.
+        urdf: its text, locked joints fixed, shares of couplings in it.
+        robot: the same, parsed.
+        tool: link whose frame is the tool.
+        chain: geometry and inertia of the moving joints, the payload carried.
+        bare: the bodies of the chain's links without the payload.
+        limits: ends of the joints' ways by name; of coupled ones those of their shafts.
+        payload_mass: [kg]; None: the scene has no payload.
+
+    Args:
+        root: the scene file's keys.
+        file: the scene file, beside which relative names are searched.
+
+    Raises:
+        Refusal: the description or one of the keys breaks a rule.
+    """
+
+    def __init__(self, root: Section, file: Path) -> None:
+        self.urdf_file = find_urdf(root.text("urdf"), file)
+        self.urdf = read_urdf(self.urdf_file)
+        self.robot = parse_urdf(self.urdf, self.urdf_file.name)
+        self.tool, self._where = root.text("tool"), file.name
+        self._payload = root.section("payload")
+        locked = root.section("locked")
+        self._locked = (
+            {}
+            if locked is None
+            else {key: locked.number(LOCKED.named(key)) for key in locked.keys()}
+        )
+        body = None if self._payload is None else read_payload(self._payload)
+        self.payload_mass = None if body is None else body.mass
+        _couple(root.section("couplings"), self.robot)
+        self.chain = self._chain(body)
+        twice = None if body is None else self._chain(body.scaled(2.0))
+        self.bare = _bare(self.chain, twice)
+        locks = lock_joints(self.robot, self._locked, self.urdf_file.name)
+        if locks or root.has("couplings"):
+            self.urdf = ET.tostring(self.robot, encoding="unicode")
+        self.limits = limits_of(self.robot)
+        coupling = self.chain.coupling
+        if not coupling.plain:  # a stop of a shaft is where the first of its joints has one
+            of_shafts = shaft_limits(self.urdf, coupling.shafts)
+            self.limits = {name: of_shafts[name] for name in coupling.apart & of_shafts.keys()}
+
+    def load(self) -> Load | None:
+        """Return the payload as a function of its mass; None: no joint moves it."""
+        assert self._payload is not None
+        bodies = [read_payload(self._payload, mass=kg) for kg in (1.0, 2.0)]
+        return load_of(*map(self._chain, bodies))
+
+    def _chain(self, load: Body | None) -> Chain:
+        return read_chain(
+            self.robot,
+            self.urdf_file.name,
+            self._where,
+            locked=self._locked,
+            tool=self.tool,
+            payload=load,
+        )
+
+
+def _bare(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
+    """Return the bodies of the links without the payload.
+
+    Args:
+        chain: with one payload.
+        twice: with two; None: the scene has no payload.
+    """
+    if twice is None:
+        return tuple(link.body for link in chain.links)
+    # Bodies are linear in the payload: two with one payload, less one with two, have none.
+    pairs = zip(chain.links, twice.links, strict=True)
+    return tuple(one.body.scaled(2.0) + two.body.scaled(-1.0) for one, two in pairs)
+
+
+def _couple(section: Section | None, robot: ET.Element) -> None:
+    """Put the scene's couplings into the joints of its description, where all readers find them."""
+    if section is None:
+        return
+    joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
+    for name in section.keys():
+        shares = section.required_section(name)
+        if name not in joints:
+            raise section.refusal(name, "be a joint of the URDF", name)
+        for old in [*joints[name].findall("mimic"), *joints[name].findall("coupling")]:
+            joints[name].remove(old)
+        for shaft in shares.keys():
+            share = shares.number(SHARE.named(shaft))
+            ET.SubElement(joints[name], "coupling", joint=shaft, multiplier=repr(share))

@@ -1,0 +1,363 @@
+"""The tree of moving joints of a URDF, fixed and locked joints merged."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.products import applied, length, product
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.couplings import Coupling, coupling_of, followers
+from arm_emulator.base.urdf.urdf_text import complete_limits
+from arm_emulator.machine.chain import (
+    Body,
+    Chain,
+    ChainJoint,
+    Frame,
+    clean,
+    cross,
+    exact_atan2,
+    rpy_of,
+    turn,
+)
+from arm_emulator.machine.scene.urdf_tree import (
+    FREE_KINDS,
+    MOVING_KINDS,
+    UrdfJoint,
+    names,
+    names_of,
+    parsed_joints,
+    read_bodies,
+    read_joints,
+    root_of,
+)
+
+MOST_JOINTS = 200  # more are no arm, and would compile for hours
+# Below these, moved by a joint, what is divided by them may overflow.
+SMALLEST_MASS = 1e-12  # kg
+SMALLEST_INERTIA = 1e-24  # kg m2
+# Elements of a URDF that only moving joints have, or have in another form.
+_OF_MOVING = ("origin", "axis", "limit", "mimic", "coupling", "dynamics", "safety_controller")
+
+
+def read_chain(
+    robot: ET.Element,
+    where: str,
+    asks: str,
+    *,
+    locked: Mapping[str, float],
+    tool: str,
+    payload: Body | None = None,
+) -> Chain:
+    """Read the tree of moving joints from a URDF, fixed and locked joints merged.
+
+    Args:
+        robot: the URDF's root element.
+        where: what to call it in refusals.
+        asks: what to call the scene there, which names the locked joints and the tool.
+        locked: joints held at a position [rad or m].
+        tool: the link that carries `payload`, which is given in that link's frame.
+        payload: a body to add at the tool.
+
+    Raises:
+        Refusal: it is no URDF, or its machine is no tree with sound inertias.
+    """
+    moving = _with_bodies(robot, where, asks, locked, tool, payload)
+    of_joints = followers(robot, where, list(locked))
+    coupling = coupling_of([one.joint.name for one in moving], of_joints, where, locked)
+    faults = [fault for one in moving if (fault := _fault_of_body(one, where)) is not None]
+    if faults:
+        raise _all_of(faults, where)
+    return _assemble(moving, coupling)
+
+
+@dataclass(frozen=True)
+class MovedBody:
+    """Body moved by a joint: a link with all links fixed to it."""
+
+    joint: str
+    links: tuple[str, ...]
+    tip: Array
+    """Origin of the first joint that it carries, else of its links' the farthest, in the first's
+    frame."""
+    fault: Refusal | None
+    """Reason for which the equations of motion are not solvable with it."""
+
+
+def moved_bodies(
+    robot: ET.Element, where: str, asks: str, *, locked: Mapping[str, float], tool: str
+) -> list[MovedBody]:
+    """Return what each moving joint of a URDF moves, base to tips; arguments as `read_chain`'s.
+
+    Raises:
+        Refusal: it is no URDF, or its machine is no tree.
+    """
+    moving = _with_bodies(robot, where, asks, locked, tool, None)
+    tips = [max((frame.p for frame in one.frames), key=lambda p: float(p @ p)) for one in moving]
+    for one in moving[::-1]:
+        if one.parent >= 0:
+            tips[one.parent] = one.placement.p
+    return [
+        MovedBody(one.joint.name, tuple(one.links), tip, _fault_of_body(one, where))
+        for one, tip in zip(moving, tips, strict=True)
+    ]
+
+
+def _all_of(faults: list[Refusal], where: str) -> Refusal:
+    """Return one refusal of several bodies, with all causes and the remedy."""
+    way_out = "`arm_emulator new` assumes bodies from shapes, or give links an <inertial>"
+    if len(faults) == 1:
+        one = faults[0]
+        return Refusal(where, one.quantity, one.rule, one.got, way_out)
+    causes = "; ".join(f"{fault.quantity} {fault.got}" for fault in faults)
+    rule = "have mass and inertia"
+    return Refusal(where, f"bodies of {len(faults)} joints", rule, causes, f"{way_out}: {causes}")
+
+
+def _with_bodies(
+    robot: ET.Element,
+    where: str,
+    asks: str,
+    locked: Mapping[str, float],
+    tool: str,
+    payload: Body | None,
+) -> list[_Moving]:
+    """Return the moving joints with what they move."""
+    links = names_of(robot, "link", where)
+    joints = read_joints(robot, links, where)
+    known = {joint.name for joint in joints}
+    for name in locked:
+        if name not in known:
+            raise Refusal(asks, f"locked.{name}", "be a joint of the URDF", name, names(joints))
+    for joint in joints:
+        _check_kind(joint, locked, where)
+    if tool not in links:
+        raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
+    moving = _moving_joints(root_of(links, joints, where), links, joints, locked, where)
+    bodies = read_bodies(robot, where)
+    for one in moving:
+        one.body = (
+            bodies.some([links[link] for link in one.links])
+            .seen_from(
+                np.array([frame.R for frame in one.frames]),
+                np.array([frame.p for frame in one.frames]),
+            )
+            .sum()
+        )
+        if payload is not None and tool in one.links:
+            one.body += payload.seen_from(one.frames[one.links.index(tool)])
+    return moving
+
+
+def _check_kind(joint: UrdfJoint, locked: Mapping[str, float], where: str) -> None:
+    """Refuse a joint that an arm cannot move, with a hint at how it can be locked."""
+    if joint.kind not in FREE_KINDS:
+        return
+    held = "locked: {" + joint.name + ": 0.0}"
+    if joint.name not in locked:
+        raise Refusal(
+            where, f"joint {joint.name}: type", "be supported", joint.kind,
+            f"revolute, continuous, prismatic, fixed, or held where it is in the scene: {held}",
+        )  # fmt: skip
+    if locked[joint.name] != 0.0:
+        rule = f"be 0, where a {joint.kind} joint is held"
+        raise Refusal(where, f"locked.{joint.name}", rule, locked[joint.name])
+
+
+def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> bool:
+    """Make the `locked` joints fixed at their positions, and joints without limits unlimited.
+
+    Returns:
+        Whether anything was changed.
+    """
+    elements = [e for e in robot.findall("joint") if e.get("name") in locked]
+    for element, joint in zip(elements, parsed_joints(elements, where), strict=True):
+        held = _moved(joint, locked[joint.name])
+        for tag in _OF_MOVING:
+            for old in element.findall(tag):
+                element.remove(old)
+        element.set("type", "fixed")
+        xyz, rpy = (" ".join(map(repr, map(float, a))) for a in (held.p, rpy_of(held.R)))
+        ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
+    return complete_limits(robot, where) or bool(locked)
+
+
+@dataclasses.dataclass
+class _Moving:
+    """A moving joint, its placement in the frame of its parent, and what it moves."""
+
+    joint: UrdfJoint
+    parent: int  # place of the moving joint that carries it; -1: the base
+    placement: Frame
+    links: list[str]  # its child and all that is fixed to it
+    frames: list[Frame]  # of the links, in that of the child
+    body: Body  # of all of them
+
+
+def _moving_joints(
+    root: str,
+    links: Mapping[str, int],
+    joints: list[UrdfJoint],
+    locked: Mapping[str, float],
+    where: str,
+) -> list[_Moving]:
+    below: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        below.setdefault(joint.parent, []).append(joint)
+    moving: list[_Moving] = []
+    reached = {root}
+    branch = [(root, Frame(), -1)]  # link, its frame in the carrying link's, the carrier's index
+    while branch:
+        link, frame, carrier = branch.pop()
+        for joint in below.get(link, []):
+            reached.add(joint.child)
+            if joint.kind == "fixed" or joint.name in locked:
+                at = frame @ _moved(joint, locked.get(joint.name, 0.0))
+                if carrier >= 0:
+                    moving[carrier].links.append(joint.child)
+                    moving[carrier].frames.append(at)
+                branch.append((joint.child, at, carrier))
+                continue
+            placement = frame @ joint.placement
+            moving.append(_Moving(joint, carrier, placement, [joint.child], [Frame()], Body()))
+            branch.append((joint.child, Frame(), len(moving) - 1))
+    lost = [name for name in links if name not in reached]
+    if lost:
+        raise Refusal(where, f"link {lost[0]}", "hang on the base (it is in a loop)", lost[0])
+    if not moving:
+        raise Refusal(where, "robot", "have a moving joint", "none")
+    if len(moving) > MOST_JOINTS:
+        rule = f"have at most {MOST_JOINTS} moving joints that are not locked"
+        raise Refusal(where, "robot", rule, len(moving))
+    return _in_order(moving)
+
+
+def _in_order(moving: list[_Moving]) -> list[_Moving]:
+    """Return the joints with all that each carries directly behind it, siblings as found."""
+    carried: dict[int, list[int]] = {}
+    for place, one in enumerate(moving):
+        carried.setdefault(one.parent, []).append(place)
+    order: list[int] = []
+    left = carried[-1][::-1]
+    while left:
+        order.append(left.pop())
+        left += carried.get(order[-1], [])[::-1]
+    places = {before: after for after, before in enumerate(order)} | {-1: -1}
+    return [dataclasses.replace(moving[k], parent=places[moving[k].parent]) for k in order]
+
+
+def _moved(joint: UrdfJoint, position: float) -> Frame:
+    """Return the child's frame in the parent's with the joint at `position`."""
+    if joint.kind == "fixed" or joint.kind in FREE_KINDS:
+        return joint.placement
+    if joint.kind == "prismatic":
+        return joint.placement @ Frame(p=position * joint.axis)
+    a = cross(joint.axis)
+    return joint.placement @ Frame(
+        np.eye(3) + math.sin(position) * a + product((1.0 - math.cos(position)) * a, a)
+    )
+
+
+def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
+    """Choose each link's frame: z along its joint, x so that the next joint's tilt is about x.
+
+    With z fixed, one free turn gamma about z is left per link. It is spent so that the axis of the
+    first joint that the link carries lies in the plane x = 0: then the turn to that link is
+    Rx(alpha) and nothing else, as in the convention of Denavit, Hartenberg and Khalil. To further
+    joints a turn about z comes before it, as in that of Khalil and Kleinfinger for trees.
+    """
+    # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
+    E = [_frame_with_z(one.joint.axis) for one in moving]
+    gammas: list[float] = []
+    for index, here in enumerate(E):
+        if index + 1 == len(E) or moving[index + 1].parent != index:
+            gammas.append(0.0)
+            continue
+        one = moving[index + 1]
+        z_next = clean(applied(product(here.T, one.placement.R), one.joint.axis))
+        gammas.append(exact_atan2(float(z_next[0]), -float(z_next[1])))
+    turned = [clean(product(e, turn(2, gamma))) for e, gamma in zip(E, gammas, strict=True)]
+    R_WB = clean(product(moving[0].placement.R, E[0]))
+    joints = []
+    for index, one in enumerate(moving):
+        cos_gamma, sin_gamma = 1.0, 0.0
+        if index == 0:
+            # The base's turn is free: with z along the first joint, that joint needs no tilt.
+            R, p = turn(2, gammas[0]), applied(R_WB.T, one.placement.p)
+        else:
+            before = turned[one.parent] if one.parent >= 0 else R_WB
+            R = clean(product(before.T, one.placement.R, turned[index]))
+            p = applied(before.T, one.placement.p)
+            if one.parent != index - 1:
+                x, y = float(R[0, 2]), -float(R[1, 2])
+                if (length := math.hypot(x, y)) > 0.0:
+                    cos_gamma, sin_gamma = y / length, x / length
+                back = ((cos_gamma, sin_gamma, 0.0), (-sin_gamma, cos_gamma, 0.0), (0.0, 0.0, 1.0))
+                R = clean(product(np.array(back), R))
+        # R = Rx(alpha) Rz(theta_0): its third column is (0, -sin alpha, cos alpha), its first row
+        # (cos theta_0, -sin theta_0, 0).
+        joints.append(
+            ChainJoint(
+                name=one.joint.name,
+                kind=MOVING_KINDS[one.joint.kind],
+                parent=one.parent,
+                cos_gamma=cos_gamma,
+                sin_gamma=sin_gamma,
+                cos_alpha=float(R[2, 2]),
+                sin_alpha=float(-R[1, 2]),
+                theta_0=exact_atan2(-float(R[0, 1]), float(R[0, 0])),
+                p=p,
+                body=one.body.seen_from(Frame(turned[index].T)),
+                axes=turned[index].T,
+                links=dict(zip(one.links, one.frames, strict=True)),
+            )
+        )
+    carried = {
+        link: (index, frame)
+        for index, one in enumerate(moving)
+        for link, frame in zip(one.links, one.frames, strict=True)
+    }
+    return Chain(tuple(joints), coupling, R_WB.T, np.array([R.T for R in turned]), carried)
+
+
+def _fault_of_body(one: _Moving, where: str) -> Refusal | None:
+    """Return why the equations of motion are not solvable with what a joint moves.
+
+    The mass matrix is positive definite in every pose if no body has a negative principal moment
+    and each has inertia about its own joint's axis (mass, along the axis of a prismatic one). So a
+    thin rod or a point mass may be moved, though not a rod about its own length.
+    """
+    body, what = one.body, f"moved by joint {one.joint.name} (links {', '.join(one.links)})"
+    if not body.mass >= SMALLEST_MASS:
+        rule = "be > 0 kg" if body.mass <= 0.0 else f"be >= {SMALLEST_MASS:g} kg"
+        return Refusal(where, f"mass {what}", rule, body.mass)
+    com_x = cross(body.moment / body.mass)
+    moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)
+    rounding = 1e-12 * np.abs(body.inertia).max()
+    thin = moments[0] <= 1e-9 * moments[2] + rounding
+    shown = "(" + ", ".join(f"{moment:.3g}" for moment in moments) + ")"
+    if moments[0] < -1e-9 * moments[2] - rounding:
+        return Refusal(where, f"inertia {what}", "have principal moments >= 0 kg m2", shown)
+    if thin and moments[2] - moments[1] > 1e-3 * moments[2] + rounding:
+        rule = "be positive definite (of a thin rod: with two equal principal moments)"
+        return Refusal(where, f"inertia {what}", rule, shown)
+    about = float(one.joint.axis @ body.inertia @ one.joint.axis)
+    least = max(SMALLEST_INERTIA, float(rounding))
+    if MOVING_KINDS[one.joint.kind] == "revolute" and about < least:
+        return Refusal(where, f"inertia about the axis {what}", f"be >= {least:.2g} kg m2", about)
+    return None
+
+
+def _frame_with_z(axis: Array) -> Array:
+    """Return a rotation whose third column is `axis`, made of zeros and ones where possible."""
+    z = axis
+    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = helper - applied(helper[None], z) * z
+    x = x / length(x)
+    return clean(np.column_stack([x, np.cross(z, x), z]))

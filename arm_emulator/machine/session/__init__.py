@@ -1,0 +1,1 @@
+"""A plant over logical time: commands, clocks, controllers, records."""

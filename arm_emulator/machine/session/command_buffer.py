@@ -1,0 +1,158 @@
+"""Motor commands that answer ticks: which are taken, which refused. Knows nothing of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.bound import COMMAND
+from arm_emulator.base.validation.count import LARGEST, check_count
+from arm_emulator.base.validation.joint_order import JointOrder
+from arm_emulator.build.c_header import pointer
+from arm_emulator.machine.plant.inputs import further_inputs, further_rows
+from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.tick.c import ANSWERS, tick_calls
+
+NEW, BEFORE_RESET, FUTURE, STALE = (
+    ANSWERS.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
+)
+_KNOWN = ("left", "known", "tick", "tick_before")  # fields beside the commands
+
+
+class DuplicateCommand(Refusal):
+    """A valid command that is not applied.
+
+    Attributes:
+        kind: in two or three words.
+    """
+
+    def __init__(self, kind: str, rule: str, got: str) -> None:
+        super().__init__("motor_commands", "tick", rule, f"{got} ({kind})")
+        self.kind = kind
+
+
+class CommandBuffer:
+    """The commands of one run, over ``tick_answers`` (tick/c/answers.h).
+
+    Attributes:
+        inputs: names of further inputs of the motors.
+        pointer: ``tick_answers *``, by which code in C takes commands, too.
+
+    Args:
+        scene: the machine.
+        lockstep: whether each tick waits for its answer.
+    """
+
+    def __init__(self, scene: Scene, lockstep: bool) -> None:
+        self._scene, self._lockstep = scene, lockstep
+        self._order = JointOrder("motor_commands", scene.joint_names)
+        self.inputs = further_inputs(scene)
+        shape = 1 + len(self.inputs), len(scene.joint_names)
+        self._zero, self._newest, self._before = np.zeros((3, *shape))
+        self._take = tick_calls().tick_answers_take
+        self.pointer = ANSWERS.new(
+            "tick_answers",
+            lockstep=lockstep,
+            numbers=self._zero.size,
+            newest=self._newest,
+            before=self._before,
+        )
+        self.begin(-1)
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self._scene, self._lockstep, self.save()
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        scene, lockstep, saved = state
+        self.__init__(scene, lockstep)  # type: ignore[misc]
+        self.restore(saved)
+
+    def begin(self, left: int) -> None:
+        """Begin a run without commands; the run before was left at the tick `left`."""
+        self.pointer.left = left
+        self.pointer.tick = self.pointer.tick_before = -1
+        self.pointer.known = 0
+
+    def put(self, tick: int, rows: Array) -> None:
+        """Let this command (1 + I, N) be the only one that is known, as the answer to a tick."""
+        self.pointer.tick, self.pointer.known = tick, 1
+        self._newest[:] = rows
+
+    def save(self) -> tuple[object, ...]:
+        """Return the commands that are known now, for `restore`."""
+        known = tuple(getattr(self.pointer, name) for name in _KNOWN)
+        return *known, self._newest.tobytes(), self._before.tobytes()
+
+    def restore(self, saved: tuple[Any, ...]) -> None:
+        """Know the commands that were known when `save` returned this."""
+        *known, newest, before = saved
+        for row, numbers in ((self._newest, newest), (self._before, before)):
+            row[:] = np.frombuffer(numbers).reshape(row.shape)
+        for name, value in zip(_KNOWN, known, strict=True):
+            setattr(self.pointer, name, value)
+
+    @property
+    def has_command(self) -> bool:
+        """Whether a command of this run is known."""
+        return bool(self.pointer.known)
+
+    @property
+    def tick(self) -> int:
+        """The tick that the newest command answers; -1: none."""
+        return int(self.pointer.tick)
+
+    @property
+    def rows(self) -> Array:
+        """The newest command with further inputs, 0 before the first one (1 + I, N)."""
+        return self._newest.copy() if self.has_command else self._zero
+
+    def take(
+        self,
+        now: int,
+        tick: int,
+        joint_names: Sequence[str],
+        command: Sequence[float],
+        further: Mapping[str, Sequence[float]],
+    ) -> Array:
+        """Take a command at the tick `now`, and return it arranged; see `Session.offer`."""
+        check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
+        rows = self.arranged(joint_names, command, further)
+        known = self.pointer.tick
+        # Messages have room for ticks that the core's integer has not: they are of the future.
+        result = self._take(self.pointer, now, min(tick, LARGEST), pointer(rows))
+        if result == NEW:
+            return rows
+        at_most, at_least = f"be at most {now}", f"be at least {now if self._lockstep else known}"
+        if result == BEFORE_RESET:
+            raise DuplicateCommand("before the reset", at_most, f"{tick}")
+        if result == FUTURE:
+            raise Refusal("motor_commands", "tick", at_most, f"{tick} (future)")
+        if result == STALE:
+            raise Refusal("motor_commands", "tick", at_least, f"{tick} (stale)")
+        is_newest = tick == known and not (self._lockstep and tick < now)
+        raise DuplicateCommand("repeated", "be answered once" if is_newest else at_least, f"{tick}")
+
+    def arranged(
+        self,
+        joint_names: Sequence[str],
+        command: Sequence[float],
+        further: Mapping[str, Sequence[float]],
+    ) -> Array:
+        """Return commands and further inputs (1 + I, N) in the scene's order of joints.
+
+        Raises:
+            Refusal: see `Session.offer`.
+        """
+        row = self._order.arrange(joint_names, command, COMMAND)
+        if not further and not self.inputs:
+            return row[np.newaxis]
+        given = {
+            name: self._order.arrange(joint_names, values, COMMAND.named(name))
+            for name, values in further.items()
+        }
+        others = further_rows("motor_commands", self._scene, given)
+        return np.vstack([row, self._zero[1:] if others is None else others])

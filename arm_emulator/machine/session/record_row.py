@@ -1,0 +1,106 @@
+"""A machine at a tick as one row: true and measured values, with units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.column import Column, Rows
+from arm_emulator.base.synchronized import Synchronized, synchronized
+from arm_emulator.machine.plant.call_arguments import truth_at
+from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.machine.plant.measured import Measured, rows_of
+from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.machine.plant.plant_state import ROWS, unit_of
+from arm_emulator.machine.scene.scene import Scene
+
+STRUCTS = ("joint", "sensors", "imu")  # what `arm_measurement` has as structs
+
+
+class RecordRow(Synchronized):
+    """Buffer into which the core writes a row of a plant.
+
+    Attributes:
+        rows: one row, the newest.
+        truth: as ``arm_truth``, with its places in the row.
+        measurement: the same as ``arm_measurement``.
+
+    Args:
+        plant: the machine.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        self._plant = plant
+        self.rows = rows = np.zeros(1, row_type(plant.scene))
+        self.truth = truth_at(energy=rows["energy"], **{name: rows[name][0] for name in ROWS})
+        places = {name: rows[name][0] for name in (*STRUCTS, "current_d", *rows_of(plant.scene))}
+        self.measurement = ARM.new("arm_measurement", **places)
+
+    @synchronized
+    def take(self) -> Rows:
+        """Return the machine as it is now, one row."""
+        plant, rows = self._plant, self.rows
+        plant.core.arm_measure(plant.machine, self.measurement)
+        plant.core.arm_get_truth(plant.machine, self.truth)
+        rows["t"], rows["tick"] = self.truth.time, self.measurement.tick
+        # As bytes: NumPy copies structs number by number.
+        return np.frombuffer(bytearray(rows.tobytes()), rows.dtype)
+
+
+def row_type(scene: Scene) -> np.dtype[np.void]:
+    """Return a row as numpy has it: as tick/c/record_ring.h begins it, and then arrays."""
+    N, M = len(scene.joints), len(scene.imus)
+    counts = dict(zip(STRUCTS, (N, N, M), strict=True))
+    kinds = {"joint": "joint_measurement", "sensors": "joint_sensors", "imu": "imu_measurement"}
+    return np.dtype([
+        ("t", "f8"), ("tick", "i8"), ("energy", "f8"),
+        *[(name, "f8", (N,)) for name in ROWS],
+        *[(name, ARM.dtype(f"arm_{kind}"), (counts[name],)) for name, kind in kinds.items()],
+        ("current_d", "f8", (N,)),
+        *[(array, "f8", (len(names), N)) for array, names in rows_of(scene).items()],
+    ])  # fmt: skip
+
+
+def measured_in(rows: Rows, scene: Scene) -> Measured:
+    """Return what rows (K,) have of `Plant.measured`, (K, N) each."""
+    return Measured(rows, rows_of(scene))
+
+
+def columns_of(scene: Scene) -> list[Column]:
+    """Return all numbers of a scene's rows."""
+    joints = list(enumerate(scene.chain.joints))
+    columns = [Column(("t",), "s", "t"), Column(("tick",), "", "tick")]
+    columns.append(Column(("energy",), "J", "energy"))
+    for name in ROWS:
+        columns += [
+            Column((name, joint.name), unit_of(name, joint.kind), name, "", (j,))
+            for j, joint in joints
+        ]
+    arrays = rows_of(scene)
+    for output in outputs_of(scene):
+        array, _, member = output.symbol.partition(".")
+        path = ("measured", output.name)
+        if output.per_unit:
+            columns += [
+                Column((*path, imu.name, axis), output.unit, array, member, (m, k))
+                for m, imu in enumerate(scene.imus)
+                for k, axis in enumerate("xyz")
+            ]
+            continue
+        row = (arrays[array].index(output.name),) if array in arrays else ()
+        units = units_of(scene, output) or ("",) * len(joints)
+        columns += [
+            Column((*path, joint.name), units[j], array, member, (*row, j)) for j, joint in joints
+        ]
+    return columns
+
+
+def values_of(rows: Rows, name: str, scene: Scene) -> NDArray[Any]:
+    """Return a quantity of rows (K,): of the truth, or one as ``measured.current``."""
+    group, _, output = name.partition(".")
+    values: NDArray[Any] = getattr(measured_in(rows, scene), output) if output else rows[group]
+    return values

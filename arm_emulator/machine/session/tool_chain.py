@@ -1,0 +1,60 @@
+"""The tool's position in the world, in C, for many joint positions in one call."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.build.c_header import pointer
+from arm_emulator.machine.plant.formula_rows import TOOL_POSITION, formula_library
+from arm_emulator.machine.scene.scene import Scene
+
+TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
+
+
+def tool_signals(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the tool's coordinates; none where no joint carries the tool."""
+    return TOOL if scene.tool in scene.chain.carried else ()
+
+
+class ToolChain:
+    """The joints between base and tool, see core/boundary/tool_position.h.
+
+    Attributes:
+        struct: ``tool_chain``.
+
+    Args:
+        scene: whose tool a joint carries.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        chain = scene.chain
+        last, frame = chain.place_of(scene.tool)
+        way = chain.way_to(last)[::-1]
+        self._shares = np.ascontiguousarray(chain.coupling.C[way])
+        self._joints = TOOL_POSITION.rows("tool_joint", len(way))
+        first, stride = self._shares.__array_interface__["data"][0], self._shares.strides[0]
+        for place, (row, number) in enumerate(zip(self._joints, way, strict=True)):
+            link = chain.links[number]
+            row["share"] = first + place * stride
+            row["q_0"] = chain.coupling.offset[number]
+            for name in ("theta_0", "cos_alpha", "sin_alpha", "cos_gamma", "sin_gamma", "p"):
+                row[name] = getattr(link, name)
+            row["slides"] = link.kind == "prismatic"
+        self.struct = TOOL_POSITION.new(
+            "tool_chain",
+            joints=len(way),
+            joint=self._joints,
+            drives=self._shares.shape[1],
+            p=frame.p.tolist(),
+            R=chain.R_BW.T.ravel().tolist(),
+        )
+
+    def positions(self, q: Array) -> Array:
+        """Return p_WT (3, K) [m] for joint positions (N, K) [rad or m]."""
+        q = np.ascontiguousarray(q, np.float64)
+        p_WT = np.empty((3, q.shape[1]))
+        if p_WT.size:
+            places = pointer(q), q.shape[1], q.shape[1], pointer(p_WT)
+            formula_library().tool_positions(self.struct, *places)
+        return p_WT
